@@ -1,0 +1,73 @@
+"""Robot arms that must work together, as learning environments on MuJoCo."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from collaborative_gym.opengl import choose_backend
+
+choose_backend()  # MuJoCo decides how to draw when it is imported.
+
+from collaborative_gym.envs.pettingzoo import make  # noqa: E402
+from collaborative_gym.envs.vector_env import VectorEnv, make_vec  # noqa: E402
+from collaborative_gym.robots import (  # noqa: E402
+    Gripper,
+    Robot,
+    get_robot,
+    list_robots,
+)
+from collaborative_gym.scene import Placement  # noqa: E402
+from collaborative_gym.tasks.registry import (  # noqa: E402
+    EnvSpec,
+    list_envs,
+    list_tasks,
+    register_env,
+    register_task,
+)
+from collaborative_gym.tasks.task import (  # noqa: E402
+    Randomization,
+    Task,
+    TaskConfig,
+)
+
+if TYPE_CHECKING:
+    from collaborative_gym.evaluation import Report, evaluate
+    from collaborative_gym.policies import load_policy
+
+__all__ = [
+    "EnvSpec",
+    "Gripper",
+    "Placement",
+    "Randomization",
+    "Report",
+    "Robot",
+    "Task",
+    "TaskConfig",
+    "VectorEnv",
+    "evaluate",
+    "get_robot",
+    "list_envs",
+    "list_robots",
+    "list_tasks",
+    "load_policy",
+    "make",
+    "make_vec",
+    "register_env",
+    "register_task",
+]
+
+# Imported on first use, so that `import collaborative_gym` stays quick.
+_LATER = {
+    "Report": "collaborative_gym.evaluation",
+    "evaluate": "collaborative_gym.evaluation",
+    "load_policy": "collaborative_gym.policies",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_LATER[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

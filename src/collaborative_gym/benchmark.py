@@ -1,0 +1,255 @@
+"""How fast the environments are, beside the bare physics they run on."""
+
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import median
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from collaborative_gym.control import CONTROL_DT
+from collaborative_gym.envs.pettingzoo import PettingZooEnv
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.tasks.registry import make_task
+
+_ROUNDS = 11
+"""Alternations of bare physics and environment, whose median counts."""
+
+_STEPS = 10
+"""Control steps of one round."""
+
+_MEMORY_ENVS = 1024
+"""Worlds whose memory is measured."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What was measured of one environment, under random actions.
+
+    A step is a control step of one world. Rates are steps per second.
+
+    Attributes:
+      environment: its id.
+      bare_rate: of `mujoco.batch` alone, with random controls.
+      env_rate: of `VectorEnv.step`, with its resets.
+      ratio: the median of the rounds' env_rate / bare_rate.
+      rate_per_core: env_rate by the threads that it used.
+      single_rate: of one PettingZoo environment.
+      reset_ms: time of one world's reset, in ms.
+      make_s: time to make the first PettingZoo environment of a process, in s.
+      kb_per_env: memory per world, in kB.
+    """
+
+    environment: str
+    bare_rate: float
+    env_rate: float
+    ratio: float
+    rate_per_core: float
+    single_rate: float
+    reset_ms: float
+    make_s: float
+    kb_per_env: float
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What was measured in one run.
+
+    Attributes:
+      machine: what the numbers depend on besides the environments.
+      num_envs: worlds that were stepped together.
+      num_threads: physics threads.
+      environments: what was measured of each.
+    """
+
+    machine: dict[str, str | int]
+    num_envs: int
+    num_threads: int
+    environments: tuple[Speed, ...]
+
+    def to_json(self) -> str:
+        """Return everything as JSON."""
+        return json.dumps(asdict(self), indent=2) + "\n"
+
+
+def benchmark(
+    env_ids: Sequence[str],
+    num_envs: int = 256,
+    num_threads: int = 0,
+    on_progress: Callable[[float], object] | None = None,
+) -> Benchmark:
+    """Return how fast environments are here and now.
+
+    Args:
+      env_ids: their ids, or tasks' names.
+      num_envs: worlds to step together.
+      num_threads: physics threads, 0 for one per CPU.
+      on_progress: called after each environment with the share that is done, 0 to 1.
+
+    Raises:
+      KeyError: if there is no such environment.
+      ValueError: if a number is out of range.
+    """
+    for env_id in env_ids:
+        make_task(env_id)  # Unknown names show before the work.
+    num_threads = num_threads or cores()
+    speeds = []
+    for env_id in env_ids:
+        speeds.append(_measure(env_id, num_envs, num_threads))
+        if on_progress is not None:
+            on_progress(len(speeds) / len(env_ids))
+    return Benchmark(_machine(), num_envs, num_threads, tuple(speeds))
+
+
+def cores() -> int:
+    """Return how many CPUs this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
+    env = VectorEnv(make_task(env_id), num_envs, num_threads=num_threads)
+    bare_rate, env_rate, ratio = _compare(env, num_threads)
+    single = PettingZooEnv(make_task(env_id))
+    return Speed(
+        environment=env_id,
+        bare_rate=bare_rate,
+        env_rate=env_rate,
+        ratio=ratio,
+        rate_per_core=env_rate / min(num_threads, num_envs),
+        single_rate=_single_rate(single),
+        reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
+        make_s=_in_fresh_process(_time_to_make, env_id),
+        kb_per_env=_in_fresh_process(_memory_per_env, env_id),
+    )
+
+
+def _machine() -> dict[str, str | int]:
+    return {
+        "cpu": _cpu_name(),
+        "cores": cores(),
+        "python": platform.python_version(),
+        "mujoco": mujoco.__version__,
+        "numpy": np.__version__,
+    }
+
+
+def _compare(env: VectorEnv, num_threads: int) -> tuple[float, float, float]:
+    """Return the bare rate, the environment's, and their ratio.
+
+    The rounds alternate, so that another program's load slows both alike. In each
+    round both start from the same states, which are spread over whole episodes.
+    """
+    rng = np.random.default_rng(0)
+    env.reset(seed=0, stagger=True)
+    bare = batch.Batch(env.model, env.num_envs, num_threads)
+    _step_env(env, rng)
+    bare_times, env_times = [], []
+    for _ in range(_ROUNDS):
+        bare.state[:] = env.sim.get_state()
+        bare_times.append(_step_bare(bare, env, rng))
+        env_times.append(_step_env(env, rng))
+    steps = env.num_envs * _STEPS
+    ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
+    return steps / median(bare_times), steps / median(env_times), median(ratios)
+
+
+def _step_env(env: VectorEnv, rng: np.random.Generator) -> float:
+    """Return the time of a round of random actions, in s."""
+    sizes = {agent: s.shape[0] for agent, s in env.single_action_spaces.items()}
+    actions = [
+        {agent: rng.uniform(-1, 1, (env.num_envs, k)) for agent, k in sizes.items()}
+        for _ in range(_STEPS)
+    ]
+    return _time(lambda: [env.step(action) for action in actions])
+
+
+def _step_bare(bare: batch.Batch, env: VectorEnv, rng: np.random.Generator) -> float:
+    """Return the time of a round of random joint speeds, in s."""
+    controls = []
+    for _ in range(_STEPS):
+        control = bare.ctrl.copy()
+        for agent, arm in env.scene.arms.items():
+            greatest = env.task.controller.scale(agent) / CONTROL_DT
+            speed = rng.uniform(-greatest, greatest, (env.num_envs, len(greatest)))
+            control[:, arm.servos] = speed
+        controls.append(control)
+
+    def step() -> None:
+        for control in controls:
+            bare.ctrl[:] = control
+            bare.step(nstep=env.substeps)
+
+    return _time(step)
+
+
+def _single_rate(env: PettingZooEnv) -> float:
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    count = min(100, env.vector_env.task.config.max_episode_steps)
+    actions = [
+        {
+            agent: rng.uniform(-1, 1, space.shape).astype(np.float32)
+            for agent, space in env.action_spaces.items()
+        }
+        for _ in range(count)
+    ]
+    return count / _time(lambda: [env.step(action) for action in actions])
+
+
+def _time(call: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def _time_to_make(env_id: str) -> float:
+    return _time(lambda: PettingZooEnv(make_task(env_id)))
+
+
+def _memory_per_env(env_id: str) -> float:
+    """Return how much this process grows per world of a large batch, in kB."""
+    VectorEnv(make_task(env_id), 1, num_threads=1).reset(seed=0)
+    before = _resident_kb()
+    env = VectorEnv(make_task(env_id), _MEMORY_ENVS, num_threads=1)
+    env.reset(seed=0)
+    env.step(
+        {
+            agent: np.zeros((_MEMORY_ENVS, *space.shape))
+            for agent, space in env.single_action_spaces.items()
+        }
+    )
+    return (_resident_kb() - before) / _MEMORY_ENVS
+
+
+def _resident_kb() -> float:
+    """Return the memory this process occupies; NaN where the system does not say."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return float("nan")
+    fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
+    return float(fields["VmRSS"].split()[0])
+
+
+def _in_fresh_process(function: Callable[[str], float], argument: str) -> float:
+    # A process that has made environments before reuses their memory and start poses.
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(function, argument).result()
+
+
+def _cpu_name() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,1 @@
+"""The one environment loop, and its adapters to other libraries' contracts."""

@@ -1,0 +1,223 @@
+"""One world as a PettingZoo parallel environment."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from pettingzoo import ParallelEnv
+
+from collaborative_gym.control import CONTROL_DT
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.math import Array
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Randomization, Task
+
+ByAgent = dict[str, Any]
+
+RENDERING = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_DT)}
+"""What the metadata of an environment says of its pictures."""
+
+_METADATA = {"name": "collaborative_gym", "is_parallelizable": True, **RENDERING}
+
+
+class PettingZooEnv(ParallelEnv):
+    """A `VectorEnv` of one world under PettingZoo's contract.
+
+    An agent's info has `success`, `diverged` and its `reward_terms`; in the episode's
+    last step also `metrics`, as `VectorEnv` describes them, with None for NaN.
+
+    Args:
+      task: what to do, from `make_task`.
+      render_mode: "rgb_array", or None for no pictures.
+      name: what the environment calls itself.
+
+    Raises:
+      KeyError: if there is no such render mode.
+
+    Attributes:
+      vector_env: the batch of one.
+      possible_agents: the agents' names.
+      agents: those whose episode goes on: all of them, or none.
+      state_space: space of `state`.
+      render_mode: as given.
+    """
+
+    metadata = _METADATA
+
+    def __init__(self, task: Task, render_mode: str | None = None, name: str = ""):
+        check_render_mode(render_mode, RENDERING["render_modes"])
+        self.render_mode = render_mode
+        self.metadata = {**_METADATA, "name": name or type(task).__name__}
+        self.vector_env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
+        self.possible_agents = list(self.vector_env.agents)
+        self.agents: list[str] = []
+        self.observation_spaces = {**self.vector_env.single_observation_spaces}
+        self.action_spaces = {**self.vector_env.single_action_spaces}
+        boxes = self.vector_env.single_observation_spaces.values()
+        size = sum(box.shape[0] for box in boxes)
+        self.state_space = Box(-np.inf, np.inf, (size,), np.float32)
+        self._has_seed = False
+        self._observations: ByAgent = {}
+
+    def observation_space(self, agent: str) -> Box:
+        """Return the space of an agent's observations."""
+        return self.vector_env.single_observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """Return the space of an agent's actions."""
+        return self.vector_env.single_action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, ByAgent]:
+        """Start an episode.
+
+        Args:
+          seed: starts its episode 0; None goes on to the next episode of the present
+            seed, which is drawn afresh if none was ever given.
+          options: not used.
+
+        Returns:
+          Observations and infos by agent.
+        """
+        if seed is None and not self._has_seed:
+            seed = fresh_seed()
+        observations, _ = self.vector_env.reset(seed)
+        self._has_seed = True
+        self.agents = list(self.possible_agents)
+        self._observations = _row(observations)
+        return dict(self._observations), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Array]
+    ) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        """Do one control step.
+
+        Args:
+          actions: by agent, (k,), each component in [-1, 1].
+
+        Returns:
+          Observations, rewards, terminated, truncated and infos by agent. The
+          observations that end an episode are its own last ones.
+
+        Raises:
+          ValueError: if the actions are not what the spaces say; nothing is changed.
+          RuntimeError: before the first `reset`, after an episode's end, after `close`.
+        """
+        batch = self._batch_of_one(actions)
+        observations, rewards, terminated, truncated, infos = self.vector_env.step(
+            batch
+        )
+        self._observations = _row(observations)
+        if infos["ended"][0]:
+            self.agents = []
+        return (
+            dict(self._observations),
+            first_row(rewards),
+            first_row(terminated),
+            first_row(truncated),
+            {agent: _info(infos, agent) for agent in self.possible_agents},
+        )
+
+    def state(self) -> np.ndarray:
+        """Return the observations of all agents in one array."""
+        if not self._observations:
+            raise RuntimeError("call reset() before state()")
+        return np.concatenate(list(self._observations.values()))
+
+    def render(self) -> np.ndarray:
+        """Return a picture, (480, 640, 3) uint8.
+
+        Raises:
+          RuntimeError: without a render mode, and if no renderer can start.
+        """
+        check_can_render(self.render_mode)
+        return self.vector_env.render()
+
+    def close(self) -> None:
+        """Free the renderer. No other call is allowed afterwards."""
+        self.vector_env.close()
+
+    def _batch_of_one(self, actions: Mapping[str, Array]) -> Mapping[str, Array]:
+        if not isinstance(actions, Mapping):
+            return actions
+        batch = {}
+        for agent, action in actions.items():
+            space = self.action_spaces.get(agent)
+            shape = np.shape(action)
+            if space is not None and shape != space.shape:
+                raise ValueError(
+                    f"the action of {agent} has shape {shape}, not {space.shape}"
+                )
+            batch[agent] = np.asarray(action)[None]
+        return batch
+
+
+def make(
+    env_id: str,
+    robots: Sequence[str | Robot] | None = None,
+    render_mode: str | None = None,
+    randomization: str | Randomization = "default",
+    **settings: Any,
+) -> PettingZooEnv:
+    """Return a PettingZoo parallel environment.
+
+    Args:
+      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      robots: the arms in the order of the agents, by name or value; None for the
+        environment's own.
+      render_mode: "rgb_array" lets `render` return pictures.
+      randomization: how starts are drawn, "default", "paper" or a value.
+      **settings: other fields of the task's config.
+
+    Raises:
+      KeyError: if there is no such environment, robot, preset or setting.
+      ValueError: if the task cannot be done with these robots.
+    """
+    task = make_task(env_id, robots, randomization, **settings)
+    return PettingZooEnv(task, render_mode, env_id)
+
+
+def fresh_seed() -> int:
+    """Return a seed that nobody chose, so that parallel workers differ."""
+    return int(np.random.default_rng().integers(2**31))
+
+
+def check_render_mode(given: str | None, modes: Sequence[str]) -> None:
+    """Raise `KeyError` for a render mode that there is not."""
+    if given is not None and given not in modes:
+        raise UnknownName(unknown("render mode", given, modes))
+
+
+def check_can_render(render_mode: str | None) -> None:
+    """Raise `RuntimeError` for an environment that was made without a render mode."""
+    if render_mode is None:
+        raise RuntimeError(
+            "this environment draws no pictures; make it with render_mode='rgb_array'"
+        )
+
+
+def first_row(value: Any) -> Any:
+    """Return world 0 of nested dictionaries of (num_envs,) arrays, None for NaN."""
+    if isinstance(value, Mapping):
+        return {name: first_row(part) for name, part in value.items()}
+    scalar = value[0].item()
+    return None if scalar != scalar else scalar
+
+
+def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
+    return {agent: array[0] for agent, array in observations.items()}
+
+
+def _info(infos: Mapping[str, Any], agent: str) -> dict[str, Any]:
+    info = {
+        "success": infos["success"],
+        "diverged": infos["diverged"],
+        "reward_terms": infos["reward_terms"][agent],
+    }
+    if infos["ended"][0]:
+        info["metrics"] = infos["metrics"]
+    return first_row(info)

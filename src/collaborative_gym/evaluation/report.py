@@ -1,0 +1,165 @@
+"""What an evaluation found, as numbers, JSON, CSV and Markdown."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+_RESAMPLES = 2000
+"""Draws of the bootstrap; more would change an interval by less than a tenth."""
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """The mean over episodes and how sure it is.
+
+    Attributes:
+      mean: the mean; NaN if there was no value.
+      low: lower end of the mean's 95 % bootstrap interval.
+      high: upper end of it.
+      iqm: interquartile mean, that of the middle half of the values.
+    """
+
+    mean: float
+    low: float
+    high: float
+    iqm: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> "Statistic":
+        """Return the statistic of some values, leaving out those that are NaN."""
+        array = np.sort(np.asarray(values, float))
+        array = array[~np.isnan(array)]
+        if not len(array):
+            return cls(math.nan, math.nan, math.nan, math.nan)
+        # The same resamples every time, so that equal episodes give equal intervals.
+        rng = np.random.default_rng(0)
+        means = array[rng.integers(0, len(array), (_RESAMPLES, len(array)))].mean(
+            axis=1
+        )
+        low, high = np.quantile(means, (0.025, 0.975))
+        cut = len(array) // 4
+        middle = array[cut : len(array) - cut]
+        return cls(float(array.mean()), float(low), float(high), float(middle.mean()))
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a policy did.
+
+    A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
+    `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
+    agent `robot_1/return` and the sum of each reward term, such as
+    `robot_1/distance`.
+
+    Attributes:
+      environment: the environment's id or the task's name.
+      settings: what was evaluated: robots, randomization, policy, episodes, seed, idle
+        agents and MuJoCo's version.
+      mean_reward: of the return, the sum over all steps and agents.
+      completion: of whether the goal was reached, 0 to 1.
+      performance: of the share of steps at the goal, 0 to 1, as the task counts it.
+      time_to_success: of the time until the goal was reached, over the episodes in
+        which it was, in s.
+      returns: of each agent's own return, by agent.
+      episodes: one row per episode, in order.
+      steps_per_second: environment steps per second, with the policy's own time.
+    """
+
+    environment: str
+    settings: dict[str, Any]
+    mean_reward: Statistic
+    completion: Statistic
+    performance: Statistic
+    time_to_success: Statistic
+    returns: dict[str, Statistic]
+    episodes: tuple[dict[str, Any], ...]
+    steps_per_second: float
+
+    def to_json(self) -> str:
+        """Return everything as JSON, with null for NaN."""
+        return reports_to_json([self])
+
+    def to_csv(self) -> str:
+        """Return the episodes as CSV, one row each, with an empty cell for NaN."""
+        return reports_to_csv([self])
+
+    def to_markdown(self) -> str:
+        """Return the statistics as a Markdown table."""
+        return reports_to_markdown([self])
+
+
+def reports_to_json(reports: Sequence[Report]) -> str:
+    """Return reports as one JSON object by environment, with null for NaN."""
+    content = {report.environment: asdict(report) for report in reports}
+    return json.dumps(_without_nan(content), indent=2) + "\n"
+
+
+def reports_to_csv(reports: Sequence[Report]) -> str:
+    """Return all episodes of the reports as one CSV; what a row lacks is empty."""
+    rows = [
+        {"environment": report.environment, **_without_nan(row)}
+        for report in reports
+        for row in report.episodes
+    ]
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def reports_to_markdown(reports: Sequence[Report]) -> str:
+    """Return a Markdown table, one environment per line, means with 95 % intervals."""
+    lines = [
+        "| environment | mean reward | completion | performance | time to success |",
+        "|---|---|---|---|---|",
+    ]
+    for report in reports:
+        cells = [
+            report.environment,
+            show(report.mean_reward),
+            show(report.completion, percent=True),
+            show(report.performance, percent=True),
+            show(report.time_to_success, unit=" s"),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def show(statistic: Statistic, percent: bool = False, unit: str = "") -> str:
+    """Return a mean and its interval for people to read, such as `98.0 % (95.0-100)`.
+
+    Args:
+      statistic: what to show.
+      percent: whether it is a share from 0 to 1.
+      unit: what to put after the mean.
+    """
+    if math.isnan(statistic.mean):
+        return "-"
+    if percent:
+        mean, low, high = (
+            f"{100 * value:.1f}".replace("100.0", "100")
+            for value in (statistic.mean, statistic.low, statistic.high)
+        )
+        return f"{mean} % ({low} to {high})"
+    digits = 1 if max(abs(statistic.low), abs(statistic.high)) < 1000 else 0
+    mean, low, high = (
+        f"{value:.{digits}f}"
+        for value in (statistic.mean, statistic.low, statistic.high)
+    )
+    return f"{mean}{unit} ({low} to {high})"
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,0 +1,71 @@
+"""Files that appear whole or not at all."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a path to write to, whose file takes the place of `path` in the end.
+
+    After an error or Ctrl-C nothing is left of it, and a file that was at `path` before
+    is untouched. The file's folder is made if it is missing.
+    """
+    path = Path(path)
+    with _beside(path) as folder:
+        yield folder / path.name
+        with _naming(path):
+            os.replace(folder / path.name, path)
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise if no file can be written there. Its folder is made if it is missing.
+
+    Raises:
+      OSError: says why not; a file that was there before is untouched.
+    """
+    with _beside(Path(path)):
+        pass
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    with replacing(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Yield a folder, beside a file that is to be written, while the context lasts.
+
+    Where nothing can be written, it shows before the work. It is a folder rather than a
+    file so that a process that still writes, as an encoder does, cannot bring the file
+    back after an interruption.
+    """
+    with ExitStack() as stack:
+        with _naming(path):
+            if path.exists() and not path.is_file():
+                raise OSError(errno.EINVAL, "it is a folder or a device")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(
+                TemporaryDirectory(
+                    prefix=f".{path.stem}.",
+                    suffix=".partial",
+                    dir=path.parent,
+                    ignore_cleanup_errors=True,
+                )
+            )
+        yield Path(folder)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let errors name the file that the caller asked for."""
+    try:
+        yield
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror}") from error

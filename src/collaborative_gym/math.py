@@ -1,0 +1,150 @@
+"""Vector and quaternion maths over arrays with any leading axes.
+
+Written in the Python array API, so that NumPy and torch run the same code. Sums over
+the last axis are spelt out column by column: a library's reduction may group terms
+differently for one row than for many, and the same world must give the same bits in a
+batch of any size. Quaternions are w x y z and of unit length.
+"""
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+Array = Any
+"""An array of the backend: `numpy.ndarray` or `torch.Tensor`."""
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the inner product over the last axis."""
+    product = a * b
+    total = product[..., 0]
+    for i in range(1, product.shape[-1]):
+        total = total + product[..., i]
+    return total
+
+
+def norm(a: Array) -> Array:
+    """Return the Euclidean length over the last axis."""
+    return array_namespace(a).sqrt(dot(a, a))
+
+
+def distance(a: Array, b: Array) -> Array:
+    """Return the Euclidean distance over the last axis."""
+    return norm(a - b)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross product of 3-vectors."""
+    xp = array_namespace(a, b)
+    return xp.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: Array) -> Array:
+    """Return the inverse of a unit quaternion."""
+    xp = array_namespace(q)
+    return xp.concat([q[..., :1], -q[..., 1:]], axis=-1)
+
+
+def multiply(p: Array, q: Array) -> Array:
+    """Return the quaternion of the rotation q followed by p."""
+    xp = array_namespace(p, q)
+    w = p[..., 0] * q[..., 0] - dot(p[..., 1:], q[..., 1:])
+    v = (
+        p[..., :1] * q[..., 1:]
+        + q[..., :1] * p[..., 1:]
+        + cross(p[..., 1:], q[..., 1:])
+    )
+    return xp.concat([w[..., None], v], axis=-1)
+
+
+def rotate(q: Array, v: Array) -> Array:
+    """Return the vector v turned by q."""
+    twice = 2.0 * cross(q[..., 1:], v)
+    return v + q[..., :1] * twice + cross(q[..., 1:], twice)
+
+
+def axis_x(q: Array) -> Array:
+    """Return the first column of the rotation matrix of q."""
+    xp = array_namespace(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    columns = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+    return xp.stack(columns, axis=-1)
+
+
+def axis_y(q: Array) -> Array:
+    """Return the second column of the rotation matrix of q."""
+    xp = array_namespace(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    columns = [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)]
+    return xp.stack(columns, axis=-1)
+
+
+def axis_z(q: Array) -> Array:
+    """Return the third column of the rotation matrix of q."""
+    xp = array_namespace(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    columns = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+    return xp.stack(columns, axis=-1)
+
+
+def roll_pitch(q: Array) -> tuple[Array, Array]:
+    """Return the fixed-axis roll and pitch angles of q, in radians."""
+    xp = array_namespace(q)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    roll = xp.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = xp.asin(xp.clip(2 * (w * y - z * x), -1.0, 1.0))
+    return roll, pitch
+
+
+def rotation_vector(q: Array) -> Array:
+    """Return the axis times the angle of q, the shorter way round, in radians."""
+    xp = array_namespace(q)
+    q = xp.where(q[..., :1] < 0, -q, q)
+    sine = norm(q[..., 1:])
+    angle = 2.0 * xp.atan2(sine, q[..., 0])
+    small = sine < 1e-9
+    scale = xp.where(
+        small, 2.0 * xp.ones_like(sine), angle / xp.where(small, 1.0, sine)
+    )
+    return q[..., 1:] * scale[..., None]
+
+
+def from_rotation_vector(vector: Array) -> Array:
+    """Return the quaternion of a rotation given as its axis times its angle."""
+    xp = array_namespace(vector)
+    angle = norm(vector)
+    # For a vanishing angle, sin(angle / 2) / angle is 1 / 2.
+    small = angle < 1e-9
+    scale = xp.where(
+        small,
+        0.5 * xp.ones_like(angle),
+        xp.sin(angle / 2) / xp.where(small, 1.0, angle),
+    )
+    scaled = scale[..., None] * vector
+    return xp.concat([xp.cos(angle / 2)[..., None], scaled], axis=-1)
+
+
+def from_yaw(yaw: Array) -> Array:
+    """Return the quaternion of a turn by yaw radians about z."""
+    xp = array_namespace(yaw)
+    zero = xp.zeros_like(yaw)
+    return xp.stack([xp.cos(yaw / 2), zero, zero, xp.sin(yaw / 2)], axis=-1)
+
+
+def xyzw(q: Array) -> Array:
+    """Return w x y z as x y z w, the order of the thesis's observation tables."""
+    xp = array_namespace(q)
+    return xp.concat([q[..., 1:], q[..., :1]], axis=-1)
+
+
+def pose(pos: Array, quat: Array) -> Array:
+    """Return the observation block of a pose: position, then quaternion x y z w."""
+    xp = array_namespace(pos, quat)
+    return xp.concat([pos, xyzw(quat)], axis=-1)

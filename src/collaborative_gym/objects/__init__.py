@@ -1,0 +1,1 @@
+"""The things in the worlds: functions that return a model of one."""

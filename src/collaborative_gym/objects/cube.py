@@ -1,0 +1,36 @@
+"""A small cube that can be gripped at its centre."""
+
+import mujoco
+
+_RGBA = (0.90, 0.45, 0.13, 1.0)
+
+# A grip holds the cube at a point and leaves its turning free. This damping (N m s/rad
+# about the axes, N s/m along them) stops a turn of the small cube within half a second
+# and does nothing that could be noticed to its fall.
+_DAMPING = 1e-4
+
+
+def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
+    """Return a cube that moves freely.
+
+    The body `cube` and its site `centre` have their origin in the cube's centre. One
+    geom is seen and collides.
+
+    Args:
+      size: edge length, metres.
+      mass: in kg.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "cube"
+    body = spec.worldbody.add_body(name="cube")
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_FREE, name="free", damping=_DAMPING)
+    body.add_geom(
+        name="cube",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[size / 2] * 3,
+        rgba=_RGBA,
+        mass=mass,
+        group=2,
+    )
+    body.add_site(name="centre")
+    return spec

@@ -1,0 +1,51 @@
+"""A square ring, the "donut"."""
+
+import mujoco
+
+OUTER = 0.24
+"""Outer side of the ring, in m."""
+
+BAR = 0.04
+"""Width of the ring's bars, in m."""
+
+HOLE = OUTER - 2 * BAR
+"""Side of the square hole, in m."""
+
+THICKNESS = 0.02
+"""Thickness of the ring along its normal, in m."""
+
+_MASS = 0.1  # kg
+_RGBA = (0.10, 0.32, 0.75, 1.0)
+
+
+def donut() -> mujoco.MjSpec:
+    """Return a square ring of four bars, 0.1 kg, with a hole that lets things through.
+
+    The origin lies at the centre of the hole, x and y run along the bars, z along the
+    normal. The ring has one body and, at the origin, one site, both named `donut`, and
+    no joint. What is seen is what collides.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "donut"
+    body = spec.worldbody.add_body(name="donut")
+    body.add_site(name="donut")
+    middle = (OUTER - BAR) / 2
+    long, short, half = OUTER / 2, HOLE / 2, THICKNESS / 2
+    bars = {
+        "left": ((-middle, 0, 0), (BAR / 2, long, half)),
+        "right": ((middle, 0, 0), (BAR / 2, long, half)),
+        "rear": ((0, -middle, 0), (short, BAR / 2, half)),
+        "front": ((0, middle, 0), (short, BAR / 2, half)),
+    }
+    area = OUTER**2 - HOLE**2
+    for name, (position, size) in bars.items():
+        body.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=position,
+            size=size,
+            mass=_MASS * 4 * size[0] * size[1] / area,
+            rgba=_RGBA,
+            group=2,
+        )
+    return spec

@@ -1,0 +1,109 @@
+"""A cooking pot with two bar handles."""
+
+import mujoco
+
+_SIDE = 0.12  # m, from the original environment
+_HANDLE_SIZE = (0.06, 0.01, 0.01)  # m, half lengths, from the original environment
+_HANDLE_Z = 0.05  # m above the pot's centre
+_GRIP_Y = 0.14  # m from the pot's centre to where a handle is gripped
+
+_SWING_DAMPING = 0.05  # N m s/rad per kg, our choice; as a drag it is negligible
+
+GRIP_RADIUS = float((_GRIP_Y**2 + _HANDLE_Z**2) ** 0.5)
+"""Distance from the pot's centre to a grip site, in m."""
+
+HANDLE_WIDTH = 2 * _HANDLE_SIZE[1]
+"""Thickness of a handle, in m."""
+
+_STEEL = (0.72, 0.74, 0.77, 1.0)
+_RIM = (0.55, 0.57, 0.60, 1.0)
+_LID = (0.80, 0.22, 0.16, 1.0)
+_BLACK = (0.10, 0.10, 0.11, 1.0)
+
+
+def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
+    """Return a pot that is free to move, with a handle at either side along y.
+
+    The body `pot` has its origin in the middle of a cube of 0.12 m. Sites `pot` (the
+    middle), `handle_1` (at -y) and `handle_2` (at +y) mark it; each handle site is
+    0.14 m from the middle and 0.05 m up, on a bar along x. The cube collides (group 3);
+    the round pot that is seen is in group 2. The handles do not collide, as what grips
+    them is held by a constraint.
+
+    Args:
+      mass: in kg.
+      balance: y of the centre of mass, in m: the contents may lie to one side.
+
+    Raises:
+      ValueError: if `mass` is not positive, or `balance` is outside the pot.
+    """
+    if not mass > 0.0 or not abs(balance) < _SIDE / 2:
+        raise ValueError(
+            f"a pot of mass={mass} kg with balance={balance} m; the mass must be"
+            f" positive and the balance within {_SIDE / 2} m"
+        )
+    spec = mujoco.MjSpec()
+    spec.modelname = "pot"
+    body = spec.worldbody.add_body(name="pot")
+    # Real fingers would not let the pot swing freely on its handles.
+    body.add_freejoint().damping = (_SWING_DAMPING * mass, 0.0, 0.0)
+    body.add_site(name="pot")
+    box, half = mujoco.mjtGeom.mjGEOM_BOX, _SIDE / 2
+    body.add_geom(name="pot_collision", type=box, size=[half] * 3, mass=0.0, group=3)
+    # The contents are a cube that stops at the nearer wall.
+    body.add_geom(
+        name="contents",
+        type=box,
+        size=[half - abs(balance)] * 3,
+        pos=(0.0, balance, 0.0),
+        mass=mass,
+        contype=0,
+        conaffinity=0,
+        group=4,
+    )
+    for name, side in (("handle_1", -1.0), ("handle_2", 1.0)):
+        _add_handle(body, name, side)
+    _add_vessel(body)
+    return spec
+
+
+def _add_handle(body: mujoco.MjsBody, name: str, side: float) -> None:
+    """Add a bar that two struts carry, and the site where it is gripped."""
+    box, middle = mujoco.mjtGeom.mjGEOM_BOX, (0.0, side * _GRIP_Y, _HANDLE_Z)
+    body.add_site(name=name, pos=middle)
+    _add_visual(body, box, _HANDLE_SIZE, middle, _BLACK)
+    strut = (0.006, (_GRIP_Y - 0.03) / 2, 0.006)
+    for x in (-0.045, 0.045):
+        place = (x, side * (_GRIP_Y + 0.03) / 2, _HANDLE_Z - 0.008)
+        _add_visual(body, box, strut, place, _STEEL)
+
+
+def _add_vessel(body: mujoco.MjsBody) -> None:
+    """Add what is seen between the handles: steel wall, rim and a red lid."""
+    cylinder, half = mujoco.mjtGeom.mjGEOM_CYLINDER, _SIDE / 2
+    _add_visual(body, cylinder, (half, half - 0.003, 0.0), (0, 0, -0.003), _STEEL)
+    _add_visual(body, cylinder, (half + 0.004, 0.003, 0.0), (0, 0, half - 0.006), _RIM)
+    ellipsoid = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+    dome = (half - 0.002, half - 0.002, 0.018)
+    _add_visual(body, ellipsoid, dome, (0, 0, half - 0.004), _LID)
+    _add_visual(body, ellipsoid, (0.011, 0.011, 0.009), (0, 0, half + 0.02), _BLACK)
+
+
+def _add_visual(
+    body: mujoco.MjsBody,
+    shape: mujoco.mjtGeom,
+    size: tuple[float, float, float],
+    position: tuple[float, float, float],
+    rgba: tuple[float, float, float, float],
+) -> None:
+    """Add a massless shape without contact."""
+    body.add_geom(
+        type=shape,
+        size=size,
+        pos=position,
+        rgba=rgba,
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )

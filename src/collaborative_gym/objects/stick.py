@@ -1,0 +1,31 @@
+"""A stick."""
+
+import mujoco
+
+LENGTH = 0.2
+"""Length of the stick, in m."""
+
+_SIDE = 0.02  # m, of its square section
+_MASS = 0.1  # kg
+_RGBA = (0.93, 0.62, 0.12, 1.0)
+
+
+def stick() -> mujoco.MjSpec:
+    """Return a stick of 0.02 x 0.02 x 0.2 m and 0.1 kg.
+
+    The origin lies at its middle, z runs along it. The stick has one body and, at the
+    origin, one site, both named `stick`, and no joint. What is seen is what collides.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = "stick"
+    body = spec.worldbody.add_body(name="stick")
+    body.add_site(name="stick")
+    body.add_geom(
+        name="stick",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(_SIDE / 2, _SIDE / 2, LENGTH / 2),
+        mass=_MASS,
+        rgba=_RGBA,
+        group=2,
+    )
+    return spec

@@ -1,0 +1,64 @@
+"""A four-legged table."""
+
+import mujoco
+
+_TOP_THICKNESS = 0.03  # m, our choice
+_LEG_RADIUS = 0.025  # m, our choice
+_LEG_INSET = 0.05  # m from the edge of the top to a leg's axis, our choice
+_TOP_RGBA = (0.78, 0.74, 0.68, 1.0)
+_LEG_RGBA = (0.52, 0.55, 0.57, 1.0)
+
+
+def table(
+    length: float = 0.6, width: float = 1.2, height: float = 0.64
+) -> mujoco.MjSpec:
+    """Return a table with a rectangular top on four round legs.
+
+    The origin lies on the floor under the centre of the top; x runs along the
+    length, y along the width, z up. The table has one body, `table`, without
+    joints. Its top collides as the geom `table_top_collision` (group 3), and so do
+    the legs that are seen (group 2).
+
+    Args:
+      length: extent of the top along x, metres.
+      width: extent of the top along y, metres.
+      height: z of the top's upper face, metres above the floor.
+
+    Raises:
+      ValueError: if the top is too small or too low for the legs.
+    """
+    shortest_side = 2 * (_LEG_INSET + _LEG_RADIUS)
+    if min(length, width) < shortest_side or height <= _TOP_THICKNESS:
+        raise ValueError(
+            f"table of {length} x {width} x {height} m; length and width must be at "
+            f"least {shortest_side} m and height more than {_TOP_THICKNESS} m"
+        )
+    spec = mujoco.MjSpec()
+    spec.modelname = "table"
+    spec.compiler.degree = False
+    body = spec.worldbody.add_body(name="table")
+
+    top_size = (length / 2, width / 2, _TOP_THICKNESS / 2)
+    top_pos = (0, 0, height - _TOP_THICKNESS / 2)
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    body.add_geom(
+        name="table_top_collision", type=box, size=top_size, pos=top_pos, group=3
+    )
+    visual = {"group": 2, "contype": 0, "conaffinity": 0}
+    body.add_geom(
+        name="table_top", type=box, size=top_size, pos=top_pos, rgba=_TOP_RGBA, **visual
+    )
+
+    leg_length = height - _TOP_THICKNESS
+    leg_x = length / 2 - _LEG_INSET
+    leg_y = width / 2 - _LEG_INSET
+    for x in (-leg_x, leg_x):
+        for y in (-leg_y, leg_y):
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=(_LEG_RADIUS, leg_length / 2 - _LEG_RADIUS, 0),
+                pos=(x, y, leg_length / 2),
+                rgba=_LEG_RGBA,
+                group=2,
+            )
+    return spec

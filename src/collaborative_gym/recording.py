@@ -1,0 +1,293 @@
+"""Videos and pictures of policies at work."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.control import CONTROL_DT
+from collaborative_gym.envs.vector_env import VectorEnv, check_count
+from collaborative_gym.errors import unknown
+from collaborative_gym.files import replacing
+from collaborative_gym.policies import Policy, as_policy
+from collaborative_gym.rendering import check_renderer
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Randomization, Task
+
+_SAME_SPREAD = 0.01
+"""Differences of the robots' nearness that a picture does not show, in m."""
+
+_VISIBLE = 3e-4
+"""Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
+
+Frames = Iterator[np.ndarray]
+"""Pictures, (height, width, 3) uint8."""
+
+
+@dataclass(frozen=True)
+class _Format:
+    """A kind of video file.
+
+    Attributes:
+      write: writes frames at a rate in 1/s to a path.
+      shots: frames per control step, so that the video plays in real time.
+      size: default width and height in pixels.
+    """
+
+    write: Callable[[Path, Frames, int], None]
+    shots: int
+    size: tuple[int, int]
+
+
+def record(
+    env: str | Task,
+    output: str | Path,
+    policy: str | Policy = "expert",
+    episodes: int = 1,
+    seed: int = 0,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization | None = None,
+    size: tuple[int, int] | None = None,
+    on_progress: Callable[[float], object] | None = None,
+) -> Path:
+    """Write a video of the first episodes of a seed, in real time, and return its path.
+
+    The episodes are those that `evaluate` plays. After an error or Ctrl-C there is no
+    half-written file.
+
+    Args:
+      env: an environment id, a task's name, or a task.
+      output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
+      policy: a name for `load_policy`, or a function from observations to actions.
+      episodes: how many, one after the other.
+      seed: which episodes.
+      robots: other arms than the environment's own, in the order of the agents.
+      randomization: how starts are drawn; None for "default".
+      size: width and height in pixels; None for 640 x 480, of a GIF 320 x 240.
+      on_progress: called after each step with the share that is done, 0 to 1.
+
+    Raises:
+      ImportError: if the extra `video` is not installed.
+      KeyError: if a name is unknown.
+      OSError: if the file cannot be written; says why, before the work.
+      RuntimeError: if no off-screen renderer can start; says what to install.
+      TypeError: if the policy or a number is of another kind.
+      ValueError: if a number is out of range or the file has another suffix.
+    """
+    check_count("episodes", episodes, at_least=1)
+    output = Path(output)
+    kind = _format(output)
+    width, height = size or kind.size
+    if width % 2 or height % 2:
+        raise ValueError(f"width and height must be even, got {width} x {height}")
+    vector_env = VectorEnv(as_task(env, robots, randomization), 1, seed, num_threads=1)
+    act = as_policy(policy, vector_env)
+    frames = _film(vector_env, act, episodes, kind.shots, (width, height), on_progress)
+    try:
+        with replacing(output) as partial:
+            kind.write(partial, frames, round(kind.shots / CONTROL_DT))
+    finally:
+        vector_env.close()
+    return output
+
+
+def check_ready() -> None:
+    """Raise if no videos and pictures can be made here.
+
+    Raises:
+      ImportError: if the extra `video` is not installed.
+      RuntimeError: if no off-screen renderer can start; says what to install.
+    """
+    for module in ("imageio_ffmpeg", "imageio", "PIL"):
+        _import(module)
+    check_renderer()
+
+
+def picture(
+    env: str | Task,
+    policy: str | Policy = "expert",
+    seed: int = 0,
+    size: tuple[int, int] = (640, 480),
+) -> np.ndarray:
+    """Return a picture of the robots together, in a seed's first episode.
+
+    It shows the last moment, up to the first success, at which their tool centre points
+    are as near to one another as they come.
+
+    Args:
+      env: an environment id, a task's name, or a task.
+      policy: a name for `load_policy`, or a function from observations to actions.
+      seed: which episode.
+      size: width and height in pixels.
+
+    Returns:
+      (height, width, 3) uint8.
+
+    Raises:
+      KeyError: if a name is unknown.
+      RuntimeError: if no off-screen renderer can start; says what to install.
+    """
+    vector_env = VectorEnv(as_task(env), 1, seed, num_threads=1)
+    act = as_policy(policy, vector_env)
+    observations, infos = vector_env.reset()
+    best, least = vector_env.get_state(), _spread(vector_env)
+    while not infos["success"][0]:
+        observations, _, _, _, infos = vector_env.step(act(observations))
+        if infos["ended"][0]:
+            break
+        spread = _spread(vector_env)
+        if spread < least + _SAME_SPREAD:
+            best, least = vector_env.get_state(), min(spread, least)
+    vector_env.set_state(best)
+    width, height = size
+    pixels = vector_env.render(0, width, height)
+    vector_env.close()
+    return pixels
+
+
+def contact_sheet(
+    pictures: Sequence[np.ndarray],
+    labels: Sequence[str],
+    output: str | Path,
+    columns: int = 4,
+) -> Path:
+    """Write pictures of one size side by side into a PNG, and return its path.
+
+    Args:
+      pictures: (height, width, 3) uint8 each.
+      labels: what to write above each picture.
+      output: the file.
+      columns: pictures in a row.
+
+    Raises:
+      ImportError: if the extra `video` is not installed.
+    """
+    image_module, draw = _import("PIL.Image"), _import("PIL.ImageDraw")
+    font = _import("PIL.ImageFont").load_default(size=pictures[0].shape[0] / 18)
+    height, width = pictures[0].shape[:2]
+    band, gap = height // 11, width // 80
+    rows = -(-len(pictures) // columns)
+    sheet = image_module.new(
+        "RGB",
+        (columns * (width + gap) + gap, rows * (height + band + gap) + gap),
+        "white",
+    )
+    pen = draw.Draw(sheet)
+    for i, (pixels, label) in enumerate(zip(pictures, labels, strict=True)):
+        x = gap + i % columns * (width + gap)
+        y = gap + i // columns * (height + band + gap)
+        pen.text((x + width // 2, y + band // 2), label, "black", font, anchor="mm")
+        sheet.paste(image_module.fromarray(pixels), (x, y + band))
+    output = Path(output)
+    with replacing(output) as partial:
+        sheet.save(partial, format="PNG")
+    return output
+
+
+class _Painter:
+    """Draws a world, but anew only when something has moved far enough to be seen.
+
+    Experts hold still at the goal, and without a graphics card drawing takes most of
+    the time.
+    """
+
+    def __init__(self, env: VectorEnv, size: tuple[int, int]):
+        self._env = env
+        self._size = size
+        self._frame: np.ndarray | None = None
+        self._drawn = np.zeros(0)
+
+    def __call__(self) -> np.ndarray:
+        sim = self._env.sim
+        places = np.concatenate([sim.qpos[0], sim.mocap_pos[0].ravel()])
+        if self._frame is None or np.abs(places - self._drawn).max() > _VISIBLE:
+            self._frame = self._env.render(0, *self._size)
+            self._drawn = places
+        return self._frame
+
+
+def _spread(env: VectorEnv) -> float:
+    """Return how far the tool centre points are from their middle on average, in m."""
+    points = np.stack([env.sim.pose(f"{agent}/tcp")[0][0] for agent in env.agents])
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
+
+
+def _film(
+    env: VectorEnv,
+    policy: Policy,
+    episodes: int,
+    shots: int,
+    size: tuple[int, int],
+    on_progress: Callable[[float], object] | None,
+) -> Frames:
+    """Yield the frames of the coming episodes, each with its start."""
+    frames: list[np.ndarray] = []
+    draw = _Painter(env, size)
+    env.watch(lambda: frames.append(draw()), shots)
+    length = env.task.config.max_episode_steps
+    observations, _ = env.reset()
+    for episode in range(episodes):
+        yield draw()
+        is_over = False
+        while not is_over:
+            observations, _, _, _, infos = env.step(policy(observations))
+            yield from frames
+            frames.clear()
+            is_over = bool(infos["ended"][0])
+            if on_progress is not None:
+                on_progress((episode + infos["step"][0] / length) / episodes)
+
+
+def _write_mp4(path: Path, frames: Frames, rate: int) -> None:
+    _import("imageio_ffmpeg")
+    writer = _import("imageio.v2").get_writer(
+        path, fps=rate, codec="libx264", pixelformat="yuv420p", macro_block_size=2
+    )
+    with writer:
+        for frame in frames:
+            writer.append_data(frame)
+
+
+def _write_gif(path: Path, frames: Frames, rate: int) -> None:
+    image = _import("PIL.Image")
+    # One palette for all frames: a palette of its own for each makes colours flicker.
+    first = image.fromarray(next(frames)).quantize(dither=image.Dither.NONE)
+    rest: Iterable[Any] = (
+        image.fromarray(frame).quantize(palette=first, dither=image.Dither.NONE)
+        for frame in frames
+    )
+    first.save(path, save_all=True, append_images=rest, duration=1000 // rate, loop=0)
+
+
+_FORMATS = {
+    ".mp4": _Format(_write_mp4, shots=2, size=(640, 480)),
+    ".gif": _Format(_write_gif, shots=1, size=(320, 240)),
+}
+
+
+def _format(output: Path) -> _Format:
+    suffix = output.suffix.lower()
+    if suffix not in _FORMATS:
+        raise ValueError(
+            f"cannot record to {output.name!r}: {unknown('format', suffix, _FORMATS)}"
+        )
+    return _FORMATS[suffix]
+
+
+def _import(name: str) -> Any:
+    """Return a module of the extra `video`.
+
+    Raises:
+      ImportError: if it is not installed; says how to.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f"videos and pictures need {name.split('.')[0]}, which is not installed;"
+            " pip install 'collaborative-gym[video]'"
+        ) from error

@@ -1,0 +1,70 @@
+"""Random numbers that depend on the seed and the episode alone.
+
+Episode e of seed s draws from a counter-based generator (Philox) keyed by (s, e). So an
+episode starts the same way in any world of any batch, whatever was run before it.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+from collaborative_gym.math import Array
+
+
+class Stream(IntEnum):
+    """What the numbers are for; streams of one episode are independent."""
+
+    WORLD = 0
+    POLICY = 1
+
+
+def check_seed(seed: int) -> int:
+    """Return a seed that a caller gave as an `int`.
+
+    Raises:
+      TypeError: if it is no integer.
+      ValueError: if it is negative or needs more than 63 bits.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be an integer, got {seed!r}")
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"seed must be at least 0 and below 2**63, got {seed}")
+    return int(seed)
+
+
+def episode_generator(seed: int, episode: int, stream: Stream) -> np.random.Generator:
+    """Return the generator of one episode, at its beginning."""
+    key = np.array([seed, episode], dtype=np.uint64)
+    counter = np.array([0, 0, 0, stream], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))
+
+
+class EpisodeRandom:
+    """The world generators of some episodes, drawn from side by side.
+
+    Args:
+      seeds: one per episode.
+      episodes: the episodes' indices.
+    """
+
+    def __init__(self, seeds: Array, episodes: Array):
+        self._generators = [
+            episode_generator(seed, episode, Stream.WORLD)
+            for seed, episode in zip(seeds, episodes, strict=True)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._generators)
+
+    def uniform(self, low, high, size: int | tuple[int, ...] = ()) -> np.ndarray:
+        """Return uniform draws, (episodes, *size).
+
+        Args:
+          low: lower bounds, broadcast to `size`.
+          high: upper bounds, broadcast to `size`.
+          size: shape of one episode's draw.
+        """
+        shape = (size,) if isinstance(size, int) else size
+        unit = np.stack([generator.random(shape) for generator in self._generators])
+        low, high = np.asarray(low, float), np.asarray(high, float)
+        return low + (high - low) * unit

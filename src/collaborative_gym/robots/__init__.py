@@ -1,0 +1,29 @@
+"""The arms, by name."""
+
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.robots.jaco import JACO
+from collaborative_gym.robots.panda import PANDA
+from collaborative_gym.robots.robot import Gripper, Robot
+from collaborative_gym.robots.sawyer import SAWYER
+
+__all__ = ["JACO", "PANDA", "SAWYER", "Gripper", "Robot", "get_robot", "list_robots"]
+
+_ROBOTS = {robot.name: robot for robot in (SAWYER, PANDA, JACO)}
+
+
+def list_robots() -> tuple[str, ...]:
+    """Return the names of the arms that come with the package."""
+    return tuple(_ROBOTS)
+
+
+def get_robot(robot: "str | Robot") -> Robot:
+    """Return the arm of that name; a `Robot` is returned as it is.
+
+    Raises:
+      KeyError: if no arm has the name.
+    """
+    if isinstance(robot, Robot):
+        return robot
+    if robot not in _ROBOTS:
+        raise UnknownName(unknown("robot", robot, _ROBOTS))
+    return _ROBOTS[robot]

@@ -1,0 +1,446 @@
+"""Robots and objects put together into one compiled world.
+
+A `Scene` is filled by a task's `build` and compiled once. Everything of an arm is under
+its agent's prefix (`robot_1/joint1`, `robot_1/tcp`), everything of an object under the
+object's (`pot/handle_1`). Nothing is recompiled afterwards: grips are switched and
+targets moved through the state of each world.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from collaborative_gym.objects.pedestal import pedestal
+from collaborative_gym.objects.table import table
+from collaborative_gym.robots.robot import Robot
+
+SIM_DT = 0.01
+"""Physics time step in s, stable with the stiff servos of all arms."""
+
+# Collision bits. A pair of geoms collides if a contype bit of one is among the
+# conaffinity bits of the other.
+_FIXED = 1
+_OBJECT = 2
+_ROBOT = 4
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the base of an arm is mounted.
+
+    Attributes:
+      position: of the base in the world frame, in m.
+      yaw: turn of the base about the vertical, in rad.
+    """
+
+    position: tuple[float, float, float]
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Where one agent's arm is found in the arrays of the compiled world.
+
+    Attributes:
+      robot: the machine.
+      qpos: its joint angles in `qpos`.
+      dof: its joint speeds in `qvel`, and its columns in Jacobians.
+      servos: its servos in `ctrl`; their integrated targets in `act`.
+      fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
+      joint_range: lower and upper joint angles, (2, joints), in rad.
+      tcp: site id of its tool centre point.
+      hand: id of the body that carries the tcp.
+    """
+
+    robot: Robot
+    qpos: slice
+    dof: slice
+    servos: slice
+    act: slice
+    fingers: slice
+    joint_range: np.ndarray
+    tcp: int
+    hand: int
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A grip that an agent can take: its tcp held to a site by a constraint.
+
+    Attributes:
+      agent: who grips.
+      site: full name of the site that can be gripped.
+      threshold: greatest distance between tcp and site at which a grip starts, in m.
+      width: clear width between the fingers while gripping, in m.
+    """
+
+    agent: str
+    site: str
+    threshold: float
+    width: float
+
+    @property
+    def name(self) -> str:
+        """The name of the equality constraint in the compiled model."""
+        return f"{self.agent} grips {self.site}"
+
+
+class Scene:
+    """A world under construction, and after `compile` the handles into it.
+
+    Attributes:
+      spec: the model under construction.
+      robots: the arms that were added, by agent.
+      grips: the grips that were added.
+      arms: after `compile`, each agent's arm in the compiled arrays.
+    """
+
+    def __init__(self) -> None:
+        self.spec = mujoco.MjSpec()
+        self.spec.compiler.degree = False
+        self.robots: dict[str, Robot] = {}
+        self.grips: list[Grip] = []
+        self.arms: dict[str, Arm] = {}
+        self._finger_bodies: set[str] = set()
+        option = self.spec.option
+        option.timestep = SIM_DT
+        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # A world that diverges must be seen to, not silently put back to its start.
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        _add_surroundings(self.spec)
+
+    def add_robot(
+        self,
+        agent: str,
+        robot: Robot,
+        placement: Placement,
+        holds: float | None = None,
+        stand: bool = True,
+    ) -> None:
+        """Mount an arm with its stand and servos under the prefix `agent/`.
+
+        Args:
+          agent: the agent that will command it.
+          robot: the arm.
+          placement: where its base goes.
+          holds: if given, the arm holds a tool of this width (m) for good: its fingers
+            are fixed there and have no joints.
+          stand: whether to put the arm's own stand under it; without, the task has
+            something there already.
+        """
+        child = robot.spec()
+        gripper = robot.gripper
+        if holds is None:
+            bodies = [child.joint(name).parent.name for name in gripper.joints]
+            self._finger_bodies |= {f"{agent}/{body}" for body in bodies}
+        else:
+            _fix_joints(child, dict.fromkeys(gripper.joints, gripper.position(holds)))
+        frame = self.spec.worldbody.add_frame(
+            pos=placement.position, quat=_yaw_quat(placement.yaw)
+        )
+        self.spec.attach(child, frame=frame, prefix=f"{agent}/")
+        self.robots[agent] = robot
+        if stand:
+            self._add_stand(agent, robot, placement)
+        for joint, armature in zip(robot.joints, robot.armature, strict=True):
+            self.spec.joint(f"{agent}/{joint}").armature = armature
+        self._add_servos(agent, robot)
+        if holds is None:
+            for joint in gripper.joints:
+                self._add_finger(f"{agent}/{joint}", gripper.force)
+
+    def add(
+        self,
+        name: str,
+        child: mujoco.MjSpec,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
+    ) -> None:
+        """Put an object into the world under the prefix `name/`."""
+        frame = self.spec.worldbody.add_frame(pos=position, quat=quat)
+        self.spec.attach(child, frame=frame, prefix=f"{name}/")
+
+    def add_tool(self, agent: str, name: str, child: mujoco.MjSpec) -> None:
+        """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
+        tcp = self.spec.site(f"{agent}/{self.robots[agent].tcp}")
+        self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
+
+    def add_target(self, name: str, radius: float, rgba: Sequence[float]) -> None:
+        """Add a marker whose place is each world's `mocap_pos`; `Sim.pose` reads it."""
+        body = self.spec.worldbody.add_body(name=name, mocap=True)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[radius, 0, 0],
+            rgba=rgba,
+            contype=0,
+            conaffinity=0,
+            group=2,
+        )
+        body.add_site(name=name)
+        self.add_pose_sensor(name, name)
+
+    def add_grip(self, agent: str, site: str, threshold: float, width: float) -> None:
+        """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it."""
+        grip = Grip(agent, site, threshold, width)
+        if not any(site == other.site for other in self.grips):
+            self.add_pose_sensor(site, site)
+        self.grips.append(grip)
+        self.spec.add_equality(
+            name=grip.name,
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=f"{agent}/{self.robots[agent].tcp}",
+            name2=site,
+            active=False,
+            # The tcp and the site are apart when the grip starts, by the threshold at
+            # most. They come together in two control steps or so, not at a jerk.
+            solref=[0.05, 1.0],
+        )
+
+    def add_weld(self, site: str, other: str) -> None:
+        """Hold two sites together in position and orientation."""
+        self.spec.add_equality(
+            name=f"{site} welded to {other}",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=site,
+            name2=other,
+            # As stiff as is stable. Arms that work together part it by a millimetre;
+            # arms that fight at their torque limits, by one to three centimetres.
+            solimp=[0.99, 0.995, 0.001, 0.5, 2.0],
+        )
+
+    def add_pose_sensor(self, name: str, site: str) -> None:
+        """Let `Sim.pose(name)` read a site's position and orientation."""
+        kinds = mujoco.mjtSensor
+        self._add_sensor(f"{name}.position", kinds.mjSENS_FRAMEPOS, site)
+        self._add_sensor(f"{name}.quat", kinds.mjSENS_FRAMEQUAT, site)
+
+    def add_velocity_sensor(self, name: str, site: str) -> None:
+        """Let `Sim.velocity(name)` read a site's linear and angular velocity."""
+        kinds = mujoco.mjtSensor
+        self._add_sensor(f"{name}.linear", kinds.mjSENS_FRAMELINVEL, site)
+        self._add_sensor(f"{name}.angular", kinds.mjSENS_FRAMEANGVEL, site)
+
+    def compile(self) -> mujoco.MjModel:
+        """Compile the world and resolve every handle.
+
+        Geoms that neither collide nor weigh anything are left out: they would take a
+        fifth of the physics' time.
+
+        Raises:
+          ValueError: if MuJoCo cannot compile what was added.
+        """
+        for agent, robot in self.robots.items():
+            self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
+        self._set_collision_bits()
+        physics = self.spec.copy()
+        for geom in list(physics.geoms):
+            if _is_decoration(geom):
+                physics.delete(geom)
+        model = physics.compile()
+        self.arms = {
+            agent: _find_arm(model, agent, robot)
+            for agent, robot in self.robots.items()
+        }
+        return model
+
+    def compile_to_draw(self) -> mujoco.MjModel:
+        """Compile the world with all its geoms; its `qpos` and mocap are the same."""
+        return self.spec.compile()
+
+    def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
+        self.spec.add_sensor(
+            name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
+        )
+
+    def _add_stand(self, agent: str, robot: Robot, placement: Placement) -> None:
+        x, y, height = placement.position
+        if robot.stand == "pedestal":
+            stand = pedestal(height)
+        elif robot.stand == "table":
+            stand = table(height=height)
+        else:
+            return
+        self.add(f"{agent}_stand", stand, (x, y, 0.0), _yaw_quat(placement.yaw))
+
+    def _add_servos(self, agent: str, robot: Robot) -> None:
+        rows = zip(
+            robot.joints,
+            robot.torque_limits,
+            robot.stiffness,
+            robot.damping,
+            strict=True,
+        )
+        for joint, torque, stiffness, damping in rows:
+            # A position servo whose target moves at the commanded speed, as MuJoCo's
+            # intvelocity actuator; `control.py` keeps the limits of the speed.
+            self.spec.add_actuator(
+                name=f"{agent}/{joint}",
+                target=f"{agent}/{joint}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                gainprm=[stiffness] + [0.0] * 9,
+                biasprm=[0.0, -stiffness, -damping] + [0.0] * 7,
+                forcelimited=True,
+                forcerange=[-torque, torque],
+            )
+
+    def _add_finger(self, joint: str, force: float) -> None:
+        # Fingers are light and their grip is a constraint, so a soft servo does.
+        finger = self.spec.add_actuator(
+            name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        finger.set_to_position(kp=force / 0.1, dampratio=1.0)
+        finger.forcelimited = True
+        finger.forcerange = [-force, force]
+
+    def _set_collision_bits(self) -> None:
+        for geom in self.spec.geoms:
+            if not geom.contype and not geom.conaffinity:
+                continue
+            if geom.parent.name.split("/")[0] in self.robots:
+                geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
+                # Fingers close around what they grip; the grip itself is a constraint.
+                if geom.parent.name not in self._finger_bodies:
+                    geom.conaffinity |= _OBJECT
+            elif not _has_joints(geom.parent):
+                geom.contype, geom.conaffinity = _FIXED, 0
+            else:
+                geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
+
+
+def _is_decoration(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a geom is there to be seen only."""
+    body = geom.parent
+    weighs = geom.mass != 0 and not body.explicitinertial and _has_joints(body)
+    return not (geom.contype or geom.conaffinity or weighs)
+
+
+def _has_joints(body: mujoco.MjsBody) -> bool:
+    """Return whether joints let a body move against the world."""
+    while body.name != "world":
+        if body.joints:
+            return True
+        body = body.parent
+    return False
+
+
+def _find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
+    joints = [model.joint(f"{agent}/{name}") for name in robot.joints]
+    servos = [model.actuator(f"{agent}/{name}").id for name in robot.joints]
+    fingers = [
+        actuator
+        for name in robot.gripper.joints
+        if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
+    ]
+    tcp = model.site(f"{agent}/{robot.tcp}")
+    return Arm(
+        robot=robot,
+        qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
+        dof=_as_slice([int(joint.dofadr[0]) for joint in joints]),
+        servos=_as_slice(servos),
+        act=_as_slice([int(model.actuator_actadr[i]) for i in servos]),
+        fingers=_as_slice(fingers) if fingers else slice(0, 0),
+        joint_range=np.array([joint.range for joint in joints]).T,
+        tcp=tcp.id,
+        hand=int(tcp.bodyid[0]),
+    )
+
+
+def _actuator_id(model: mujoco.MjModel, name: str) -> int:
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+
+
+def _as_slice(ids: list[int]) -> slice:
+    """Return consecutive ids as a slice, which reads arrays without a copy."""
+    if ids != list(range(ids[0], ids[0] + len(ids))):
+        raise ValueError(
+            f"the arm's joints are not one after the other in its model file: {ids};"
+            " list them from the base to the tool"
+        )
+    return slice(ids[0], ids[0] + len(ids))
+
+
+def _yaw_quat(yaw: float) -> list[float]:
+    return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
+
+
+def _fix_joints(spec: mujoco.MjSpec, positions: dict[str, float]) -> None:
+    """Put joints at positions (m or rad) and remove them, fixing their bodies there."""
+    model = spec.copy().compile()
+    data = mujoco.MjData(model)
+    for name, position in positions.items():
+        data.joint(name).qpos = position
+    mujoco.mj_kinematics(model, data)
+    for name in positions:
+        joint = spec.joint(name)
+        body = joint.parent
+        here, parent = data.body(body.name), data.body(body.parent.name)
+        inverse = np.zeros(4)
+        mujoco.mju_negQuat(inverse, parent.xquat)
+        position, quat = np.zeros(3), np.zeros(4)
+        mujoco.mju_rotVecQuat(position, here.xpos - parent.xpos, inverse)
+        mujoco.mju_mulQuat(quat, inverse, here.xquat)
+        body.pos, body.quat = position, quat
+        spec.delete(joint)
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Add floor, sky, lights and the quality of off-screen pictures."""
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.82, 0.90, 0.97],
+        rgb2=[0.97, 0.98, 1.0],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.62, 0.61, 0.59],
+        rgb2=[0.57, 0.56, 0.54],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="floor", texrepeat=[1, 1], texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        material="floor",
+    )
+    for position, direction, diffuse in (
+        ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.55),
+        ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.3),
+    ):
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=position,
+            dir=direction,
+            diffuse=[diffuse] * 3,
+            specular=[0.2] * 3,
+            castshadow=diffuse > 0.5,
+        )
+    visual = spec.visual
+    visual.headlight.ambient = [0.35] * 3
+    visual.headlight.diffuse = [0.25] * 3
+    visual.headlight.specular = [0.1] * 3
+    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
+    # Half of MuJoCo's facets and shadow texels: nobody sees it, and without a graphics
+    # card a picture takes half the time.
+    visual.quality.shadowsize = 2048
+    visual.quality.numslices, visual.quality.numstacks = 16, 8
+    visual.quality.numquads = 2
+    # A floor that reaches beyond the shadow map is speckled there.
+    visual.map.shadowclip = 1.5
+    visual.map.znear = 0.02

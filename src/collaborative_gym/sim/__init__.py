@@ -1,0 +1,1 @@
+"""Physics backends; nothing else steps physics."""

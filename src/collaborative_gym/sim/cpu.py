@@ -1,0 +1,97 @@
+"""The CPU backend: `mujoco.batch` on a pool of threads."""
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from collaborative_gym.errors import SimulationDiverged
+from collaborative_gym.math import Array
+from collaborative_gym.sim.sim import EnvIds
+
+_CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
+_NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
+_NO_CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
+class CpuSim:
+    """Worlds as rows of a `mujoco.batch.Batch`; see `Sim` for the contract.
+
+    The result is the same to the bit for any number of worlds and threads.
+
+    Args:
+      model: the compiled world.
+      num_envs: how many worlds to hold.
+      num_threads: threads to step them with; 0 for one per CPU.
+    """
+
+    def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0):
+        self.model = model
+        self.num_envs = num_envs
+        self._batch = batch.Batch(model, num_envs, num_threads)
+        self.qpos = self._batch.bind("qpos")
+        self.qvel = self._batch.bind("qvel")
+        self.act = self._batch.bind("act")
+        self.ctrl = self._batch.bind("ctrl")
+        self.eq_active = self._batch.bind("eq_active")
+        self.mocap_pos = self._batch.bind("mocap_pos")
+        self.xfrc_applied = self._batch.bind("xfrc_applied")
+        self.sensordata = self._batch.bind("sensordata")
+        self._flags = self._batch.expand("opt.disableflags")
+        self._sensors: dict[str, np.ndarray] = {}
+        for i in range(model.nsensor):
+            start, size = model.sensor_adr[i], model.sensor_dim[i]
+            name = model.sensor(i).name
+            self._sensors[name] = self.sensordata[:, start : start + size]
+
+    def step(self, controls: Array) -> None:
+        before = self._warnings()
+        failed = np.zeros(self.num_envs, bool)
+        try:
+            self._batch.rollout(controls.shape[1], controls, record=())
+        except batch.SimulationError as error:
+            failed[error.ids] = True
+        self.forward()
+        failed |= self._warnings() > before
+        if failed.any():
+            raise SimulationDiverged(np.flatnonzero(failed))
+
+    def _warnings(self) -> np.ndarray:
+        """Return how often MuJoCo has warned of each world, (num_envs,).
+
+        Of a state that is not finite or huge, say. A rollout stops at any warning.
+        """
+        return self._batch.warning[:, :, 1].sum(axis=1)
+
+    def forward(self, env_ids: EnvIds = None) -> None:
+        # Sensors of places and speeds need no contacts, the dearest part of the stage.
+        self._flags |= _NO_CONSTRAINTS
+        try:
+            self._batch.forward(env_ids, stage=_CURRENT)
+        finally:
+            self._flags &= ~_NO_CONSTRAINTS
+
+    def reset(self, env_ids: EnvIds = None) -> None:
+        self._batch.reset(env_ids, stage=_NOTHING)
+
+    def get_state(self, env_ids: EnvIds = None) -> np.ndarray:
+        rows = slice(None) if env_ids is None else env_ids
+        return self._batch.state[rows].copy()
+
+    def set_state(self, state: Array, env_ids: EnvIds = None) -> None:
+        rows = slice(None) if env_ids is None else env_ids
+        self._batch.state[rows] = state
+        self.forward(env_ids)
+
+    def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        return self._sensors[f"{name}.position"], self._sensors[f"{name}.quat"]
+
+    def velocity(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        return self._sensors[f"{name}.linear"], self._sensors[f"{name}.angular"]
+
+    def jacobian(self, body: int, point: Array) -> tuple[np.ndarray, np.ndarray]:
+        return self._batch.jac(body, point)
+
+    def data(self, env_id: int) -> mujoco.MjData:
+        data = self._batch.get_data(env_id)
+        mujoco.mj_forward(self.model, data)
+        return data

@@ -1,0 +1,94 @@
+"""What a physics backend offers to environments and tasks."""
+
+from typing import Any, Protocol
+
+import mujoco
+
+from collaborative_gym.math import Array
+
+EnvIds = Any
+"""Sorted integer ids of worlds, a boolean mask over them, or None for all."""
+
+
+class Sim(Protocol):
+    """Many worlds of one model, stepped together.
+
+    The array attributes are live: reading them gives the state after the last call,
+    writing all but `sensordata` sets that of the next. MuJoCo's names and units are
+    kept.
+    Velocities and positions in `sensordata` are current after every call.
+
+    Attributes:
+      model: the compiled world.
+      num_envs: how many worlds there are.
+      qpos: (num_envs, nq) positions.
+      qvel: (num_envs, nv) velocities.
+      act: (num_envs, na) servo targets.
+      ctrl: (num_envs, nu) controls.
+      eq_active: (num_envs, neq) switches of the equality constraints, 0 or 1.
+      mocap_pos: (num_envs, nmocap, 3) places of the targets.
+      xfrc_applied: (num_envs, nbody, 6) forces and torques on the bodies.
+      sensordata: (num_envs, nsensordata) read-only sensor values.
+    """
+
+    model: mujoco.MjModel
+    num_envs: int
+    qpos: Array
+    qvel: Array
+    act: Array
+    ctrl: Array
+    eq_active: Array
+    mocap_pos: Array
+    xfrc_applied: Array
+    sensordata: Array
+
+    def step(self, controls: Array) -> None:
+        """Advance every world by some physics steps, then make its sensors current.
+
+        Args:
+          controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
+
+        Raises:
+          SimulationDiverged: if some worlds became unstable; the others went on.
+        """
+        ...
+
+    def forward(self, env_ids: EnvIds = None) -> None:
+        """Make the sensors of these worlds current after a write to their state."""
+        ...
+
+    def reset(self, env_ids: EnvIds = None) -> None:
+        """Put these worlds into the model's initial state, forgetting all history."""
+        ...
+
+    def get_state(self, env_ids: EnvIds = None) -> Array:
+        """Return a copy of all that decides these worlds' future, one row each."""
+        ...
+
+    def set_state(self, state: Array, env_ids: EnvIds = None) -> None:
+        """Put rows from `get_state` into these worlds and refresh their sensors."""
+        ...
+
+    def pose(self, name: str) -> tuple[Array, Array]:
+        """Return position (num_envs, 3) and quaternion w x y z (num_envs, 4)."""
+        ...
+
+    def velocity(self, name: str) -> tuple[Array, Array]:
+        """Return linear and angular velocity in the world frame, (num_envs, 3) each."""
+        ...
+
+    def jacobian(self, body: int, point: Array) -> tuple[Array, Array]:
+        """Return Jacobians of world points that move with a body.
+
+        Args:
+          body: id of the body.
+          point: (num_envs, 3) points in the world frame.
+
+        Returns:
+          The translational and the rotational Jacobian, (num_envs, 3, nv) each.
+        """
+        ...
+
+    def data(self, env_id: int) -> mujoco.MjData:
+        """Return one world as a fresh, forwarded `MjData`, to draw it or examine it."""
+        ...

@@ -1,0 +1,97 @@
+"""Tables that the command line prints."""
+
+from collections.abc import Iterable, Sequence
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from collaborative_gym.benchmark import Benchmark
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.evaluation.report import Report, Statistic, show
+
+
+def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
+    """Return ids, robots and sizes of environments, one line each."""
+    table = _table("environment", "observation", "action", "robots")
+    table.columns[-1].justify = "left"
+    for env_id, env in envs:
+        robots = [robot.name for robot in env.task.robots.values()]
+        sizes = [
+            ", ".join(str(space.shape[0]) for space in spaces.values())
+            for spaces in (env.single_observation_spaces, env.single_action_spaces)
+        ]
+        table.add_row(env_id, *sizes, ", ".join(robots))
+    return table
+
+
+def reports_table(reports: Sequence[Report]) -> Table:
+    """Return what evaluations found, with 95 % intervals below the means."""
+    columns = ("mean reward", "completion", "performance", "steps/s")
+    table = _table("environment", *columns)
+    for report in reports:
+        table.add_row(
+            report.environment,
+            _two_lines(report.mean_reward),
+            _two_lines(report.completion, percent=True),
+            _two_lines(report.performance, percent=True),
+            f"{report.steps_per_second:,.0f}",
+        )
+    return table
+
+
+def benchmark_table(benchmark: Benchmark) -> Table:
+    """Return what was measured, one line per environment."""
+    table = _table(
+        "environment",
+        "bare\n1/s",
+        "env\n1/s",
+        "ratio\n",
+        "single\n1/s",
+        "reset\nms",
+        "make\ns",
+        "world\nkB",
+    )
+    for speed in benchmark.environments:
+        table.add_row(
+            speed.environment,
+            f"{speed.bare_rate:,.0f}",
+            f"{speed.env_rate:,.0f}",
+            f"{speed.ratio:.0%}",
+            f"{speed.single_rate:,.0f}",
+            f"{speed.reset_ms:.2f}",
+            f"{speed.make_s:.2f}",
+            f"{speed.kb_per_env:.0f}",
+        )
+    machine, threads = benchmark.machine, benchmark.num_threads
+    rates = sorted(speed.rate_per_core for speed in benchmark.environments)
+    ends = dict.fromkeys(f"{rate:,.0f}" for rate in (rates[0], rates[-1]))
+    table.caption = (
+        f"Control steps per second (1/s); bare physics and environment with"
+        f" {benchmark.num_envs} worlds on {threads}"
+        f" {'thread' if threads == 1 else 'threads'}, the environment"
+        f" {' to '.join(ends)} per core; single: one PettingZoo environment.\n"
+        f"{machine['cpu']}, {machine['cores']} cores,"
+        f" Python {machine['python']}, MuJoCo {machine['mujoco']}"
+    )
+    return table
+
+
+def _table(first: str, *others: str) -> Table:
+    """Return an empty table, text in its first column and numbers in the others."""
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        collapse_padding=True,
+        caption_justify="left",
+    )
+    table.add_column(first, no_wrap=True)
+    for name in others:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _two_lines(statistic: Statistic, percent: bool = False) -> Text:
+    mean, _, interval = show(statistic, percent).partition(" (")
+    return Text.assemble(mean, "\n", (interval.rstrip(")"), "dim"))

@@ -1,0 +1,335 @@
+"""Lift: two robots lift a pot that is too heavy for one.
+
+The pot stands on a table between the robots. Each grips its handle, and together they
+lift the pot, level, to a target above.
+
+Agents: `robot_1` at -y with the handle at -y, `robot_2` at +y with the other. Both
+observe everything.
+
+Randomised: the arms' start, the pot's place and turn on the table, the target.
+
+Success: the pot's middle is within 0.15 m of the target while both arms grip it.
+
+The pot's mass follows from the arms, so that none can hold it alone; `lift_mass` says
+how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone
+would not do: an arm can swing the pot past the target for a moment by its momentum.
+"""
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym import math
+from collaborative_gym.control import Controller
+from collaborative_gym.kinematics import shortened, solve_pose, standoff
+from collaborative_gym.math import Array
+from collaborative_gym.objects.pot import HANDLE_WIDTH, pot
+from collaborative_gym.objects.table import table
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.statics import carry, greatest_load, turn_fingers
+from collaborative_gym.tasks.lift_mass import weigh
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+
+_TABLE_HEIGHT = 0.64
+_START = np.array([0.0, 0.0, 0.7])
+_GRIP_OFFSETS = np.array([[0.0, -0.14, 0.05], [0.0, 0.14, 0.05]])
+_STANDOFF = 0.12
+"""Distance from the handle, against the approach, at which an arm starts, in m."""
+
+_NEAREST, _FARTHEST = 0.36, 0.85
+"""Bounds of the distance from an arm to its handle, as a share of its reach."""
+
+_WAY_OFFSETS = np.array([[0.0, -0.11, 0.05], [0.0, 0.11, 0.05]])
+"""Where the arms' ways pass the pot: farther from the arm than its handle, so that it
+reaches pots that do not stand in the middle."""
+
+_LIFT_STEP = 0.03
+"""Motion of the pot in a step of the expert's lift, in m."""
+
+_CLOSE = 0.015
+"""Distance from the handle at which the expert grips, in m."""
+
+
+@dataclass(frozen=True)
+class LiftConfig(TaskConfig):
+    """Settings of Lift.
+
+    Attributes:
+      target: where the pot is to go, in m, or None for the task's rule.
+      pot_mass: in kg, or None for the task's rule.
+      success_radius: distance to the target that counts as there, in m.
+      picking_threshold: greatest distance at which a grip starts, in m.
+    """
+
+    target: tuple[float, float, float] | None = None
+    pot_mass: float | None = None
+    success_radius: float = 0.15
+    picking_threshold: float = 0.03
+
+
+@dataclass(frozen=True)
+class LiftFacts:
+    """What Lift looks at; (num_envs, ...) arrays, poses as position and quaternion.
+
+    Attributes:
+      joints: arm joint angles by agent, in rad.
+      gripping: 1 where the agent's grip holds, else 0.
+      handles: pose of each agent's own handle.
+      tcps: pose of each agent's tcp.
+      pot: pose of the pot.
+      target: position of the target.
+      to_handle: distance of each agent's tcp to its handle, in m.
+      to_target: distance of the pot to the target, in m.
+      tilt: |roll| + |pitch| of the pot, in rad.
+    """
+
+    joints: dict[str, Array]
+    gripping: dict[str, Array]
+    handles: dict[str, tuple[Array, Array]]
+    tcps: dict[str, tuple[Array, Array]]
+    pot: tuple[Array, Array]
+    target: Array
+    to_handle: dict[str, Array]
+    to_target: Array
+    tilt: Array
+
+
+class Lift(Task[LiftConfig, LiftFacts]):
+    """The task of this module.
+
+    Attributes:
+      target: nominal place of the target, (3,).
+      pot_mass: in kg.
+      weighing: what the arms can carry, alone and together.
+    """
+
+    gripping = True
+    config_class = LiftConfig
+
+    def place(self) -> tuple[Placement, ...]:
+        """Return arms face to face, the weaker one nearer to the pot.
+
+        What an arm can carry falls about as one over its distance. So both are put
+        where they can carry the same, as far as their reach allows.
+        """
+        strength = {
+            agent: greatest_load(robot, ((0.6 * robot.reach, 0.0, 0.3),))
+            for agent, robot in self.robots.items()
+        }
+        least, most = min(strength.values()), max(strength.values())
+        far = min(_FARTHEST, 0.8 * (most / least) ** 0.5)
+        placements = []
+        for side, (agent, robot) in zip((-1, 1), self.robots.items(), strict=True):
+            share = max(_NEAREST, far * strength[agent] / most)
+            y = side * (share * robot.reach - _GRIP_OFFSETS[0, 1])
+            z = robot.base_height if robot.stand == "pedestal" else _TABLE_HEIGHT
+            placements.append(Placement((0.0, float(y), z), -side * np.pi / 2))
+        return tuple(placements)
+
+    def build(self, scene: Scene) -> None:
+        self._weigh()
+        for agent, placement in self.placements.items():
+            x, y, z = placement.position
+            robot = self.robots[agent]
+            own = robot.stand == "pedestal" or self.config.placements is not None
+            scene.add_robot(agent, robot, placement, stand=own)
+            if not own and abs(y) > 0.55:
+                # Push the arm's table against the pot's, which it would overlap.
+                place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
+                quarter = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+                scene.add(f"{agent}_stand", table(height=z), place, quarter)
+        scene.add("table", table())
+        balance = float(np.dot(self.weighing.shares, _GRIP_OFFSETS[:, 1]))
+        scene.add("pot", pot(self.pot_mass, balance), _START)
+        scene.add_pose_sensor("pot", "pot/pot")
+        for agent, handle in self._handles.items():
+            threshold = self.config.picking_threshold
+            scene.add_grip(agent, handle, threshold, HANDLE_WIDTH)
+        radius = self.config.success_radius
+        scene.add_target("target", radius, (0.35, 0.8, 0.35, 0.2))
+        scene.spec.worldbody.add_camera(
+            name="overview", pos=(3.5, 0.0, 2.0), xyaxes=(0, 1, 0, -0.28, 0, 1)
+        )
+
+    @property
+    def _handles(self) -> dict[str, str]:
+        return {agent: f"pot/handle_{i + 1}" for i, agent in enumerate(self.agents)}
+
+    def _weigh(self) -> None:
+        """Find the target, the arms' ways to it and the mass of the pot."""
+        placements = tuple(self.placements.values())
+        lowest = min(placement.position[2] for placement in placements)
+        self.target = np.array(self.config.target or (0.0, 0.0, lowest + 0.45))
+        ends = [(_START + offset, self.target + offset) for offset in _WAY_OFFSETS]
+        radius = self.config.success_radius
+        robots = tuple(self.robots.values())
+        self.weighing = weigh(robots, placements, ends, self.target, radius)
+        given = self.config.pot_mass
+        self.pot_mass = self.weighing.pot_mass if given is None else given
+        self._ways = dict(zip(self.agents, self.weighing.ways, strict=True))
+
+    def setup(
+        self, scene: Scene, model: mujoco.MjModel, controller: Controller
+    ) -> None:
+        super().setup(scene, model, controller)
+        self._eq = {
+            grip.agent: int(model.equality(grip.name).id) for grip in scene.grips
+        }
+        self._pot = int(model.jnt_qposadr[model.body("pot/pot").jntadr[0]])
+        self._start: dict[str, np.ndarray] = {}
+        for i, agent in enumerate(self.agents):
+            arm, way = scene.arms[agent], self._ways[agent]
+            angles = turn_fingers(model, arm, way.angles, np.array([1.0, 0.0, 0.0]))
+            self._ways[agent] = replace(way, angles=angles)
+            place = _START + _GRIP_OFFSETS[i] - _STANDOFF * way.approach
+            self._start[agent] = solve_pose(model, arm, place, way.approach, angles[0])
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+        bounds = self.config.randomization
+        for agent, arm in self.scene.arms.items():
+            count = len(arm.robot.joints)
+            noise = rng.uniform(-bounds.joint_noise, bounds.joint_noise, count)
+            angle = np.clip(self._start[agent] + noise, *arm.joint_range)
+            sim.qpos[env_ids, arm.qpos] = angle
+        reach_xy = np.array([1.0, 1.0, 0.0]) * bounds.object_position
+        yaw = rng.uniform(-bounds.object_yaw, bounds.object_yaw)
+        place = _START + rng.uniform(-reach_xy, reach_xy, 3)
+        pose = np.concatenate([place, math.from_yaw(yaw)], axis=1)
+        sim.qpos[env_ids, self._pot : self._pot + 7] = pose
+        shift = rng.uniform(-bounds.target_position, bounds.target_position, 3)
+        sim.mocap_pos[env_ids, 0] = self.target + shift
+
+    def measure(self, sim: Sim) -> LiftFacts:
+        handles = {agent: sim.pose(site) for agent, site in self._handles.items()}
+        tcps = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
+        pose, (target, _) = sim.pose("pot"), sim.pose("target")
+        roll, pitch = math.roll_pitch(pose[1])
+        xp = array_namespace(roll)
+        return LiftFacts(
+            joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
+            gripping={a: sim.eq_active[:, i] for a, i in self._eq.items()},
+            handles=handles,
+            tcps=tcps,
+            pot=pose,
+            target=target,
+            to_handle={
+                agent: math.distance(tcps[agent][0], handles[agent][0])
+                for agent in self.agents
+            },
+            to_target=math.distance(pose[0], target),
+            tilt=xp.abs(roll) + xp.abs(pitch),
+        )
+
+    def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
+        blocks = {f"{agent} joints": facts.joints[agent] for agent in self.agents}
+        for agent in self.agents:
+            blocks[f"{agent} gripping"] = facts.gripping[agent][:, None]
+        for agent in self.agents:
+            blocks[f"{agent} handle"] = math.pose(*facts.handles[agent])
+        for agent in self.agents:
+            blocks[f"{agent} tcp"] = math.pose(*facts.tcps[agent])
+        blocks["pot"] = math.pose(*facts.pot)
+        blocks["target"] = facts.target
+        return {agent: blocks for agent in self.agents}
+
+    def reward(self, facts: LiftFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+        xp = array_namespace(facts.to_target)
+        terms = {}
+        for agent in self.agents:
+            action, near = actions[agent], facts.to_handle[agent]
+            wants = (action[:, -1] > 0) & (near < self.config.picking_threshold)
+            terms[agent] = {
+                "reach": -near,
+                "lift": -2.0 * facts.to_target,
+                "tilt": -0.2 * facts.tilt,
+                "effort": -0.01
+                * math.norm(self.controller.joint_actions(agent, action)),
+                "grip": 0.1 * xp.astype(wants, near.dtype),
+            }
+        return terms
+
+    def success(self, facts: LiftFacts) -> Array:
+        first, second = (facts.gripping[agent] > 0 for agent in self.agents)
+        return (facts.to_target < self.config.success_radius) & first & second
+
+    def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, np.ndarray]:
+        """Return actions of arms that grip, wait for each other and lift together."""
+        holds = {agent: facts.gripping[agent] > 0 for agent in self.agents}
+        lifting = np.logical_and(*holds.values())
+        goals = self._lifted_handles(facts)
+        actions = {}
+        for i, (agent, arm) in enumerate(self.scene.arms.items()):
+            handle, tcp = facts.handles[agent][0], facts.tcps[agent][0]
+            way = self._ways[agent]
+            height = self.target[2] - _START[2]
+            progress = (handle[:, 2] - _START[2] - _GRIP_OFFSETS[0, 2]) / height
+            gap = standoff(tcp - handle, way.approach, 0.004, 0.0, 0.1)
+            aligned = handle - gap * way.approach
+            # Who holds and waits draws the pot to where the other surely reaches it.
+            aside = (_START + _GRIP_OFFSETS[i] - handle) * (1.0, 1.0, 0.0)
+            drawn = handle + np.clip(aside, -0.01, 0.01)
+            goal = np.where(holds[agent][:, None], drawn, aligned)
+            goal = np.where(lifting[:, None], goals[agent], goal)
+            posture, scale = way.at(progress), self.controller.scale(agent)
+            mass = np.where(lifting, self.pot_mass * self.weighing.shares[i], 0.0)
+            arm_action = carry(sim, arm, tcp, goal, posture, scale, mass)
+            near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
+            grip = np.where(near, 1.0, -1.0)[:, None]
+            actions[agent] = np.concatenate([arm_action, grip], axis=1)
+        return actions
+
+    def _lifted_handles(self, facts: LiftFacts) -> dict[str, np.ndarray]:
+        """Return where each handle goes next on the pot's way to the target."""
+        first, second = (facts.handles[agent][0] for agent in self.agents)
+        middle = (first + second) / 2
+        missing = facts.target + _WAY_OFFSETS[0] * (0.0, 0.0, 1.0) - middle
+        step = shortened(missing, _LIFT_STEP)
+        yaw = _yaw(facts.pot[1])
+        straight = math.from_yaw(yaw - np.clip(yaw, -0.05, 0.05))
+        return {
+            agent: middle + step + math.rotate(straight, offset * (0.0, 1.0, 0.0))
+            for agent, offset in zip(self.agents, _GRIP_OFFSETS, strict=True)
+        }
+
+
+def _yaw(quat: Array) -> np.ndarray:
+    """Return the turn of a nearly level body about the vertical, in rad."""
+    return 2.0 * np.arctan2(quat[:, 3].copy(), quat[:, 0].copy())
+
+
+register_task("Lift", Lift)
+register_env(
+    EnvSpec(
+        "LiftTaskSawyers-v0",
+        Lift,
+        ("sawyer", "sawyer"),
+        {
+            "placements": (
+                Placement((0.22, -1.2, 1.0), np.pi / 2),
+                Placement((-0.22, 1.2, 1.0), -np.pi / 2),
+            ),
+            "target": (0.0, 0.0, 1.5),
+            "picking_threshold": 0.02,
+        },
+    )
+)
+register_env(
+    EnvSpec(
+        "LiftTaskJacos-v0",
+        Lift,
+        ("jaco", "jaco"),
+        {
+            "placements": (
+                Placement((0.0, -0.9, 0.65), np.pi / 2),
+                Placement((0.0, 0.9, 0.6), -np.pi / 2),
+            ),
+            "target": (0.0, 0.0, 1.2),
+            "picking_threshold": 0.04,
+        },
+    )
+)

@@ -1,0 +1,118 @@
+"""The mass of Lift's pot: too heavy for either arm, light enough for both.
+
+`statics` searches for the postures in which an arm's torque limits carry most: for one
+arm with the pot hanging from its handle anywhere in the success radius, and for both
+along the way of their handles. The mass is the geometric mean of what the stronger arm
+carries alone and what both carry together, so that both have the same share to spare.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.objects.pot import GRIP_RADIUS
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import Placement
+from collaborative_gym.statics import Way, greatest_load, strongest_way
+
+_MARGIN = 1.2
+"""Spare of the pot's mass over one arm's capacity, and of two arms' over the mass."""
+
+_GREATEST_SHARE = 0.65
+"""Of the pot's weight on one handle."""
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """What two arms carry. Tuples have an entry for each arm.
+
+    Attributes:
+      ways: how they carry their handles to the target, approaches in the world frame.
+      alone: the mass in kg that each could hold near the target without help.
+      together: the mass in kg that both can hold all the way to the target.
+      shares: of the pot's weight on each handle.
+    """
+
+    ways: tuple[Way, ...]
+    alone: tuple[float, ...]
+    together: float
+    shares: tuple[float, float]
+
+    @property
+    def pot_mass(self) -> float:
+        """The mass in kg that needs both arms.
+
+        Raises:
+          ValueError: if one arm carries nearly as much as both.
+        """
+        most = max(self.alone)
+        if self.together < _MARGIN**2 * most:
+            alone = " and ".join(f"{load:.1f}" for load in self.alone)
+            raise ValueError(
+                "these arms are too unequal for Lift, or too far from the pot: alone"
+                f" they carry {alone} kg, together {self.together:.1f} kg, which must"
+                f" be {_MARGIN**2:.2f} times what the stronger one carries alone; mount"
+                " that one farther from the pot and the weaker one nearer, or pass"
+                " pot_mass"
+            )
+        return float(np.sqrt(most * self.together))
+
+
+def weigh(
+    robots: Sequence[Robot],
+    placements: Sequence[Placement],
+    ends: Sequence[tuple[np.ndarray, np.ndarray]],
+    target: np.ndarray,
+    radius: float,
+) -> Weighing:
+    """Return what two arms carry, alone and together.
+
+    Args:
+      robots: the arms.
+      placements: where they are mounted.
+      ends: start and end (3,) of the way of each arm's handle, in the world frame.
+      target: (3,) where the pot is to go.
+      radius: distance of the pot to the target that counts as there, in m.
+
+    Raises:
+      ValueError: if an arm does not reach.
+    """
+    ways, alone = [], []
+    for robot, placement, line in zip(robots, placements, ends, strict=True):
+        start, end, middle = (_from_base(placement, point) for point in (*line, target))
+        way = strongest_way(robot, start, end)
+        turn = math.from_yaw(np.array(placement.yaw))
+        ways.append(replace(way, approach=math.rotate(turn, way.approach)))
+        alone.append(greatest_load(robot, _places(np.array(middle), radius)))
+    first, second = (way.load for way in ways)
+    # The contents lie nearer to the stronger arm, but inside the pot.
+    share = second / (first + second)
+    share = min(max(share, 1 - _GREATEST_SHARE), _GREATEST_SHARE)
+    together = min(first / (1 - share), second / share)
+    return Weighing(tuple(ways), tuple(alone), together, (1 - share, share))
+
+
+def _from_base(placement: Placement, point: np.ndarray) -> tuple[float, float, float]:
+    """Return a world point in the frame of an arm's base, to the micrometre."""
+    turn = math.from_yaw(np.array(-placement.yaw))
+    x, y, z = math.rotate(turn, point - np.array(placement.position)).round(6).tolist()
+    return x, y, z
+
+
+def _places(
+    target: np.ndarray, radius: float
+) -> tuple[tuple[float, float, float], ...]:
+    """Return where one arm, at the origin, would hold a pot that counts as lifted.
+
+    The pot hangs from its handle, on the near side of the ball around the target.
+    """
+    flat = -target * (1.0, 1.0, 0.0)
+    nearer = flat / np.maximum(np.linalg.norm(flat), 1e-9)
+    up = np.array([0.0, 0.0, 1.0])
+    places = [
+        target + radius * (np.cos(a) * nearer + np.sin(a) * up) + GRIP_RADIUS * up
+        for a in np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
+    ]
+    return tuple((x, y, z) for x, y, z in np.round(places, 6).tolist())

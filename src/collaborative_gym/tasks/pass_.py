@@ -1,0 +1,300 @@
+"""Pass: one robot picks a cube and hands it over to another, who brings it to a target.
+
+Two robots stand side by side, each with a table: an arm with a pedestal before it, any
+other on its near end. The cube (0.04 m, 0.05 kg) lies on robot_1's table; the target
+hangs in the air before robot_2. A grip holds the cube's centre at the tool centre point
+and leaves its turning free; for a moment both robots may hold it.
+
+Agents: `robot_1` picks and hands over, `robot_2` takes over and carries.
+
+Randomised: the joints of both arms, the cube's place on the table (x and y) and its
+turn about the vertical, the target's place along each axis.
+
+Success: the cube is within `success_radius` of the target and robot_2 holds it. The
+thesis asks for the distance alone. As nothing at the target could carry the cube, the
+second condition only rules out that robot_1 throws it through, which a search found its
+arm able to do. Carrying it, robot_1 stays 0.27 m or more outside the radius; robot_2
+lacks 0.18 m or more to grip the cube on robot_1's table. This holds for all that the
+default randomisation draws, for every pair of Sawyer, Panda and Jaco.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym import math
+from collaborative_gym.control import Controller
+from collaborative_gym.kinematics import quickest_way, reach, standoff, swing
+from collaborative_gym.math import Array
+from collaborative_gym.objects.cube import cube
+from collaborative_gym.objects.table import table
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+
+_CUBE = "cube/centre"
+_CUBE_SIZE = 0.04  # m
+_GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
+_TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
+_TABLE_END = 1.1  # m, x of the tables' far ends
+
+_SHOULDER = np.array([0.0, 0.0, 0.3])  # m from an arm's base, about right for all
+_CLOSE = {"robot_1": 0.012, "robot_2": 0.02}  # m at which the expert grips
+_FUNNEL = 0.01, 0.005, 0.12  # m, of the expert's `standoff` from the cube
+
+# Directions, and orientations (w x y z) of a hand. The hands meet head on, one closing
+# along x and the other along z, so that their fingers pass one another.
+_DOWN = np.array([0.0, 0.0, -1.0])
+_ACROSS = np.array([0.0, 1.0, 0.0])
+_OUT = np.array([1.0, 0.0, 0.0])
+_PICKING = np.array([0.0, 0.5**0.5, 0.5**0.5, 0.0])
+_GIVING = np.array([-0.5, 0.5, 0.5, 0.5])
+_TAKING = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class PassConfig(TaskConfig):
+    """Settings of Pass.
+
+    Attributes:
+      success_radius: distance of the cube to the target that counts as there, in m.
+      picking_threshold: greatest distance at which robot_1 can grip the cube, in m.
+      handover_threshold: greatest distance at which robot_2 can grip the cube, in m.
+    """
+
+    success_radius: float = 0.12
+    picking_threshold: float = 0.03
+    handover_threshold: float = 0.05
+
+
+@dataclass(frozen=True)
+class PassFacts:
+    """What Pass looks at, (num_envs, ...) each.
+
+    Attributes:
+      joints: arm joint angles by agent, in rad.
+      tcp: position and quaternion of each agent's tcp.
+      holds: by agent, whether its grip holds the cube.
+      to_cube: by agent, distance from its tcp to the cube's centre, in m.
+      cube: position and quaternion of the cube.
+      target: position of the target.
+      to_target: distance from the cube's centre to the target, in m.
+    """
+
+    joints: dict[str, Array]
+    tcp: dict[str, tuple[Array, Array]]
+    holds: dict[str, Array]
+    to_cube: dict[str, Array]
+    cube: tuple[Array, Array]
+    target: Array
+    to_target: Array
+
+
+class Pass(Task[PassConfig, PassFacts]):
+    """The task that this module describes."""
+
+    gripping = True
+    config_class = PassConfig
+
+    def place(self) -> tuple[Placement, ...]:
+        """Return places that are the farther apart the longer the reach."""
+        placements = []
+        for side, robot in zip((-1, 1), self.robots.values(), strict=True):
+            y = side * min(0.7, 0.71 * robot.reach)
+            if robot.stand == "pedestal":
+                placements.append(Placement((0.8 - 0.635 * robot.reach, y, 1.0)))
+            else:
+                placements.append(Placement((0.55, y, 0.62)))
+        return tuple(placements)
+
+    def build(self, scene: Scene) -> None:
+        giver, taker = self.agents
+        bases = {agent: place.position for agent, place in self.placements.items()}
+        width = bases[taker][1] - bases[giver][1] - 0.2
+        heights = {}
+        for agent, (x, y, z) in bases.items():
+            before = self.robots[agent].stand == "pedestal"
+            near, heights[agent] = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
+            place = self.placements[agent]
+            scene.add_robot(agent, self.robots[agent], place, stand=before)
+            top = table(_TABLE_END - near, width, heights[agent])
+            scene.add(f"{agent}_table", top, ((_TABLE_END + near) / 2, y, 0.0))
+        x = min(bases[giver][0] + 0.635 * self.robots[giver].reach, _TABLE_END - 0.1)
+        z = heights[giver] + _CUBE_SIZE / 2
+        self._cube_start = np.array([x, bases[giver][1] + 0.1, z])
+        self._target = np.array([1.2, bases[taker][1], 1.3])
+        scene.add("cube", cube(_CUBE_SIZE), self._cube_start)
+        scene.add_target("target", self.config.success_radius, (0.2, 0.75, 0.3, 0.3))
+        scene.add_grip(giver, _CUBE, self.config.picking_threshold, _GRIP_WIDTH)
+        scene.add_grip(taker, _CUBE, self.config.handover_threshold, _GRIP_WIDTH)
+        scene.spec.worldbody.add_camera(
+            name="overview", pos=[3.3, 0, 2.05], xyaxes=[0, 1, 0, -0.38, 0, 0.9]
+        )
+
+    def setup(
+        self, scene: Scene, model: mujoco.MjModel, controller: Controller
+    ) -> None:
+        super().setup(scene, model, controller)
+        self._cube_qpos = int(model.joint("cube/free").qposadr[0])
+        self._target_id = int(model.body("target").mocapid[0])
+        self._grip_ids = {g.agent: model.equality(g.name).id for g in scene.grips}
+        self._meeting = meeting = self._find_meeting()
+        giver, taker = self.agents
+        above = self._cube_start - 0.25 * _DOWN
+        aside = meeting + 0.3 * _ACROSS - 0.1 * _DOWN
+        radial = self._target - np.array(self.placements[taker].position) - _SHOULDER
+        ends = [_OUT, radial / math.norm(radial), -_ACROSS]
+        ways = {giver: [], taker: []}
+        # A hand that is turned by half a turn about its approach grips as well.
+        for turn in np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]):
+            hands = _PICKING, _GIVING, _TAKING
+            pick, give, take = (math.multiply(hand, turn) for hand in hands)
+            ways[giver].append([(above, pick), (meeting, give)])
+            before = [(aside, take), (meeting, take)]
+            ways[taker] += [[*before, (self._target, end)] for end in ends]
+        self._angles, self._hands = {}, {}
+        for agent, arm in scene.arms.items():
+            scale = controller.scale(agent)
+            i, self._angles[agent] = quickest_way(model, arm, ways[agent], scale)
+            self._hands[agent] = [hand[None] for _, hand in ways[agent][i]]
+
+    def _find_meeting(self) -> np.ndarray:
+        """Return where to hand over: on the cube's way, at ease for both arms."""
+        place = (self._cube_start + self._target) / 2
+        for _ in range(50):
+            for agent, placement in self.placements.items():
+                shoulder = np.array(placement.position) + _SHOULDER
+                arm = place - shoulder
+                easy = 0.8 * self.robots[agent].reach
+                place = shoulder + arm * min(1.0, easy / math.norm(arm))
+        return place
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+        spread = self.config.randomization
+        for agent, arm in self.scene.arms.items():
+            noise, start = spread.joint_noise, self._angles[agent][0]
+            angles = start + rng.uniform(-noise, noise, len(start))
+            sim.qpos[env_ids, arm.qpos] = np.clip(angles, *arm.joint_range)
+        moved = spread.object_position * np.array([1.0, 1.0, 0.0])
+        place = self._cube_start + rng.uniform(-moved, moved, 3)
+        yaw = rng.uniform(-spread.object_yaw, spread.object_yaw)
+        pose = np.concatenate([place, math.from_yaw(yaw)], axis=1)
+        sim.qpos[env_ids, self._cube_qpos : self._cube_qpos + 7] = pose
+        moved = spread.target_position
+        place = self._target + rng.uniform(-moved, moved, 3)
+        sim.mocap_pos[env_ids, self._target_id] = place
+
+    def measure(self, sim: Sim) -> PassFacts:
+        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
+        cube_pose, target = sim.pose(_CUBE), sim.pose("target")[0]
+        return PassFacts(
+            joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
+            tcp=tcp,
+            holds={a: sim.eq_active[:, i] > 0.0 for a, i in self._grip_ids.items()},
+            to_cube={a: math.distance(tcp[a][0], cube_pose[0]) for a in self.agents},
+            cube=cube_pose,
+            target=target,
+            to_target=math.distance(cube_pose[0], target),
+        )
+
+    def observe(self, facts: PassFacts) -> dict[str, Blocks]:
+        xp = array_namespace(facts.target)
+        shared = {f"{a} end effector": math.pose(*facts.tcp[a]) for a in self.agents}
+        for agent in self.agents:
+            holds = xp.astype(facts.holds[agent], facts.target.dtype)
+            shared[f"{agent} gripping"] = holds[:, None]
+        shared |= {"cube": math.pose(*facts.cube), "target": facts.target}
+        return {a: {"joints": facts.joints[a], **shared} for a in self.agents}
+
+    def reward(self, facts: PassFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+        xp = array_namespace(facts.target)
+        giver, taker = self.agents
+        zero = xp.zeros_like(facts.to_target)
+        picking = facts.to_cube[giver] < self.config.picking_threshold
+        handing = facts.to_cube[taker] < self.config.handover_threshold
+        grip, shared = {}, {}
+        for agent, action in actions.items():
+            moves = self.controller.joint_actions(agent, action)
+            arrived = xp.where(self.success(facts), zero + 1.0, zero)
+            shared[agent] = {"effort": -0.01 * math.norm(moves), "success": arrived}
+            grip[agent] = xp.where(action[:, -1] > 0.0, zero + 0.1, zero)
+        incentive = xp.where(picking, grip[giver], zero)
+        return {
+            giver: {
+                # Near robot_2's hand, letting go never costs robot_1 anything.
+                "reach": xp.where(handing, zero + 0.2, -facts.to_cube[giver]),
+                "handover": -facts.to_cube[taker],
+                "grip": xp.where(handing, -grip[giver], incentive),
+                **shared[giver],
+            },
+            taker: {
+                "reach": -facts.to_cube[taker],
+                "carry": -facts.to_target,
+                "grip": xp.where(handing, grip[taker], zero),
+                **shared[taker],
+            },
+        }
+
+    def success(self, facts: PassFacts) -> Array:
+        near = facts.to_target < self.config.success_radius
+        return near & facts.holds[self.agents[1]]
+
+    def expert(self, sim: Sim, facts: PassFacts) -> dict[str, np.ndarray]:
+        return {"robot_1": self._give(sim, facts), "robot_2": self._take(sim, facts)}
+
+    def _give(self, sim: Sim, facts: PassFacts) -> np.ndarray:
+        """Return robot_1's actions: pick from above, bring to the meeting, let go."""
+        giver, taker = self.agents
+        position, place = facts.tcp[giver][0], facts.cube[0]
+        holds, taken = facts.holds[giver][:, None], facts.holds[taker][:, None]
+        gap = np.where(holds, 0.1, standoff(position - place, _DOWN, *_FUNNEL))
+        goal = np.where(taken, self._meeting - 0.15 * _ACROSS, place - gap * _DOWN)
+        hand = np.where(taken, self._hands[giver][1], self._hands[giver][0])
+        angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
+        lifted = position[:, 2:] > self._cube_start[2] + 0.03
+        swings = holds & lifted & ~taken
+        moves = self._move(sim, facts, giver, goal, hand, angles, swings)
+        grips = (holds | (facts.to_cube[giver] < _CLOSE[giver])[:, None]) & ~taken
+        return np.concatenate([moves, np.where(grips, 1.0, -1.0)], axis=1)
+
+    def _take(self, sim: Sim, facts: PassFacts) -> np.ndarray:
+        """Return robot_2's actions: wait at the meeting, grip, carry to the target."""
+        giver, taker = self.agents
+        (position, quat), holds = facts.tcp[taker], facts.holds[taker][:, None]
+        is_there = math.distance(facts.cube[0], self._meeting) < 0.03
+        offered = (facts.holds[giver] & is_there)[:, None]
+        place = np.where(offered, facts.cube[0], self._meeting)
+        gap = np.where(offered, standoff(position - place, -_ACROSS, *_FUNNEL), 0.1)
+        carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
+        goal = place + np.where(holds, 0.15, gap) * _ACROSS
+        goal = np.where(carries, facts.target, goal)
+        hand = np.where(carries, quat, self._hands[taker][1])
+        angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
+        swings = carries & (math.distance(position, facts.target) > 0.2)[:, None]
+        moves = self._move(sim, facts, taker, goal, hand, angles, swings)
+        grips = holds | (facts.to_cube[taker] < _CLOSE[taker])[:, None]
+        return np.concatenate([moves, np.where(grips, 1.0, -1.0)], axis=1)
+
+    def _move(
+        self, sim: Sim, facts: PassFacts, agent: str, goal, hand, angles, swings
+    ) -> np.ndarray:
+        """Return arm actions straight to a pose, or to the angles where `swings`."""
+        arm, scale = self.scene.arms[agent], self.controller.scale(agent)
+        straight = reach(sim, arm, facts.tcp[agent], goal, hand, angles, scale)
+        return np.where(swings, swing(sim, arm, angles, scale), straight)
+
+
+_GIVER = Placement((0.0, -0.7, 1.0))
+_SAWYERS = {"placements": (_GIVER, Placement((0.0, 0.7, 1.0)))}
+_WITH_JACO = {
+    "placements": (_GIVER, Placement((0.55, 0.7, 0.62))),
+    "handover_threshold": 0.045,
+}
+
+register_task("Pass", Pass)
+register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
+register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))

@@ -1,0 +1,296 @@
+"""Poke: one arm holds a stick, the other a square ring, and the stick goes in the hole.
+
+robot_1 holds the stick (0.2 m long), robot_2 the ring, called donut (outer side 0.24 m,
+hole 0.16 m). Both are fixed in their grippers for good, so nothing is gripped or
+released. The arms start turned aside, each object out of the other arm's reach: they
+must meet half-way, the ring presented and the stick lined up with its hole.
+
+Randomised: where each object starts (its position along every axis, its turn about the
+vertical) and every joint angle.
+
+Reward of each agent: minus the distance from the stick's middle to the ring's centre,
+minus 0.8 times |cos| of the angle between the stick and the ring's plane, minus 0.01
+times the norm of its own action, plus 1 while the stick is inside (distance below
+0.065 m and |cos| below 0.2).
+
+Success: distance below 0.09 m while the stick's axis crosses the ring's plane within
+the hole. The distance alone would not do, for a stick that lies flat on the ring is as
+near. Inside implies the crossing and need not ask for it: within its bounds the axis
+crosses the plane at most 0.067 m from the ring's centre, and so from the stick's
+middle, while the hole's sides are 0.08 m away and the stick's ends 0.1 m.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym import math
+from collaborative_gym.control import Controller
+from collaborative_gym.kinematics import reach, solve_pose
+from collaborative_gym.math import Array
+from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
+from collaborative_gym.objects.stick import LENGTH, stick
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import Arm, Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+
+_STICK, _DONUT = "robot_1", "robot_2"
+_SUCCESS_DISTANCE = 0.09  # m
+_INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
+
+_YAW = float(np.radians(60))  # of the bases, away from x and towards each other
+_TILT = float(np.radians(45))  # of the hands, downwards
+
+# How the objects sit in their grippers, which are both open by the same 2 cm.
+_STICK_AHEAD = 0.08  # m from tcp to middle: the rear 2 cm lie behind the tcp
+_DONUT_AHEAD = 0.11  # m from tcp to centre: held by the rear bar
+_DONUT_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)  # normal along the tcp's y
+
+Pose = tuple[np.ndarray, np.ndarray]
+"""Position, and quaternion or direction of the z axis."""
+
+
+@dataclass(frozen=True)
+class PokeFacts:
+    """What Poke looks at.
+
+    Attributes:
+      joints: arm joint angles by agent, (num_envs, joints), in rad.
+      stick: position and quaternion of the stick's middle.
+      donut: position and quaternion of the ring's centre, its z along the normal.
+      offset: (num_envs, 3) from the ring's centre to the stick's middle, in the ring's
+        frame, in m.
+      axis: (num_envs, 3) direction of the stick in the ring's frame.
+      distance: (num_envs,) length of `offset`, in m.
+      cosine: (num_envs,) |cos| of the angle between the stick and the ring's plane.
+      is_threaded: (num_envs,) whether the stick's axis crosses the ring's plane within
+        the hole.
+    """
+
+    joints: dict[str, Array]
+    stick: tuple[Array, Array]
+    donut: tuple[Array, Array]
+    offset: Array
+    axis: Array
+    distance: Array
+    cosine: Array
+    is_threaded: Array
+
+
+class Poke(Task[TaskConfig, PokeFacts]):
+    """Put the stick of one arm through the ring of the other."""
+
+    config_class = TaskConfig
+
+    def place(self) -> tuple[Placement, ...]:
+        """Return bases 0.8 of both reaches apart, turned 60 degrees to each other."""
+        robots = self.robots.values()
+        half = 0.4 * sum(robot.reach for robot in robots)
+        heights = [robot.base_height for robot in robots]
+        return _opposite((-half, heights[0]), (half, heights[1]))
+
+    def build(self, scene: Scene) -> None:
+        for agent, placement in self.placements.items():
+            scene.add_robot(agent, self.robots[agent], placement, holds=THICKNESS)
+        stick_spec, donut_spec = stick(), donut()
+        stick_spec.body("stick").pos = (0, 0, _STICK_AHEAD)
+        donut_spec.body("donut").pos = (0, 0, _DONUT_AHEAD)
+        donut_spec.body("donut").quat = _DONUT_QUAT
+        scene.add_tool(_STICK, "stick", stick_spec)
+        scene.add_tool(_DONUT, "donut", donut_spec)
+        scene.add_pose_sensor("stick", f"{_STICK}/stick/stick")
+        scene.add_pose_sensor("donut", f"{_DONUT}/donut/donut")
+        *_, (eye, axes) = _lay_out(self.placements, self.robots)
+        scene.spec.worldbody.add_camera(name="overview", pos=eye, xyaxes=axes)
+
+    def setup(
+        self, scene: Scene, model: mujoco.MjModel, controller: Controller
+    ) -> None:
+        super().setup(scene, model, controller)
+        start, self._goal, _ = _lay_out(self.placements, self.robots)
+        self._start: dict[str, np.ndarray] = {}
+        self._spread: dict[str, np.ndarray] = {}
+        self._posture: dict[str, np.ndarray] = {}
+        for agent, arm in scene.arms.items():
+            angles = solve_pose(model, arm, *start[agent], arm.robot.home)
+            self._start[agent] = angles
+            self._spread[agent] = _spread(model, arm, angles)
+            self._posture[agent] = solve_pose(model, arm, *self._goal[agent], angles)
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+        bounds = self.config.randomization
+        moves = [bounds.object_position] * 3 + [bounds.object_yaw]
+        for agent, arm in self.scene.arms.items():
+            # To first order, which will do for a start drawn at random.
+            moved = rng.uniform(np.negative(moves), moves, len(moves))
+            angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
+            noise = bounds.joint_noise
+            angles = angles + rng.uniform(-noise, noise, angles.shape[1])
+            sim.qpos[env_ids, arm.qpos] = np.clip(angles, *arm.joint_range)
+
+    def measure(self, sim: Sim) -> PokeFacts:
+        stick_pose, donut_pose = sim.pose("stick"), sim.pose("donut")
+        into_ring = math.conjugate(donut_pose[1])
+        offset = math.rotate(into_ring, stick_pose[0] - donut_pose[0])
+        axis = math.rotate(into_ring, math.axis_z(stick_pose[1]))
+        arms = self.scene.arms
+        return PokeFacts(
+            joints={agent: sim.qpos[:, arm.qpos] for agent, arm in arms.items()},
+            stick=stick_pose,
+            donut=donut_pose,
+            offset=offset,
+            axis=axis,
+            distance=math.norm(offset),
+            cosine=math.norm(axis[:, :2]),
+            is_threaded=is_threaded(offset, axis),
+        )
+
+    def observe(self, facts: PokeFacts) -> dict[str, Blocks]:
+        return {
+            agent: {
+                "joints": facts.joints[agent],
+                "stick": math.pose(*facts.stick),
+                "donut": math.pose(*facts.donut),
+            }
+            for agent in self.agents
+        }
+
+    def reward(self, facts: PokeFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+        xp = array_namespace(facts.distance)
+        is_inside = (facts.distance < _INSIDE_DISTANCE) & (
+            facts.cosine < _INSIDE_COSINE
+        )
+        return {
+            agent: {
+                "distance": -facts.distance,
+                "angle": -0.8 * facts.cosine,
+                "effort": -0.01 * math.norm(actions[agent]),
+                "inside": xp.where(is_inside, 1.0, 0.0),
+            }
+            for agent in self.agents
+        }
+
+    def success(self, facts: PokeFacts) -> Array:
+        return facts.is_threaded & (facts.distance < _SUCCESS_DISTANCE)
+
+    def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Array]:
+        """Present the ring, wait behind the hole until lined up with it, then go in."""
+        normal = math.axis_z(facts.donut[1])
+        beside = math.norm(facts.offset[:, :2])
+        is_lined_up = (beside < 0.03) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
+        # The stick's middle keeps its tip clear of the ring, the more so the farther it
+        # is from the hole, and goes in by steps so short that it stays in line.
+        behind = np.where(
+            is_lined_up | facts.is_threaded,
+            np.maximum(-facts.offset[:, 2] - 0.05, 0.0),
+            0.16 + np.minimum(beside, 0.15),
+        )
+        position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
+        present, turned = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[_DONUT])
+        goals = {_STICK: (position, normal), _DONUT: (present, turned)}
+        return {
+            agent: reach(
+                sim,
+                arm,
+                sim.pose(f"{agent}/tcp"),
+                *goals[agent],
+                posture=self._posture[agent],
+                scale=self.controller.scale(agent),
+            )
+            for agent, arm in self.scene.arms.items()
+        }
+
+
+def is_threaded(offset: Array, axis: Array) -> Array:
+    """Return whether a stick placed so in the ring's frame passes through its hole."""
+    xp = array_namespace(offset)
+    slope = xp.where(xp.abs(axis[:, 2]) < 1e-6, 1e-6, axis[:, 2])
+    # How far ahead of its middle the stick's axis meets the ring's plane.
+    ahead = -offset[:, 2] / slope
+    crossing = xp.abs(offset + ahead[:, None] * axis)
+    is_in_hole = (crossing[:, 0] < HOLE / 2) & (crossing[:, 1] < HOLE / 2)
+    return is_in_hole & (xp.abs(ahead) < LENGTH / 2)
+
+
+def _opposite(
+    first: tuple[float, float], second: tuple[float, float]
+) -> tuple[Placement, Placement]:
+    """Return bases at these y and z, turned towards each other."""
+    return Placement((0.0, *first), _YAW), Placement((0.0, *second), -_YAW)
+
+
+def _lay_out(
+    placements: dict[str, Placement], robots: dict[str, Robot]
+) -> tuple[dict[str, Pose], dict[str, Pose], Pose]:
+    """Return where the tcps start, where they meet, and a camera that sees it all.
+
+    Both start aside of the line between the bases. They meet near where it is divided
+    as their reaches, and at right angles, as stick and ring must. The camera is given
+    by its position and its x and y axes.
+    """
+    first, second = (np.array(placements[agent].position) for agent in robots)
+    reaches = [robot.reach for robot in robots.values()]
+    line = (second - first) * (1.0, 1.0, 0.0)
+    span = np.linalg.norm(line)
+    along = line / span
+    aside = np.cross(along, (0.0, 0.0, 1.0))
+    up = np.array([0.0, 0.0, 1.0])
+    middle = (first + second) / 2
+    outwards = _tilted(aside)
+    starts = [
+        base + 0.65 * length * aside + 0.4 * up
+        for base, length in zip((first, second), reaches, strict=True)
+    ]
+    share = reaches[0] / sum(reaches) - 0.5
+    meeting = middle + share * line + 0.15 * span * aside + 0.2 * up
+    into = _tilted((along + aside) / np.sqrt(2))
+    level = (aside - along) / np.sqrt(2)
+    across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
+    eye = middle + 1.75 * span * aside + 0.65 * up
+    start: dict[str, Pose] = {
+        _STICK: (starts[0], outwards),
+        _DONUT: (starts[1], _tcp_quat(along, outwards)),
+    }
+    goal: dict[str, Pose] = {
+        _STICK: (meeting - _STICK_AHEAD * into, into),
+        _DONUT: (meeting - _DONUT_AHEAD * across, _tcp_quat(into, across)),
+    }
+    return start, goal, (eye, np.concatenate([along, up - 0.2 * aside]))
+
+
+def _tilted(direction: np.ndarray) -> np.ndarray:
+    """Return a horizontal direction turned down by the tilt of the hands."""
+    return np.cos(_TILT) * direction - np.array([0.0, 0.0, np.sin(_TILT)])
+
+
+def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return the quaternion of a tcp whose y and z axes point like this."""
+    quat = np.zeros(4)
+    axes = np.stack([np.cross(y, z), y, z], axis=1)
+    mujoco.mju_mat2Quat(quat, axes.flatten())
+    return quat
+
+
+def _spread(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """Return joint changes that move a tcp by 1 m along x, y, z and turn it about z.
+
+    To first order, (joints, 4) in rad per m and per rad.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[arm.qpos] = angles
+    mujoco.mj_forward(model, data)
+    jacobian = np.zeros((6, model.nv))
+    mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], arm.tcp)
+    return np.linalg.pinv(jacobian[:, arm.dof])[:, [0, 1, 2, 5]]
+
+
+_SAWYERS = {"placements": _opposite((-1.0, 1.0), (1.0, 1.0))}
+_MIXED = {"placements": _opposite((-1.0, 0.65), (0.8, 1.0))}
+register_task("Poke", Poke)
+register_env(EnvSpec("PokeTaskSawyers-v0", Poke, ("sawyer", "sawyer"), _SAWYERS))
+register_env(EnvSpec("PokeTaskPandaSawyer-v0", Poke, ("panda", "sawyer"), _MIXED))

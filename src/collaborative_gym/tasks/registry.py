@@ -1,0 +1,165 @@
+"""Environment ids, and how a task is made from one."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import gymnasium
+
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.robots import Robot, get_robot
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
+
+
+@dataclass(frozen=True)
+class EnvSpec:
+    """A registered environment.
+
+    Attributes:
+      env_id: its versioned id.
+      task: the task's class.
+      robots: names of its arms, in the order of the agents.
+      settings: fields of the task's config that differ from their defaults.
+    """
+
+    env_id: str
+    task: type[Task]
+    robots: tuple[str, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+_ENVS: dict[str, EnvSpec] = {}
+_TASKS: dict[str, type[Task]] = {}
+
+
+def register_task(name: str, task: type[Task]) -> None:
+    """Let `make` build a task by name with any robots.
+
+    Raises:
+      ValueError: if the name is taken.
+    """
+    if name in _TASKS:
+        raise ValueError(f"task {name!r} is registered already")
+    _TASKS[name] = task
+
+
+def register_env(spec: EnvSpec) -> None:
+    """Let `make` and Gymnasium build an environment by its id.
+
+    Raises:
+      ValueError: if the id is taken.
+      gymnasium.error.Error: if the id is not of the form `Name-v0`.
+    """
+    if spec.env_id in _ENVS:
+        raise ValueError(f"environment {spec.env_id!r} is registered already")
+    gymnasium.register(
+        spec.env_id,
+        entry_point="collaborative_gym.envs.gymnasium:GymnasiumEnv",
+        vector_entry_point="collaborative_gym.envs.gymnasium:GymnasiumVectorEnv",
+        kwargs={"env_id": spec.env_id},
+    )
+    _ENVS[spec.env_id] = spec
+
+
+def list_envs() -> tuple[str, ...]:
+    """Return the ids of all environments."""
+    return tuple(_ENVS)
+
+
+def list_tasks() -> tuple[str, ...]:
+    """Return the names of all tasks."""
+    return tuple(_TASKS)
+
+
+def get_env(env_id: str) -> EnvSpec:
+    """Return a registered environment.
+
+    Raises:
+      KeyError: if there is none of that id.
+    """
+    if env_id not in _ENVS:
+        raise UnknownName(unknown("environment", env_id, _ENVS))
+    return _ENVS[env_id]
+
+
+def make_task(
+    name: str,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization = "default",
+    **settings: Any,
+) -> Task:
+    """Return a task, ready for an environment to build.
+
+    Args:
+      name: an environment id, or a task's name.
+      robots: the arms in the order of the agents, by name or value. An environment id
+        has its own; other arms in its place are mounted by the task's rule.
+      randomization: how starts are drawn, a preset's name or a value.
+      **settings: other fields of the task's config.
+
+    Raises:
+      KeyError: if there is no such environment, robot, preset or setting.
+      TypeError: if robots is not a sequence.
+      ValueError: if the task takes another number of robots.
+    """
+    if name in _TASKS:
+        spec = EnvSpec(name, _TASKS[name], ("panda",) * _TASKS[name].num_robots)
+    elif name in _ENVS:
+        spec = _ENVS[name]
+    else:
+        raise UnknownName(unknown("environment", name, [*_ENVS, *_TASKS]))
+    chosen = spec.robots if robots is None else robots
+    if isinstance(chosen, str | Robot) or not isinstance(chosen, Iterable):
+        raise TypeError(f"robots must be a sequence of names, got {chosen!r}")
+    arms = tuple(get_robot(robot) for robot in chosen)
+    if len(arms) != spec.task.num_robots:
+        given = ", ".join(arm.name for arm in arms)
+        raise ValueError(
+            f"{name} needs {spec.task.num_robots} robots, got {len(arms)} ({given});"
+            f" pass robots={spec.robots}"
+        )
+    same = tuple(arm.name for arm in arms) == spec.robots
+    own = dict(spec.settings) if same else {}
+    config = _configure(spec.task, {**own, **settings})
+    config = replace(config, randomization=_randomization(randomization))
+    return spec.task(arms, config)
+
+
+def as_task(
+    env: str | Task,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization | None = None,
+) -> Task:
+    """Return a task as it is, or the one of a name as `make_task` does.
+
+    Args:
+      env: an environment id, a task's name, or a task.
+      robots: as in `make_task`; only beside a name.
+      randomization: as in `make_task`, None for "default"; only beside a name.
+
+    Raises:
+      ValueError: if robots or randomization are given beside a task.
+    """
+    if not isinstance(env, Task):
+        return make_task(env, robots, randomization or "default")
+    if robots is not None or randomization is not None:
+        raise ValueError(
+            "a task has its own robots and randomization; pass them to make_task"
+        )
+    return env
+
+
+def _configure(task: type[Task], settings: dict[str, Any]):
+    valid = [option.name for option in fields(task.config_class)]
+    for option in settings:
+        if option not in valid:
+            raise UnknownName(unknown("option", option, valid))
+    return task.config_class(**settings)
+
+
+def _randomization(given: str | Randomization) -> Randomization:
+    if isinstance(given, Randomization):
+        return given
+    if given not in RANDOMIZATIONS:
+        raise UnknownName(unknown("randomization", given, RANDOMIZATIONS))
+    return RANDOMIZATIONS[given]

@@ -1,0 +1,205 @@
+"""What a task is: a world to build, facts to measure, rewards and a goal."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Generic, TypeVar
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.control import Controller
+from collaborative_gym.math import Array
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+
+Blocks = Mapping[str, Array]
+"""Named columns of an observation, (num_envs, k) each, in order."""
+
+Terms = Mapping[str, Array]
+"""Named parts of a reward, (num_envs,) each."""
+
+
+def _check_amounts(settings: Any, least: float) -> None:
+    """Raise ValueError if a setting is a number not finite or below `least`."""
+    for option in fields(settings):
+        value = getattr(settings, option.name)
+        if isinstance(value, float) and not (math.isfinite(value) and value >= least):
+            bound = f" and at least {least:g}" if math.isfinite(least) else ""
+            raise ValueError(f"{option.name} must be finite{bound}, got {value}")
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """How far an episode's start may differ from the nominal one.
+
+    Each draw is uniform between minus and plus the bound.
+
+    Attributes:
+      joint_noise: of every arm joint, in rad.
+      object_position: of the objects, along each free axis, in m.
+      object_yaw: of the objects, about the vertical, in rad.
+      target_position: of the target, along each axis, in m.
+    """
+
+    joint_noise: float = 0.05
+    object_position: float = 0.05
+    object_yaw: float = float(np.radians(15))
+    target_position: float = 0.05
+
+    def __post_init__(self) -> None:
+        _check_amounts(self, least=0.0)
+
+
+RANDOMIZATIONS = {
+    "default": Randomization(),
+    "paper": Randomization(0.0, 0.0, 0.0, 0.0),
+}
+"""The presets: `paper` starts as the thesis does, `default` is drawn around it."""
+
+
+@dataclass(frozen=True)
+class TaskConfig:
+    """Settings that every task has; a task may add its own.
+
+    Attributes:
+      randomization: how episode starts are drawn.
+      placements: where the arms are mounted, or None for the task's rule.
+      max_episode_steps: control steps of an episode.
+    """
+
+    randomization: Randomization = field(default_factory=Randomization)
+    placements: tuple[Placement, ...] | None = None
+    max_episode_steps: int = 200
+
+    def __post_init__(self) -> None:
+        steps = self.max_episode_steps
+        if not isinstance(steps, int) or steps < 1:
+            raise ValueError(
+                f"max_episode_steps must be a whole number from 1 on, got {steps!r}"
+            )
+        _check_amounts(self, least=-math.inf)
+
+
+ConfigT = TypeVar("ConfigT", bound=TaskConfig)
+FactsT = TypeVar("FactsT")
+
+
+class Task(Generic[ConfigT, FactsT]):
+    """The base of all tasks.
+
+    A task is stateless but for `memory`. What follows `measure` is pure in the facts.
+    Arrays have a leading num_envs axis and may be NumPy's or torch's.
+
+    Attributes:
+      num_robots: how many arms the task takes.
+      gripping: whether actions have a grip component.
+      config_class: the class of its settings.
+      success_after: the goal counts as reached only after this many control steps.
+      performance_from_start: whether performance counts over the whole episode,
+        instead of from the step at which the goal was first reached.
+      agents: the agents' names, "robot_1" and so on.
+      robots: the arm of each agent.
+      config: the settings.
+      memory: what must be remembered between steps, (num_envs, ...) arrays by name;
+        part of a saved state.
+    """
+
+    num_robots: int = 2
+    gripping: bool = False
+    config_class: type[TaskConfig] = TaskConfig
+    success_after: int = 0
+    performance_from_start: bool = False
+
+    def __init__(self, robots: Sequence[Robot], config: ConfigT):
+        self.agents = tuple(f"robot_{i + 1}" for i in range(len(robots)))
+        self.robots = dict(zip(self.agents, robots, strict=True))
+        self.config = config
+        self.memory: dict[str, Array] = {}
+
+    @property
+    def placements(self) -> dict[str, Placement]:
+        """Where each agent's arm is mounted.
+
+        Raises:
+          ValueError: if these arms cannot be placed, or not each has one placement.
+        """
+        placements = self.config.placements or self.place()
+        if len(placements) != len(self.agents):
+            raise ValueError(
+                f"got {len(placements)} placements for {len(self.agents)} robots; give"
+                " one for each"
+            )
+        return dict(zip(self.agents, placements, strict=True))
+
+    def place(self) -> tuple[Placement, ...]:
+        """Return where arms of this reach and base height go.
+
+        Raises:
+          ValueError: if no placement lets these arms do the task.
+        """
+        raise NotImplementedError
+
+    def build(self, scene: Scene) -> None:
+        """Fill the scene with arms and objects."""
+        raise NotImplementedError
+
+    def setup(
+        self, scene: Scene, model: mujoco.MjModel, controller: Controller
+    ) -> None:
+        """Keep what later calls need of the compiled world, such as start poses."""
+        self.scene = scene
+        self.model = model
+        self.controller = controller
+
+    def remember(self, num_envs: int) -> dict[str, Array]:
+        """Return a fresh `memory` for that many worlds."""
+        return {}
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+        """Write the start of an episode into these worlds, and only these.
+
+        Args:
+          sim: the worlds, these ones just reset to the model's initial state.
+          env_ids: which worlds start an episode.
+          rng: their generators, in the same order.
+        """
+        raise NotImplementedError
+
+    def disturb(self, sim: Sim, steps: np.ndarray) -> None:
+        """Write what pushes the worlds during the coming control step.
+
+        Args:
+          sim: the worlds.
+          steps: (num_envs,) control steps that each episode has done.
+        """
+
+    def measure(self, sim: Sim) -> FactsT:
+        """Return everything that the task looks at, computed once per control step.
+
+        Called again in the same state, it returns the same and leaves `memory` as it
+        is: worlds are measured again when others start an episode.
+        """
+        raise NotImplementedError
+
+    def observe(self, facts: FactsT) -> dict[str, Blocks]:
+        """Return each agent's observation as named blocks."""
+        raise NotImplementedError
+
+    def reward(self, facts: FactsT, actions: dict[str, Array]) -> dict[str, Terms]:
+        """Return each agent's reward as named terms; their sum is the reward."""
+        raise NotImplementedError
+
+    def success(self, facts: FactsT) -> Array:
+        """Return in which worlds the goal is reached now, (num_envs,) booleans."""
+        raise NotImplementedError
+
+    def performing(self, facts: FactsT) -> Array:
+        """Return in which worlds this step counts towards performance."""
+        return self.success(facts)
+
+    def expert(self, sim: Sim, facts: FactsT) -> dict[str, Any]:
+        """Return actions of a scripted expert, which may look at the whole state."""
+        raise NotImplementedError

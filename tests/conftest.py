@@ -1,0 +1,228 @@
+"""A small task with all that a task can have, so that the core is tested on its own."""
+
+from dataclasses import dataclass
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from array_api_compat import array_namespace
+
+import collaborative_gym as cg
+from collaborative_gym import math
+from collaborative_gym.kinematics import reach
+from collaborative_gym.tasks import registry
+
+AGENTS = ("robot_1", "robot_2")
+CAMERA = {"pos": [1.5, 0, 1.2], "xyaxes": [0, 1, 0, -0.5, 0, 0.85]}
+
+
+@dataclass(frozen=True)
+class CarryConfig(cg.TaskConfig):
+    """The settings of the small task; episodes are short."""
+
+    max_episode_steps: int = 12
+    height: float = 0.6
+
+
+@dataclass(frozen=True)
+class CarryFacts:
+    """What the small task looks at."""
+
+    joints: dict
+    tcp: dict
+    site: dict
+    distance: dict
+    cube: tuple
+    height: object
+    highest: object
+
+
+class Carry(cg.Task[CarryConfig, CarryFacts]):
+    """Two arms grip a cube between them and raise it; a push comes in step 3."""
+
+    gripping = True
+    config_class = CarryConfig
+
+    def place(self):
+        return (
+            cg.Placement((0.0, -0.407, 0.0), np.pi / 2),
+            cg.Placement((0.0, 0.407, 0.0), -np.pi / 2),
+        )
+
+    def build(self, scene):
+        for agent, placement in self.placements.items():
+            scene.add_robot(agent, self.robots[agent], placement, stand=False)
+        scene.add("cube", cube(), (0.0, 0.0, 0.487))
+        for agent in self.agents:
+            scene.add_grip(agent, f"cube/{agent}", threshold=0.08, width=0.02)
+        scene.add_pose_sensor("cube", "cube/centre")
+        scene.spec.worldbody.add_camera(name="overview", **CAMERA)
+
+    def remember(self, num_envs):
+        return {"highest": np.zeros(num_envs), "push": np.zeros((num_envs, 3))}
+
+    def reset(self, sim, env_ids, rng):
+        noise = self.config.randomization.joint_noise
+        for arm in self.scene.arms.values():
+            joints = len(arm.robot.joints)
+            draw = rng.uniform(-noise, noise, joints)
+            sim.qpos[env_ids, arm.qpos] = np.array(arm.robot.home) + draw
+        self.memory["push"][env_ids] = rng.uniform(-20.0, 20.0, 3)
+
+    def disturb(self, sim, steps):
+        body = self.model.body("cube/cube").id
+        is_now = (steps == 3)[:, None]
+        sim.xfrc_applied[:, body, :3] = np.where(is_now, self.memory["push"], 0.0)
+
+    def measure(self, sim):
+        cube = sim.pose("cube")
+        height = cube[0][:, 2]
+        self.memory["highest"] = np.maximum(self.memory["highest"], height)
+        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
+        site = {agent: sim.pose(f"cube/{agent}") for agent in self.agents}
+        return CarryFacts(
+            joints={
+                agent: sim.qpos[:, arm.qpos] for agent, arm in self.scene.arms.items()
+            },
+            tcp=tcp,
+            site=site,
+            distance={
+                agent: math.distance(tcp[agent][0], site[agent][0])
+                for agent in self.agents
+            },
+            cube=cube,
+            height=height,
+            highest=self.memory["highest"],
+        )
+
+    def observe(self, facts):
+        return {
+            agent: {
+                "joints": facts.joints[agent],
+                "tcp": math.pose(*facts.tcp[agent]),
+                "cube": facts.cube[0],
+                "distance": facts.distance[agent][:, None],
+                "highest": facts.highest[:, None],
+            }
+            for agent in self.agents
+        }
+
+    def reward(self, facts, actions):
+        xp = array_namespace(facts.height)
+        return {
+            agent: {
+                "distance": -facts.distance[agent],
+                "height": xp.where(self.success(facts), 1.0, facts.height),
+                "effort": -math.dot(actions[agent], actions[agent]) / 100,
+            }
+            for agent in self.agents
+        }
+
+    def success(self, facts):
+        return facts.height > self.config.height
+
+    def expert(self, sim, facts):
+        actions = {}
+        for agent, arm in self.scene.arms.items():
+            goal = facts.tcp[agent][0] + np.array([0.0, 0.0, 0.05])
+            joints = reach(
+                sim,
+                arm,
+                facts.tcp[agent],
+                goal,
+                facts.tcp[agent][1],
+                np.array(arm.robot.home),
+                self.controller.scale(agent),
+            )
+            grip = np.ones((len(joints), 1))
+            actions[agent] = np.concatenate([joints, grip], axis=1)
+        return actions
+
+
+def cube():
+    """Return a cube that can move freely, with a grip site to either side."""
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="cube")
+    body.add_freejoint()
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.03, 0.03, 0.03], mass=1.0, group=2
+    )
+    body.add_site(name="centre")
+    for agent, side in zip(AGENTS, (-0.1, 0.1), strict=True):
+        body.add_site(name=agent, pos=[0, side, 0])
+    return spec
+
+
+@pytest.fixture
+def carry():
+    """Return a function that makes the small task."""
+
+    def make(robots=("panda", "panda"), **settings):
+        return Carry([cg.get_robot(name) for name in robots], CarryConfig(**settings))
+
+    return make
+
+
+@pytest.fixture
+def make_env(carry):
+    """Return a function that makes a batch of the small task's worlds."""
+    made = []
+
+    def make(num_envs=1, seed=0, num_threads=1, auto_reset=True, **settings):
+        task = carry(**settings)
+        env = cg.VectorEnv(task, num_envs, seed, num_threads, auto_reset)
+        made.append(env)
+        return env
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
+def carry_id(monkeypatch):
+    """Return an id under which the small task is registered during the test."""
+    env_id = "CarryPandas-v0"
+    for name in ("_ENVS", "_TASKS"):
+        monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
+    cg.register_task("Carry", Carry)
+    cg.register_env(cg.EnvSpec(env_id, Carry, ("panda", "panda")))
+    yield env_id
+    del gymnasium.registry[env_id]
+
+
+@pytest.fixture
+def play():
+    """Return a function that plays worlds with actions that the episode decides."""
+
+    def play(env, steps):
+        """Return the bytes of all that each episode gave, by seed and episode."""
+        seen = {}
+        for _ in range(steps):
+            played = env.progress
+            _, rewards, _, _, infos = env.step(episode_actions(env))
+            for i in range(env.num_envs):
+                rows = [infos["final_observation"][agent][i] for agent in env.agents]
+                rows += [rewards[agent][i] for agent in env.agents]
+                rows += [infos["success"][i]]
+                key = int(played["seed"][i]), int(played["episode"][i])
+                seen[key] = seen.get(key, b"") + b"".join(
+                    np.asarray(row).tobytes() for row in rows
+                )
+        return seen
+
+    return play
+
+
+def episode_actions(env):
+    """Return random actions that depend on each world's episode and step alone."""
+    progress = env.progress
+    rngs = [
+        np.random.default_rng([int(episode), int(step)])
+        for episode, step in zip(progress["episode"], progress["step"], strict=True)
+    ]
+    return {
+        agent: np.stack([rng.uniform(-1, 1, space.shape) for rng in rngs])
+        for agent, space in env.single_action_spaces.items()
+    }

@@ -1,0 +1,216 @@
+"""The arms against published kinematics, limits and masses.
+
+`fk_samples.json` holds poses of flange and grip centre for random joint angles, from
+the makers' kinematics: position (m) and quaternion (w x y z) in the base frame.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.scene import Scene
+
+SAMPLES = json.loads(Path(__file__).with_name("fk_samples.json").read_text())
+NAMES = sorted(SAMPLES)
+
+TURN = 2 * np.pi
+RANGES = {
+    "jaco": [
+        (-TURN, TURN),
+        (0.82030475, 5.4628806),
+        (-TURN, TURN),
+        (0.52359878, 5.7595865),
+        (-TURN, TURN),
+        (1.134464, 5.1487213),
+        (-TURN, TURN),
+    ],
+    "panda": [
+        (-2.8973, 2.8973),
+        (-1.7628, 1.7628),
+        (-2.8973, 2.8973),
+        (-3.0718, -0.0698),
+        (-2.8973, 2.8973),
+        (-0.0175, 3.7525),
+        (-2.8973, 2.8973),
+    ],
+    "sawyer": [
+        (-3.0503, 3.0503),
+        (-3.8095, 2.2736),
+        (-3.0426, 3.0426),
+        (-3.0439, 3.0439),
+        (-2.9761, 2.9761),
+        (-2.9761, 2.9761),
+        (-4.7124, 4.7124),
+    ],
+}
+
+VELOCITIES = {
+    "jaco": (0.62831853,) * 4 + (0.83775804,) * 3,
+    "panda": (2.175,) * 4 + (2.61,) * 3,
+    "sawyer": (1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
+}
+
+TORQUES = {
+    "jaco": (30.5,) * 4 + (6.8,) * 3,
+    "panda": (87.0,) * 4 + (12.0,) * 3,
+    "sawyer": (80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
+}
+
+MASSES = {"jaco": 5.557, "panda": 17.452, "sawyer": 21.095}
+"""Arm, gripper and, of Sawyer, head; in kg."""
+
+
+@pytest.fixture(params=NAMES)
+def robot(request):
+    return cg.get_robot(request.param)
+
+
+def compiled(robot):
+    model = robot.spec().compile()
+    return model, mujoco.MjData(model)
+
+
+def set_joints(robot, data, angles):
+    for joint, angle in zip(robot.joints, angles, strict=True):
+        data.joint(joint).qpos = angle
+
+
+def test_the_arms_are_listed():
+    assert sorted(cg.list_robots()) == NAMES
+    assert all(cg.get_robot(name).name == name for name in NAMES)
+
+
+def test_forward_kinematics_are_the_makers(robot):
+    model, data = compiled(robot)
+    turn, rest = np.zeros(4), np.zeros(4)
+    assert len(SAMPLES[robot.name]) == 20
+    for sample in SAMPLES[robot.name]:
+        set_joints(robot, data, sample["q"])
+        mujoco.mj_kinematics(model, data)
+        for name in ("flange", "tcp"):
+            position, quat = sample[name]
+            site = data.site(name)
+            assert np.linalg.norm(site.xpos - position) < 1e-4
+            mujoco.mju_mat2Quat(turn, site.xmat)
+            mujoco.mju_negQuat(rest, np.array(quat))
+            mujoco.mju_mulQuat(turn, rest, turn.copy())
+            assert 2 * np.linalg.norm(turn[1:]) < np.radians(0.01)
+
+
+def test_joint_ranges_are_the_makers(robot):
+    model, _ = compiled(robot)
+    ranges = [model.joint(joint).range for joint in robot.joints]
+    np.testing.assert_allclose(ranges, RANGES[robot.name], atol=1e-6)
+    assert all(model.joint(joint).limited for joint in robot.joints)
+
+
+def test_speeds_and_torques_are_the_makers(robot):
+    np.testing.assert_allclose(robot.velocity_limits, VELOCITIES[robot.name])
+    np.testing.assert_allclose(robot.torque_limits, TORQUES[robot.name])
+
+
+def test_the_mass_is_the_makers(robot):
+    model, _ = compiled(robot)
+    assert model.body_mass.sum() == pytest.approx(MASSES[robot.name], abs=1e-3)
+
+
+def test_home_is_well_inside_the_ranges_and_touches_nothing(robot):
+    model, data = compiled(robot)
+    low, high = np.transpose(RANGES[robot.name])
+    assert (low + 0.05 < robot.home).all()
+    assert (robot.home < high - 0.05).all()
+    set_joints(robot, data, robot.home)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+
+
+def test_servos_have_the_arms_limits(robot):
+    scene = Scene()
+    scene.add_robot("arm", robot, cg.Placement((0, 0, 1)))
+    model = scene.compile()
+    for i, joint in enumerate(robot.joints):
+        servo = model.actuator(f"arm/{joint}")
+        torque = robot.torque_limits[i]
+        np.testing.assert_allclose(servo.forcerange, (-torque, torque))
+
+
+def test_links_float_and_fingers_do_not_stray(robot):
+    """Links are gravity compensated, as real controllers do; fingers are not."""
+    scene = Scene()
+    scene.add_robot("arm", robot, cg.Placement((0, 0, 1)))
+    model = scene.compile()
+    for joint in robot.joints:
+        body = model.jnt_bodyid[model.joint(f"arm/{joint}").id]
+        assert model.body_gravcomp[body] == 1
+    arm, data = scene.arms["arm"], mujoco.MjData(model)
+    data.qpos[arm.qpos] = data.act[arm.act] = robot.home
+    data.ctrl[arm.fingers] = robot.gripper.open_position
+    for joint in robot.gripper.joints:
+        data.joint(f"arm/{joint}").qpos = robot.gripper.open_position
+    start = data.qpos.copy()
+    mujoco.mj_step(model, data, nstep=100)
+    assert np.abs(data.qpos - start)[arm.qpos].max() < 5e-3
+    stroke = abs(robot.gripper.closed_position - robot.gripper.open_position)
+    for joint in robot.gripper.joints:
+        strayed = data.joint(f"arm/{joint}").qpos - robot.gripper.open_position
+        assert abs(strayed) < 0.1 * stroke
+
+
+def test_fingers_open_and_close_along_the_tcps_y_axis(robot):
+    gripper = robot.gripper
+    assert gripper.position(gripper.open_gap) == pytest.approx(gripper.open_position)
+    assert gripper.position(gripper.closed_gap) == pytest.approx(
+        gripper.closed_position
+    )
+    assert gripper.position(1.0) == pytest.approx(gripper.open_position)
+    model, data = compiled(robot)
+    bodies = [model.jnt_bodyid[model.joint(name).id] for name in gripper.joints]
+    spread = []
+    for position in (gripper.open_position, gripper.closed_position):
+        for joint in gripper.joints:
+            data.joint(joint).qpos = position
+        mujoco.mj_forward(model, data)
+        tcp = data.site("tcp")
+        across = tcp.xmat.reshape(3, 3)[:, 1]
+        spread.append([(data.xipos[body] - tcp.xpos) @ across for body in bodies])
+    opened, closed = np.array(spread)
+    assert opened.min() < 0 < opened.max()
+    assert (np.abs(closed) < np.abs(opened)).all()
+
+
+def test_an_unknown_arm_is_refused_with_the_nearest():
+    with pytest.raises(KeyError) as caught:
+        cg.get_robot("sawer")
+    assert str(caught.value) == (
+        "no robot 'sawer'; robots: jaco, panda, sawyer (did you mean 'sawyer'?)"
+    )
+
+
+@pytest.mark.parametrize(
+    "field",
+    (
+        "home",
+        "velocity_limits",
+        "torque_limits",
+        "stiffness",
+        "damping",
+        "armature",
+    ),
+)
+def test_every_joint_needs_every_value(robot, field):
+    assert cg.get_robot(robot) is robot
+    with pytest.raises(ValueError, match=f"has 7 joints but 6 values in {field}"):
+        replace(robot, **{field: getattr(robot, field)[:6]})
+
+
+def test_names_that_the_model_file_lacks_are_refused(robot):
+    wrong = replace(robot, joints=(*robot.joints[:6], "joint9"))
+    with pytest.raises(ValueError, match=rf"{robot.name}.xml has no joint 'joint9'; j"):
+        wrong.spec()
+    with pytest.raises(ValueError, match=r"has no site 'tool'; sites: .*tcp"):
+        replace(robot, tcp="tool").spec()

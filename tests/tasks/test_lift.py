@@ -1,0 +1,210 @@
+from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from collaborative_gym import math
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.objects.pot import pot
+from collaborative_gym.robots import get_robot, list_robots
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.statics import GRAVITY, greatest_load, strongest_way
+from collaborative_gym.tasks.lift import Lift, LiftConfig, LiftFacts
+from collaborative_gym.tasks.registry import make_task
+
+VARIANTS = ("LiftTaskSawyers-v0", "LiftTaskJacos-v0")
+LEVEL = [1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.fixture(scope="module", params=VARIANTS)
+def env(request):
+    env = VectorEnv(make_task(request.param), num_envs=6, num_threads=1)
+    yield env
+    env.close()
+
+
+def play(env, idle=None, steps=200):
+    env.reset(seed=0)
+    for _ in range(steps):
+        actions = env.expert()
+        if idle is not None:
+            actions[idle][:, :-1], actions[idle][:, -1] = 0.0, -1.0
+        infos = env.step(actions)[4]
+    return infos
+
+
+def facts(pot_pose=((0.0, 0.0, 1.0), LEVEL), far=0.3):
+    """Return facts of two worlds that are alike but for the distance to the handle."""
+    two = np.ones((2, 1))
+    handle = two * np.array([0.0, -0.14, 1.05]), two * np.array(LEVEL)
+    tcp = handle[0] - [[0.01, 0.0, 0.0], [far, 0.0, 0.0]], handle[1]
+    place, quat = two * np.array(pot_pose[0]), two * np.array(pot_pose[1])
+    target = two * np.array([0.0, 0.0, 1.2])
+    roll, pitch = math.roll_pitch(quat)
+    agents = ("robot_1", "robot_2")
+    return LiftFacts(
+        joints=dict.fromkeys(agents, np.zeros((2, 7))),
+        gripping=dict.fromkeys(agents, np.zeros(2)),
+        handles=dict.fromkeys(agents, handle),
+        tcps=dict.fromkeys(agents, tcp),
+        pot=(place, quat),
+        target=target,
+        to_handle=dict.fromkeys(agents, math.distance(handle[0], tcp[0])),
+        to_target=math.distance(place, target),
+        tilt=np.abs(roll) + np.abs(pitch),
+    )
+
+
+def two_joint_task():
+    """Return a task whose actions have two joint components, and that has no world."""
+    task = Lift((get_robot("panda"), get_robot("panda")), LiftConfig())
+    task.controller = SimpleNamespace(joint_actions=lambda agent, action: action[:, :2])
+    return task
+
+
+def test_expert_lifts_from_every_start_and_holds(env):
+    metrics = play(env)["metrics"]
+    assert metrics["completion"].mean() == 1.0
+    assert metrics["performance"].mean() > 0.95
+
+
+@pytest.mark.parametrize("idle", ("robot_1", "robot_2"))
+def test_expert_fails_while_one_robot_is_idle(env, idle):
+    assert play(env, idle)["metrics"]["completion"].max() == 0.0
+
+
+def test_pot_is_held_level_and_at_its_handles(env):
+    play(env, steps=150)
+    assert env.facts.tilt.max() < np.radians(5)
+    for agent in env.agents:
+        assert env.facts.gripping[agent].all()
+        assert env.facts.to_handle[agent].max() < 0.003
+
+
+def test_joint_torques_stay_within_the_limits_while_holding(env):
+    play(env, steps=100)
+    data = env.sim.data(0)
+    for arm in env.scene.arms.values():
+        torque = np.abs(data.actuator_force[arm.servos])
+        assert (torque <= np.array(arm.robot.torque_limits) + 1e-9).all()
+
+
+def test_observation_has_the_blocks_of_the_thesis(env):
+    for sizes in env.observation_blocks.values():
+        assert list(sizes.items()) == [
+            ("robot_1 joints", 7),
+            ("robot_2 joints", 7),
+            ("robot_1 gripping", 1),
+            ("robot_2 gripping", 1),
+            ("robot_1 handle", 7),
+            ("robot_2 handle", 7),
+            ("robot_1 tcp", 7),
+            ("robot_2 tcp", 7),
+            ("pot", 7),
+            ("target", 3),
+        ]
+
+
+def test_start_is_at_rest_and_free_of_contact_but_for_the_table(env):
+    env.reset(seed=0)
+    for world in range(env.num_envs):
+        data = env.sim.data(world)
+        names = {
+            frozenset(env.model.body(env.model.geom_bodyid[i]).name for i in geoms)
+            for geoms in data.contact.geom
+        }
+        assert names <= {frozenset({"pot/pot", "table/table"})}
+
+
+def test_reward_terms_by_hand():
+    task = two_joint_task()
+    actions = dict.fromkeys(task.agents, np.array([[0.6, 0.8, 1.0]] * 2))
+    terms = task.reward(facts(), actions)["robot_1"]
+    assert terms["reach"] == pytest.approx([-0.01, -0.3])
+    assert terms["lift"] == pytest.approx([-0.4, -0.4])
+    assert terms["tilt"] == pytest.approx([0.0, 0.0])
+    assert terms["effort"] == pytest.approx([-0.01, -0.01])
+    assert terms["grip"] == pytest.approx([0.1, 0.0])
+
+
+def test_grip_is_rewarded_only_where_it_is_asked_for():
+    task = two_joint_task()
+    actions = dict.fromkeys(task.agents, np.array([[0.0, 0.0, -1.0]] * 2))
+    assert task.reward(facts(), actions)["robot_2"]["grip"].max() == 0.0
+
+
+def test_tilt_is_roll_and_pitch_and_costs_a_fifth(env):
+    env.reset(seed=0)
+    first = int(env.model.jnt_qposadr[env.model.body("pot/pot").jntadr[0]])
+    roll, pitch = (math.from_rotation_vector(0.3 * axis) for axis in np.eye(3)[:2])
+    env.sim.qpos[0, first + 3 : first + 7] = roll
+    env.sim.qpos[1, first + 3 : first + 7] = math.multiply(pitch, roll)
+    env.sim.forward()
+    measured = env.task.measure(env.sim)
+    assert measured.tilt[:3] == pytest.approx([0.3, 0.6, 0.0], abs=1e-6)
+    actions = {agent: np.zeros((6, 8)) for agent in env.agents}
+    for terms in env.task.reward(measured, actions).values():
+        assert terms["tilt"][:3] == pytest.approx([-0.06, -0.12, 0.0], abs=1e-6)
+
+
+def test_success_is_within_the_radius_in_both_grips():
+    task = Lift((get_robot("panda"), get_robot("panda")), LiftConfig())
+    gripping = {"robot_1": np.array([1.0, 1.0]), "robot_2": np.array([1.0, 0.0])}
+    near = replace(facts(((0.0, 0.1, 1.29), LEVEL)), gripping=gripping)
+    # The second world's pot was swung there by one arm.
+    assert task.success(near).tolist() == [True, False]
+    far = replace(facts(((0.0, 0.1, 1.32), LEVEL)), gripping=gripping)
+    assert not task.success(far).any()
+
+
+@pytest.mark.parametrize("robots", tuple(product(list_robots(), repeat=2)))
+def test_pot_is_too_heavy_for_one_and_light_enough_for_two(robots):
+    task = make_task("Lift", robots=robots)
+    task.build(Scene())
+    assert task.pot_mass >= 1.2 * max(task.weighing.alone)
+    assert task.weighing.together >= 1.2 * task.pot_mass
+    assert max(task.weighing.shares) <= 0.65
+
+
+def test_arms_that_do_not_suit_each_other_are_refused_with_their_loads():
+    near = (
+        Placement((0, -0.6, 0.65), np.pi / 2),
+        Placement((0, 0.9, 0.65), -np.pi / 2),
+    )
+    task = make_task("Lift", robots=("panda", "jaco"), placements=near)
+    with pytest.raises(ValueError, match="too unequal for Lift"):
+        task.build(Scene())
+
+
+def test_pot_mass_can_be_given():
+    task = make_task("Lift", robots=("jaco", "jaco"), pot_mass=1.5)
+    task.build(Scene())
+    assert task.pot_mass == 1.5
+
+
+@pytest.mark.parametrize("settings", ({"mass": 0.0}, {"mass": 1.0, "balance": 0.06}))
+def test_impossible_pots_are_refused(settings):
+    with pytest.raises(ValueError, match="the mass must be positive"):
+        pot(**settings)
+
+
+def test_contents_shift_the_centre_of_mass():
+    model = pot(10.0, balance=0.02).compile()
+    assert model.body("pot").mass[0] == pytest.approx(10.0)
+    assert model.body("pot").ipos == pytest.approx([0.0, 0.02, 0.0])
+
+
+def test_greatest_load_is_bounded_by_the_shoulder():
+    robot = get_robot("jaco")
+    load = greatest_load(robot, ((0.7, 0.0, 0.3),))
+    # Two shoulder joints at right angles carry it between them at most.
+    assert 0.7 * robot.payload < load < 2 * robot.torque_limits[1] / (0.7 * GRAVITY)
+    stronger = replace(robot, torque_limits=tuple(2 * t for t in robot.torque_limits))
+    assert greatest_load(stronger, ((0.7, 0.0, 0.3),)) == pytest.approx(2 * load)
+
+
+def test_way_out_of_reach_is_refused():
+    with pytest.raises(ValueError, match="jaco cannot carry a load"):
+        strongest_way(get_robot("jaco"), (1.5, 0.0, 0.1), (1.5, 0.0, 0.5))

@@ -1,0 +1,30 @@
+"""Settings that no world could be made of are refused when they are made."""
+
+import pytest
+
+from collaborative_gym import Randomization, TaskConfig
+from collaborative_gym.tasks.registry import make_task
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1"),
+        ({"max_episode_steps": 1.5}, "got 1.5"),
+        ({"max_episode_steps": "long"}, "got 'long'"),
+        ({"success_radius": float("nan")}, "success_radius must be finite, got nan"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        make_task("Lift", **settings)
+
+
+@pytest.mark.parametrize("noise", [-0.1, float("inf")])
+def test_randomization_out_of_range_is_refused(noise):
+    with pytest.raises(ValueError, match="joint_noise must be finite and at least 0"):
+        Randomization(joint_noise=noise)
+
+
+def test_the_default_settings_are_in_range():
+    assert TaskConfig().max_episode_steps == 200

@@ -1,0 +1,161 @@
+import json
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from importlib.metadata import version
+
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.cli import main
+
+PACKAGE = "collaborative-gym"
+
+
+def test_list_has_a_line_per_environment(carry_id, capsys):
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for env_id in cg.list_envs():
+        assert sum(line.split()[:1] == [env_id] for line in lines) == 1
+    carry = next(line for line in lines if line.startswith(carry_id))
+    assert "  ".join(carry.split()[1:]) == "19,  19  8,  8  panda,  panda"
+    assert max(map(len, lines[: len(cg.list_envs()) + 2])) <= 80
+
+
+def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
+    files = tmp_path / "a.json", tmp_path / "a.csv"
+    arguments = ["evaluate", carry_id, "--episodes", "3", "--num-threads", "1"]
+    assert main([*arguments, "--json", str(files[0]), "--csv", str(files[1])]) == 0
+    assert "100 %" in capsys.readouterr().out
+    content = json.loads(files[0].read_text())
+    assert content[carry_id]["completion"]["mean"] == 1.0
+    assert len(files[1].read_text().splitlines()) == 4
+
+
+def test_evaluate_takes_robots_presets_and_idle_agents(carry_id, tmp_path):
+    file = tmp_path / "a.json"
+    options = "--episodes 1 --seed 5 --policy random --randomization paper"
+    robots = "--robots panda jaco --idle robot_2"
+    arguments = ["evaluate", "Carry", *options.split(), *robots.split()]
+    assert main([*arguments, "--json", str(file)]) == 0
+    settings = json.loads(file.read_text())["Carry"]["settings"]
+    assert settings["robots"] == ["panda", "jaco"]
+    assert settings["randomization"]["joint_noise"] == 0.0
+    assert (settings["seed"], settings["idle"]) == (5, ["robot_2"])
+
+
+def test_record_writes_the_video(carry_id, capsys, tmp_path):
+    file = tmp_path / "a.gif"
+    size = ["--size", "64", "48"]
+    assert main(["record", carry_id, "--output", str(file), *size]) == 0
+    assert file.stat().st_size > 0
+    assert str(file) in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("evaluate CarryPanda-v0", "did you mean 'CarryPandas-v0'?"),
+        ("evaluate Carry --all", "name environments or pass --all, not both"),
+        ("evaluate Carry --json a --csv a", "a is named for two outputs"),
+        ("evaluate", "name the environments to evaluate, or pass --all"),
+        ("evaluate Carry --policy exprt", "did you mean 'expert'?"),
+        ("evaluate Carry --robots panda", "needs 2 robots, got 1"),
+        ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),
+        ("evaluate Carry --randomization none", "default, paper"),
+        ("evaluate Carry --episodes 0", "episodes must be at least 1"),
+        ("record Carry --output a.avi", ".gif, .mp4"),
+        ("benchmark Cary", "did you mean 'Carry'?"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(carry_id, capsys, arguments, message):
+    assert main(arguments.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
+    assert message in printed.err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "benchmark"])
+def test_what_cannot_be_written_shows_before_the_work(tmp_path, capsys, command):
+    files = tmp_path, tmp_path / "a" / "b.json"
+    (tmp_path / "a").touch()
+    for file in files:
+        arguments = [command, "PokeTaskSawyers-v0", "--json", str(file)]
+        started = time.perf_counter()
+        assert main(arguments) == 1
+        assert time.perf_counter() - started < 1.0
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith(f"error: cannot write {file}: ")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def test_benchmark_takes_a_tasks_name(tmp_path, capsys):
+    file = tmp_path / "a.json"
+    arguments = ["benchmark", "Poke", "--num-envs", "2", "--num-threads", "1"]
+    assert main([*arguments, "--json", str(file)]) == 0
+    assert json.loads(file.read_text())["environments"][0]["environment"] == "Poke"
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "2 worlds on 1 thread, the environment" in printed
+    assert " to " not in printed
+
+
+def test_a_size_is_two_numbers(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["record", "Poke", "--output", "a.mp4", "--size", "640"])
+    message = capsys.readouterr().err
+    assert "'--size'. Expected 2 values" in message and "NoneType" not in message
+
+
+def test_version_is_that_of_the_package(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"collaborative-gym {version(PACKAGE)}\n"
+
+
+def test_environments_are_optional_where_help_says_so(capsys):
+    for command in ("evaluate", "benchmark"):
+        with pytest.raises(SystemExit, match="0"):
+            main([command, "--help"])
+        assert " [ENV ...]" in capsys.readouterr().out.splitlines()[0]
+
+
+@pytest.mark.parametrize("command", ["", "record", "evaluate", "view", "benchmark"])
+def test_help_fits_a_terminal(capsys, command):
+    with pytest.raises(SystemExit, match="0"):
+        main([*command.split(), "--help"])
+    assert "usage: collaborative-gym" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window may open")
+@pytest.mark.parametrize(
+    "flag", [["--env", "Carry"], ["--env=Carry"], ["view", "Carry"]]
+)
+def test_view_without_a_display_says_what_to_do(carry_id, capsys, monkeypatch, flag):
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(sys, "argv", ["collaborative_gym", *flag])
+    with pytest.raises(SystemExit) as ending:
+        runpy.run_module("collaborative_gym", run_name="__main__")
+    assert ending.value.code == 1
+    assert "collaborative-gym record" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
+    module = [sys.executable, "-m", "collaborative_gym", "record"]
+    output = ["--output", str(tmp_path / "a.mp4"), "--episodes", "20"]
+    process = subprocess.Popen([*module, "PokeTaskSawyers-v0", *output])
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+        assert process.poll() is None
+        time.sleep(0.05)
+    time.sleep(0.5)
+    os.kill(process.pid, sent)
+    assert process.wait(timeout=30) == status
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,155 @@
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from collaborative_gym import recording
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.files import check_writable, replacing, write_text
+
+imageio = pytest.importorskip("imageio.v2")
+
+SIZE = (64, 48)
+
+
+@pytest.mark.parametrize("shots", [2, 5, 10])
+def test_filming_changes_no_bit(make_env, play, shots):
+    plain, filmed = make_env(2), make_env(2)
+    seen = []
+    filmed.watch(lambda: seen.append(filmed.sim.qpos.copy()), shots)
+    for env in (plain, filmed):
+        env.reset(seed=1)
+    assert play(plain, 15) == play(filmed, 15)
+    assert len(seen) == 15 * shots
+    assert np.array_equal(plain.sim.get_state(), filmed.sim.get_state())
+
+
+def test_watching_needs_a_divisor_of_the_substeps(make_env):
+    with pytest.raises(ValueError, match="shots must divide 10, got 3"):
+        make_env().watch(print, 3)
+
+
+def test_mp4_plays_in_real_time(carry, tmp_path):
+    task = carry(max_episode_steps=3)
+    path = recording.record(task, tmp_path / "new" / "a.mp4", episodes=2, size=SIZE)
+    with imageio.get_reader(path) as video:
+        frames, meta = list(video.iter_data()), video.get_meta_data()
+    assert len(frames) == 2 * (1 + 2 * 3)
+    assert meta["fps"] == 20 and meta["codec"] == "h264"
+    assert meta["pix_fmt"].startswith("yuv420p") and meta["size"] == SIZE
+    assert frames[0].std() > 10
+    assert [entry.name for entry in path.parent.iterdir()] == ["a.mp4"]
+
+
+def test_gif_plays_in_real_time(carry, tmp_path):
+    task = carry(max_episode_steps=4)
+    path = recording.record(task, tmp_path / "a.GIF", "random", size=SIZE)
+    with Image.open(path) as video:
+        durations = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
+        assert video.size == SIZE
+    assert sum(durations) == 5 * 100
+
+
+def test_frames_are_drawn_anew_only_when_something_moves(make_env):
+    env = make_env(1)
+    env.reset(seed=0)
+    draw = recording._Painter(env, SIZE)
+    first, again = draw(), draw()
+    env.sim.qpos[0, 3] += 0.1
+    moved = draw()
+    assert first is again
+    assert not np.array_equal(first, moved)
+    assert np.array_equal(moved, env.render(0, *SIZE))
+
+
+def test_video_shows_the_episode_that_evaluate_plays(carry, tmp_path):
+    played = []
+
+    def policy(observations):
+        played.append(observations["robot_1"][0])
+        return {agent: np.zeros((1, 8)) for agent in observations}
+
+    task = carry(max_episode_steps=2)
+    recording.record(task, tmp_path / "a.gif", policy, seed=4, size=SIZE)
+    env = VectorEnv(task, 3, num_threads=1)
+    observations, _ = env.reset(seed=4)
+    assert np.array_equal(played[0], observations["robot_1"][0])
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("name", ["a.mp4", "a.gif"])
+def test_nothing_is_left_after_an_error(carry, tmp_path, name, error):
+    steps = []
+
+    def policy(observations):
+        steps.append(None)
+        if len(steps) == 3:
+            raise error
+        return {agent: np.zeros((1, 8)) for agent in observations}
+
+    with pytest.raises(error):
+        recording.record(carry(), tmp_path / name, policy, size=SIZE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_picture_shows_the_robots_at_work(carry):
+    first = recording.picture(carry(), size=SIZE)
+    assert first.shape == (48, 64, 3) and first.dtype == np.uint8
+    assert np.array_equal(first, recording.picture(carry(), size=SIZE))
+
+
+def test_contact_sheet_is_a_labelled_grid(tmp_path):
+    colours = [(200, 0, 0), (0, 200, 0), (0, 0, 200), (99, 99, 99), (200, 200, 0)]
+    pictures = [np.full((270, 480, 3), colour, np.uint8) for colour in colours]
+    path = recording.contact_sheet(
+        pictures, list("abcde"), tmp_path / "sheet.png", columns=3
+    )
+    with Image.open(path) as sheet:
+        pixels = np.asarray(sheet.convert("RGB"))
+    for colour in colours:
+        assert (pixels == colour).all(axis=2).sum() == 270 * 480
+    is_ink = (pixels < 80).all(axis=2)
+    assert is_ink.any()
+    assert pixels.shape[1] > 3 * 480 and 2 * 270 < pixels.shape[0] < 3 * 270
+
+
+def test_bad_input_says_what_is_allowed(carry, tmp_path):
+    with pytest.raises(ValueError, match=r"formats: .gif, .mp4"):
+        recording.record(carry(), tmp_path / "a.mp3")
+    with pytest.raises(ValueError, match="must be even, got 63 x 48"):
+        recording.record(carry(), tmp_path / "a.mp4", size=(63, 48))
+    with pytest.raises(ValueError, match="episodes must be at least 1"):
+        recording.record(carry(), tmp_path / "a.mp4", episodes=0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_extra_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(ImportError, match=r"pip install 'collaborative-gym\[video\]'"):
+        recording.check_ready()
+
+
+def test_errors_name_the_file_that_was_asked_for(tmp_path):
+    (tmp_path / "file").touch()
+    for path in (tmp_path, tmp_path / "file" / "a.txt"):
+        with pytest.raises(OSError, match=f"^cannot write {path}: [^']*$"):
+            write_text(path, "new")
+        with pytest.raises(OSError, match=f"^cannot write {path}: [^']*$"):
+            check_writable(path)
+    check_writable(tmp_path / "file")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_file_is_replaced_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+    with pytest.raises(KeyboardInterrupt), replacing(path) as partial:
+        partial.write_text("ne")
+        raise KeyboardInterrupt
+    with pytest.raises(OSError):
+        partial.write_text("an encoder that started late")
+    assert path.read_text() == "old"
+    write_text(path, "new")
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,118 @@
+import mujoco
+import numpy as np
+import pytest
+
+from collaborative_gym.objects.table import table
+from collaborative_gym.robots import get_robot
+from collaborative_gym.scene import Placement, Scene
+
+
+def ball():
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="ball")
+    body.add_freejoint(name="free")
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.03, 0, 0], name="shape")
+    body.add_site(name="centre")
+    return spec
+
+
+@pytest.fixture
+def scene():
+    scene = Scene()
+    scene.add_robot("robot_1", get_robot("panda"), Placement((0, -1, 0.7)))
+    scene.add_robot("robot_2", get_robot("sawyer"), Placement((0, 1, 1.0), np.pi), 0.02)
+    scene.add("ball", ball(), (0, 0, 1.0))
+    scene.add_grip("robot_1", "ball/centre", threshold=0.03, width=0.04)
+    scene.add_target("goal", 0.02, (0, 1, 0, 1))
+    return scene
+
+
+def test_arms_are_found_under_their_agents_prefix(scene):
+    model = scene.compile()
+    for agent in ("robot_1", "robot_2"):
+        arm = scene.arms[agent]
+        names = [f"{agent}/{joint}" for joint in arm.robot.joints]
+        assert [model.joint(i).name for i in range(model.njnt)][arm.dof] == names
+        assert [model.actuator(i).name for i in range(model.nu)][arm.servos] == names
+        assert model.site(arm.tcp).name == f"{agent}/tcp"
+    assert scene.arms["robot_1"].fingers.stop - scene.arms["robot_1"].fingers.start == 2
+    assert scene.arms["robot_2"].fingers == slice(0, 0)
+
+
+def test_fingers_that_hold_a_tool_are_fixed_at_its_width():
+    gaps = {}
+    for width in (0.02, 0.05):
+        scene = Scene()
+        scene.add_robot("robot_1", get_robot("panda"), Placement((0, 0, 1)), width)
+        model = scene.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        tips = [data.body(f"robot_1/{side}_finger").xpos for side in ("left", "right")]
+        gaps[width] = np.linalg.norm(tips[0] - tips[1])
+        assert model.nv == 7
+    assert gaps[0.05] - gaps[0.02] == pytest.approx(0.03, abs=1e-6)
+
+
+def test_a_repeated_grip_of_a_site_reads_one_sensor(scene):
+    scene.add_grip("robot_2", "ball/centre", threshold=0.03, width=0.04)
+    model = scene.compile()
+    assert [grip.agent for grip in scene.grips] == ["robot_1", "robot_2"]
+    assert model.neq == 2
+    assert not model.eq_active0.any()
+
+
+def test_physics_leaves_out_what_is_only_seen_and_keeps_every_mass(scene):
+    physics, drawn = scene.compile(), scene.compile_to_draw()
+    assert physics.ngeom < drawn.ngeom
+    assert np.all((physics.geom_contype | physics.geom_conaffinity) > 0)
+    moves = physics.body_jntnum[physics.body_weldid] > 0
+    np.testing.assert_array_equal(physics.body_mass[moves], drawn.body_mass[moves])
+    inertias = physics.body_inertia[moves], drawn.body_inertia[moves]
+    np.testing.assert_array_equal(*inertias)
+    assert physics.nq == drawn.nq
+
+
+def test_a_table_carries_and_its_legs_are_in_the_way():
+    scene = Scene()
+    scene.add("table", table())
+    scene.add("ball", ball())
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    for place, touches in (
+        ((0.0, 0.0, 0.66), True),
+        ((0.25, -0.55, 0.3), True),
+        ((0.0, 0.0, 0.3), False),
+    ):
+        data.joint("ball/free").qpos[:3] = place
+        mujoco.mj_forward(model, data)
+        assert bool(data.ncon) == touches, place
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "collide"),
+    [
+        ("robot_1/link5_upper_collision", "robot_2/link5_upper_collision", True),
+        ("robot_1/link5_upper_collision", "robot_1/link2_collision", True),
+        ("robot_1/hand_collision", "ball/shape", True),
+        ("robot_1/left_finger_collision", "ball/shape", False),
+        ("robot_1/left_finger_collision", "floor", True),
+        ("ball/shape", "floor", True),
+        ("robot_1_stand/table_top_collision", "floor", False),
+    ],
+)
+def test_collision_bits(first, second, collide):
+    scene = Scene()
+    for agent, y in (("robot_1", -1), ("robot_2", 1)):
+        scene.add_robot(agent, get_robot("panda"), Placement((0, y, 0.7)))
+    scene.add("ball", ball(), (0, 0, 1.0))
+    model = scene.compile()
+    a, b = _geom(model, first), _geom(model, second)
+    bits = (model.geom_contype, model.geom_conaffinity)
+    meet = (bits[0][a] & bits[1][b]) | (bits[0][b] & bits[1][a])
+    assert bool(meet) == collide
+
+
+def _geom(model, name):
+    found = [i for i in range(model.ngeom) if model.geom(i).name.startswith(name)]
+    assert found, [model.geom(i).name for i in range(model.ngeom)]
+    return found[0]
