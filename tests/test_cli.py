@@ -10,7 +10,10 @@ from importlib.metadata import version
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.cli import main
+from collaborative_gym.cli.commands import Evaluate, Reproduce
+from collaborative_gym.cli.main import main
+from collaborative_gym.evaluation import table11
+from collaborative_gym.policies import policy
 
 PACKAGE = "collaborative-gym"
 
@@ -29,10 +32,19 @@ def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
     files = tmp_path / "a.json", tmp_path / "a.csv"
     arguments = ["evaluate", carry_id, "--episodes", "3", "--num-threads", "1"]
     assert main([*arguments, "--json", str(files[0]), "--csv", str(files[1])]) == 0
-    assert "100 %" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert "100 %" in "".join(lines) and max(map(len, lines)) <= 80
+    assert "3 episodes and their 95 % intervals" in " ".join(" ".join(lines).split())
     content = json.loads(files[0].read_text())
     assert content[carry_id]["completion"]["mean"] == 1.0
     assert len(files[1].read_text().splitlines()) == 4
+
+
+def test_thesis_and_we_count_200_episodes(carry_id):
+    commands = Evaluate(), Reproduce(table="table11")
+    assert [command.episodes for command in commands] == [200, 200]
+    report = cg.evaluate(carry_id, "random", num_threads=1)
+    assert len(report.episodes) == 200
 
 
 def test_evaluate_takes_robots_presets_and_idle_agents(carry_id, tmp_path):
@@ -45,6 +57,25 @@ def test_evaluate_takes_robots_presets_and_idle_agents(carry_id, tmp_path):
     assert settings["robots"] == ["panda", "jaco"]
     assert settings["randomization"]["joint_noise"] == 0.0
     assert (settings["seed"], settings["idle"]) == (5, ["robot_2"])
+
+
+def test_reproduce_prints_the_table_and_writes_files(
+    carry_id, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(table11, "THESIS", {carry_id: table11.Thesis(-1.0, 0.5, 0.5)})
+    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    folder = tmp_path / "a" / "b"
+    arguments = "reproduce table11 --episodes 3 --seed 2 --num-threads 1 --output"
+    assert main([*arguments.split(), str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "FAIL: 5 of 5 cells"
+    assert max(map(len, lines[:-2])) <= 80
+    completion = next(line for line in lines if "completion" in line)
+    assert completion.split()[:5] == ["completion", "50.00", "%", "-", "FAIL"]
+    content = json.loads((folder / "table11.json").read_text())
+    assert (content["episodes"], content["seed"]) == (3, 2)
+    assert carry_id in (folder / "table11.md").read_text()
+    assert len(list(folder.iterdir())) == 2
 
 
 def test_record_writes_the_video(carry_id, capsys, tmp_path):
@@ -68,6 +99,7 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
         ("evaluate Carry --randomization none", "default, paper"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
         ("record Carry --output a.avi", ".gif, .mp4"),
+        ("reproduce table12", "no table 'table12'; tables: table11"),
         ("benchmark Cary", "did you mean 'Carry'?"),
     ],
 )
@@ -92,6 +124,13 @@ def test_what_cannot_be_written_shows_before_the_work(tmp_path, capsys, command)
         assert printed.out == ""
         assert printed.err.startswith(f"error: cannot write {file}: ")
     assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+
+
+def test_reproduce_shows_before_the_work_that_it_cannot_write(tmp_path, capsys):
+    (tmp_path / "table11.json").mkdir()
+    assert main(["reproduce", "table11", "--output", str(tmp_path)]) == 1
+    message = capsys.readouterr().err
+    assert message.startswith(f"error: cannot write {tmp_path / 'table11.json'}: ")
 
 
 def test_benchmark_takes_a_tasks_name(tmp_path, capsys):
@@ -123,7 +162,9 @@ def test_environments_are_optional_where_help_says_so(capsys):
         assert " [ENV ...]" in capsys.readouterr().out.splitlines()[0]
 
 
-@pytest.mark.parametrize("command", ["", "record", "evaluate", "view", "benchmark"])
+@pytest.mark.parametrize(
+    "command", ["", "record", "evaluate", "reproduce", "view", "benchmark"]
+)
 def test_help_fits_a_terminal(capsys, command):
     with pytest.raises(SystemExit, match="0"):
         main([*command.split(), "--help"])

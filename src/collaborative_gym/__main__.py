@@ -2,7 +2,7 @@
 
 import sys
 
-from collaborative_gym.cli import main
+from collaborative_gym.cli.main import main
 
 if __name__ == "__main__":
     arguments = sys.argv[1:]

@@ -106,7 +106,7 @@ def benchmark(
         speeds.append(_measure(env_id, num_envs, num_threads))
         if on_progress is not None:
             on_progress(len(speeds) / len(env_ids))
-    return Benchmark(_machine(), num_envs, num_threads, tuple(speeds))
+    return Benchmark(describe_machine(), num_envs, num_threads, tuple(speeds))
 
 
 def cores() -> int:
@@ -133,7 +133,8 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     )
 
 
-def _machine() -> dict[str, str | int]:
+def describe_machine() -> dict[str, str | int]:
+    """Return the processor, its cores, and the versions that speed depends on."""
     return {
         "cpu": _cpu_name(),
         "cores": cores(),

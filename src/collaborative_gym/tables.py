@@ -9,6 +9,7 @@ from rich.text import Text
 from collaborative_gym.benchmark import Benchmark
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.report import Report, Statistic, show
+from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 
 
 def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
@@ -27,7 +28,7 @@ def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
 
 def reports_table(reports: Sequence[Report]) -> Table:
     """Return what evaluations found, with 95 % intervals below the means."""
-    columns = ("mean reward", "completion", "performance", "steps/s")
+    columns = ("mean reward", "completion", "performance", "time to\nsuccess")
     table = _table("environment", *columns)
     for report in reports:
         table.add_row(
@@ -35,8 +36,32 @@ def reports_table(reports: Sequence[Report]) -> Table:
             _two_lines(report.mean_reward),
             _two_lines(report.completion, percent=True),
             _two_lines(report.performance, percent=True),
-            f"{report.steps_per_second:,.0f}",
+            _two_lines(report.time_to_success, unit=" s"),
         )
+    episodes = ", ".join(dict.fromkeys(str(len(report.episodes)) for report in reports))
+    rates = [report.steps_per_second for report in reports]
+    table.caption = (
+        f"Means over {episodes} episodes and their 95 % intervals;"
+        f" {_ends(rates)} steps per second."
+    )
+    return table
+
+
+def table11_table(table11: Table11) -> Table:
+    """Return the thesis's numbers beside ours, each environment's below its id."""
+    names = (name.replace(" on ", " on\n") for name in column_names())
+    table = _table("environment", "thesis", *names)
+    last = None
+    for env_id, measure, *cells in table11.lines(reward_digits=1):
+        if env_id != last:
+            table.add_row(Text(env_id, "bold"))
+            last = env_id
+        texts = [Text(cell) for cell in cells]
+        for text in texts:
+            text.highlight_words(["PASS"], "green")
+            text.highlight_words(["FAIL"], "bold red")
+        table.add_row(f"  {measure}", *texts)
+    table.caption = f"{table11.about()}\n{NOTE}"
     return table
 
 
@@ -64,13 +89,12 @@ def benchmark_table(benchmark: Benchmark) -> Table:
             f"{speed.kb_per_env:.0f}",
         )
     machine, threads = benchmark.machine, benchmark.num_threads
-    rates = sorted(speed.rate_per_core for speed in benchmark.environments)
-    ends = dict.fromkeys(f"{rate:,.0f}" for rate in (rates[0], rates[-1]))
+    rates = [speed.rate_per_core for speed in benchmark.environments]
     table.caption = (
         f"Control steps per second (1/s); bare physics and environment with"
         f" {benchmark.num_envs} worlds on {threads}"
         f" {'thread' if threads == 1 else 'threads'}, the environment"
-        f" {' to '.join(ends)} per core; single: one PettingZoo environment.\n"
+        f" {_ends(rates)} per core; single: one PettingZoo environment.\n"
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}"
     )
@@ -92,6 +116,12 @@ def _table(first: str, *others: str) -> Table:
     return table
 
 
-def _two_lines(statistic: Statistic, percent: bool = False) -> Text:
-    mean, _, interval = show(statistic, percent).partition(" (")
+def _two_lines(statistic: Statistic, percent: bool = False, unit: str = "") -> Text:
+    mean, _, interval = show(statistic, percent, unit).partition(" (")
     return Text.assemble(mean, "\n", (interval.rstrip(")"), "dim"))
+
+
+def _ends(rates: Sequence[float]) -> str:
+    """Return the least and the greatest rate, once if they read the same."""
+    ends = min(rates), max(rates)
+    return " to ".join(dict.fromkeys(f"{rate:,.0f}" for rate in ends))

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -24,7 +25,7 @@ _MOST_ENVS = 64
 
 def evaluate(
     env: str | Task,
-    policy: str | Policy = "expert",
+    policy: str | Path | Policy = "expert",
     episodes: int = 200,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
@@ -40,8 +41,8 @@ def evaluate(
 
     Args:
       env: an environment id, a task's name, or a task.
-      policy: a name for `load_policy`, or a function from observations to actions,
-        both by agent with one row per world.
+      policy: a name or path for `load_policy`, such as "baseline", or a function from
+        observations to actions, both by agent with one row per world.
       episodes: how many.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
@@ -53,10 +54,11 @@ def evaluate(
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
+      FileNotFoundError: if there is no such policy file or baseline.
       KeyError: if a name is unknown.
       TypeError: if the policy, a number or `idle` is of another kind.
-      ValueError: if a number is out of range, or `robots` or `randomization` is given
-        beside a task, which has its own.
+      ValueError: if a number is out of range, the policy does not fit the environment,
+        or `robots` or `randomization` is given beside a task, which has its own.
     """
     check_count("episodes", episodes, at_least=1)
     if isinstance(idle, str):
@@ -74,15 +76,7 @@ def evaluate(
     started = time.perf_counter()
     rows, steps_done = _play(vector_env, act, episodes, seed, steps, on_progress)
     duration = time.perf_counter() - started
-    settings = {
-        "robots": [robot.name for robot in task.robots.values()],
-        "randomization": asdict(task.config.randomization),
-        "policy": policy if isinstance(policy, str) else _name(policy),
-        "episodes": episodes,
-        "seed": seed,
-        "idle": list(idle),
-        "mujoco": mujoco.__version__,
-    }
+    settings = _settings(task, policy, episodes, seed, idle)
     rate = steps_done * num_envs / duration
     vector_env.close()
     return _report(env if isinstance(env, str) else _name(task), settings, rows, rate)
@@ -122,7 +116,7 @@ def _play(
         observations, _, _, _, infos = env.step(policy(observations))
         done += 1
         for i in np.flatnonzero(infos["ended"]):
-            row = _row(infos, int(i))
+            row = episode_row(infos, int(i))
             # The worlds' last round may play more episodes than were asked for.
             if row["episode"] < episodes:
                 rows[row["episode"]] = row
@@ -131,8 +125,13 @@ def _play(
     return [rows[episode] for episode in range(episodes)], done
 
 
-def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return what is known of the episode that world i has ended."""
+def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """Return what is known of the episode that world i has ended, as a `Report` has it.
+
+    Args:
+      infos: what the step that ended it gave, from `VectorEnv.step`.
+      i: the world, one of those in `infos["ended"]`.
+    """
     metrics = infos["metrics"]
     row: dict[str, Any] = {
         "episode": int(metrics["episode"][i]),
@@ -149,6 +148,25 @@ def _row(infos: dict[str, Any], i: int) -> dict[str, Any]:
         for name, term in metrics["reward_terms"][agent].items():
             row[f"{agent}/{name}"] = float(term[i])
     return row
+
+
+def _settings(
+    task: Task,
+    policy: str | Path | Policy,
+    episodes: int,
+    seed: int,
+    idle: Sequence[str],
+) -> dict[str, Any]:
+    """Return what decides the numbers, as a `Report` has it."""
+    return {
+        "robots": [robot.name for robot in task.robots.values()],
+        "randomization": asdict(task.config.randomization),
+        "policy": str(policy) if isinstance(policy, str | Path) else _name(policy),
+        "episodes": episodes,
+        "seed": seed,
+        "idle": list(idle),
+        "mujoco": mujoco.__version__,
+    }
 
 
 def _report(

@@ -97,13 +97,13 @@ class Report:
 def reports_to_json(reports: Sequence[Report]) -> str:
     """Return reports as one JSON object by environment, with null for NaN."""
     content = {report.environment: asdict(report) for report in reports}
-    return json.dumps(_without_nan(content), indent=2) + "\n"
+    return json.dumps(without_nan(content), indent=2) + "\n"
 
 
 def reports_to_csv(reports: Sequence[Report]) -> str:
     """Return all episodes of the reports as one CSV; what a row lacks is empty."""
     rows = [
-        {"environment": report.environment, **_without_nan(row)}
+        {"environment": report.environment, **without_nan(row)}
         for report in reports
         for row in report.episodes
     ]
@@ -116,25 +116,31 @@ def reports_to_csv(reports: Sequence[Report]) -> str:
 
 
 def reports_to_markdown(reports: Sequence[Report]) -> str:
-    """Return a Markdown table, one environment per line, means with 95 % intervals."""
+    """Return a Markdown table, one line for each environment and measure."""
     lines = [
-        "| environment | mean reward | completion | performance | time to success |",
-        "|---|---|---|---|---|",
+        "| environment | measure | mean (95 % interval) | interquartile mean |",
+        "|---|---|---|---|",
     ]
     for report in reports:
-        cells = [
-            report.environment,
-            show(report.mean_reward),
-            show(report.completion, percent=True),
-            show(report.performance, percent=True),
-            show(report.time_to_success, unit=" s"),
+        measures: list[tuple[str, Statistic, bool, str]] = [
+            ("return", report.mean_reward, False, ""),
+            *(
+                (f"return of {agent}", own, False, "")
+                for agent, own in report.returns.items()
+            ),
+            ("completion", report.completion, True, ""),
+            ("performance", report.performance, True, ""),
+            ("time to success", report.time_to_success, False, " s"),
         ]
-        lines.append(f"| {' | '.join(cells)} |")
+        for name, statistic, percent, unit in measures:
+            iqm = show_value(statistic.iqm, percent, unit)
+            cells = report.environment, name, show(statistic, percent, unit), iqm
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
 def show(statistic: Statistic, percent: bool = False, unit: str = "") -> str:
-    """Return a mean and its interval for people to read, such as `98.0 % (95.0-100)`.
+    """Return a mean and its interval for people, such as `98.0 % (95.0 to 100)`.
 
     Args:
       statistic: what to show.
@@ -143,23 +149,37 @@ def show(statistic: Statistic, percent: bool = False, unit: str = "") -> str:
     """
     if math.isnan(statistic.mean):
         return "-"
-    if percent:
-        mean, low, high = (
-            f"{100 * value:.1f}".replace("100.0", "100")
-            for value in (statistic.mean, statistic.low, statistic.high)
-        )
-        return f"{mean} % ({low} to {high})"
-    digits = 1 if max(abs(statistic.low), abs(statistic.high)) < 1000 else 0
-    mean, low, high = (
-        f"{value:.{digits}f}"
-        for value in (statistic.mean, statistic.low, statistic.high)
+    digits = 1 if percent or max(abs(statistic.low), abs(statistic.high)) < 1000 else 0
+    mean = show_value(statistic.mean, percent, unit, digits)
+    low, high = (
+        show_value(end, percent, digits=digits).removesuffix(" %")
+        for end in (statistic.low, statistic.high)
     )
-    return f"{mean}{unit} ({low} to {high})"
+    return f"{mean} ({low} to {high})"
 
 
-def _without_nan(value: Any) -> Any:
+def show_value(
+    value: float, percent: bool = False, unit: str = "", digits: int = 1
+) -> str:
+    """Return a number for people to read, such as `98.0 %`; a dash for NaN.
+
+    Args:
+      value: what to show.
+      percent: whether it is a share from 0 to 1.
+      unit: what to put after it.
+      digits: how many after the point; a share of all is `100 %` in any case.
+    """
+    if math.isnan(value):
+        return "-"
+    if not percent:
+        return f"{value:.{digits}f}{unit}"
+    return "100 %" if value == 1.0 else f"{100 * value:.{digits}f} %"
+
+
+def without_nan(value: Any) -> Any:
+    """Return dictionaries and lists with None in the place of NaN."""
     if isinstance(value, dict):
-        return {name: _without_nan(item) for name, item in value.items()}
+        return {name: without_nan(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and math.isnan(value) else value

@@ -82,6 +82,15 @@ def get_env(env_id: str) -> EnvSpec:
     return _ENVS[env_id]
 
 
+def find_env(task: Task) -> str | None:
+    """Return the id of the environment that has this task and these robots, if any."""
+    robots = tuple(robot.name for robot in task.robots.values())
+    for env_id, spec in _ENVS.items():
+        if spec.task is type(task) and spec.robots == robots:
+            return env_id
+    return None
+
+
 def make_task(
     name: str,
     robots: Sequence[str | Robot] | None = None,

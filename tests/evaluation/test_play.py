@@ -1,13 +1,9 @@
-import csv
-import io
-import json
 import math
 
 import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.report import Statistic, reports_to_csv, show
 
 
 @pytest.fixture
@@ -30,6 +26,29 @@ def test_numbers_do_not_depend_on_worlds_and_threads(
     other = cg.evaluate(carry(), policy, 5, num_envs=5, num_threads=1)
     assert report.to_csv() == other.to_csv()
     assert report.mean_reward == other.mean_reward
+
+
+def test_a_trained_policy_is_played_by_name_path_and_value(carry_id, random_network):
+    path = random_network(carry_id)
+    reports = [
+        cg.evaluate(carry_id, policy, 5, num_envs=num_envs, num_threads=num_threads)
+        for policy, num_envs, num_threads in (
+            ("baseline", 5, 1),
+            (carry_id, 1, 2),
+            (path, 3, 1),
+            (str(path), 8, 2),
+            (cg.load_policy(str(path)), 5, 1),
+        )
+    ]
+    assert len({report.to_csv() for report in reports}) == 1
+    assert len({report.mean_reward for report in reports}) == 1
+    assert [report.settings["policy"] for report in reports] == [
+        "baseline",
+        carry_id,
+        str(path),
+        str(path),
+        "NetworkPolicy",
+    ]
 
 
 def test_rows_add_up(report):
@@ -104,57 +123,6 @@ def test_progress_reaches_one_in_even_steps(carry):
     assert shares == pytest.approx(np.arange(1, 25) / 24)
 
 
-def test_statistic_of_known_values():
-    statistic = Statistic.of([0, 0, 1, 2, 3, 4, 100, math.nan])
-    assert statistic.mean == pytest.approx(110 / 7)
-    assert statistic.iqm == pytest.approx(np.mean([0, 1, 2, 3, 4]))
-    assert statistic.low < statistic.mean < statistic.high
-    assert Statistic.of([2.0, 2.0]) == Statistic(2.0, 2.0, 2.0, 2.0)
-    assert math.isnan(Statistic.of([math.nan]).mean)
-
-
-def test_bootstrap_interval_is_that_of_the_mean():
-    values = np.random.default_rng(0).normal(5.0, 2.0, 400)
-    statistic = Statistic.of(values)
-    error = 1.96 * values.std() / 20
-    assert statistic.low == pytest.approx(values.mean() - error, abs=0.03)
-    assert statistic.high == pytest.approx(values.mean() + error, abs=0.03)
-
-
-def test_json_holds_everything_and_null_for_nan(carry):
-    report = cg.evaluate(carry(), "random", episodes=2, num_threads=1)
-    content = json.loads(report.to_json(), parse_constant=pytest.fail)["Carry"]
-    assert content["settings"]["robots"] == ["panda", "panda"]
-    assert content["time_to_success"]["mean"] is None
-    assert len(content["episodes"]) == 2
-
-
-def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
-    failed = cg.evaluate(carry(), "random", episodes=2, num_threads=1)
-    rows = list(csv.DictReader(io.StringIO(reports_to_csv([report, failed]))))
-    assert [row["episode"] for row in rows] == ["0", "1", "2", "3", "4", "0", "1"]
-    assert rows[-1]["time_to_success"] == ""
-    assert float(rows[0]["return"]) == report.episodes[0]["return"]
-
-
-def test_markdown_is_a_table(report):
-    head, rule, row = report.to_markdown().splitlines()
-    assert head.count("|") == rule.count("|") == row.count("|") == 6
-    assert row.startswith("| Carry |") and "100 % (100 to 100)" in row
-
-
-@pytest.mark.parametrize(
-    ("statistic", "percent", "text"),
-    [
-        (Statistic(0.985, 0.965, 1.0, 1.0), True, "98.5 % (96.5 to 100)"),
-        (Statistic(-356.88, -360.0, -350.04, 0), False, "-356.9 (-360.0 to -350.0)"),
-        (Statistic(math.nan, math.nan, math.nan, math.nan), True, "-"),
-    ],
-)
-def test_numbers_as_people_read_them(statistic, percent, text):
-    assert show(statistic, percent) == text
-
-
 def test_bad_input_says_what_is_allowed(carry):
     with pytest.raises(KeyError, match="robot_1, robot_2"):
         cg.evaluate(carry(), idle=["robot_3"])
@@ -164,13 +132,13 @@ def test_bad_input_says_what_is_allowed(carry):
         cg.evaluate(carry(), episodes=1.5)
     with pytest.raises(TypeError, match=r"list of agents, such as \['robot_1'\]"):
         cg.evaluate(carry(), idle="robot_1")
-    with pytest.raises(
-        TypeError, match=r"'expert' or 'random', or a function .* got 3"
-    ):
+    with pytest.raises(TypeError, match=r"'expert', .* or a function .* got 3"):
         cg.evaluate(carry(), 3)
     for idle in ((), ("robot_1",)):
         with pytest.raises(ValueError, match="actions are a int; give a dictionary"):
             cg.evaluate(carry(), lambda observations: 0, idle=idle, num_threads=1)
+    with pytest.raises(FileNotFoundError, match="no baseline is shipped for Carry"):
+        cg.evaluate(carry(), "baseline")
     with pytest.raises(ValueError, match="num_envs must be at least 1"):
         cg.evaluate(carry(), num_envs=0)
     with pytest.raises(ValueError, match="pass them to make_task"):

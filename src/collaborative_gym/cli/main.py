@@ -1,0 +1,104 @@
+"""The command line."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from collaborative_gym.cli.commands import (
+    Benchmark,
+    Demo,
+    Evaluate,
+    List,
+    Record,
+    Reproduce,
+    View,
+)
+from collaborative_gym.cli.terminal import show
+from collaborative_gym.cli.train import Train
+
+_CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status.
+
+    Args:
+      argv: the arguments, without the program's name; None for those of this process.
+
+    Returns:
+      0 when done, 1 where the machine lacks something, 2 for bad input, 130 after
+      Ctrl-C, 143 after SIGTERM. Nothing half-written is left in any case.
+    """
+    try:
+        with _heeding_sigterm():
+            _run(sys.argv[1:] if argv is None else list(argv))
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    except _Terminated:
+        return _TERMINATED
+    except (KeyError, ValueError, TypeError) as error:
+        return _fail(error, _BAD_INPUT)
+    except (ImportError, OSError, RuntimeError) as error:
+        return _fail(error, _CANNOT)
+    return 0
+
+
+_Command = (
+    Annotated[List, tyro.conf.subcommand("list")]
+    | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Record, tyro.conf.subcommand("record")]
+    | Annotated[Train, tyro.conf.subcommand("train")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+)
+
+
+class _Terminated(BaseException):
+    """SIGTERM came. Like Ctrl-C it passes through to what cleans up."""
+
+
+@contextmanager
+def _heeding_sigterm() -> Iterator[None]:
+    """Raise `_Terminated` on SIGTERM while the context lasts."""
+
+    def end(*_: object) -> None:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Only the main thread may set what a signal does.
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+
+def _run(arguments: list[str]) -> None:
+    if arguments == ["--version"]:
+        show(f"collaborative-gym {version('collaborative-gym')}")
+        return
+    command = tyro.cli(
+        _Command,
+        prog="collaborative-gym",
+        description="Robot arms that must work together: watch, train, measure.\n\n"
+        "With --version, say which version this is.",
+        args=arguments,
+    )
+    command.run()
+
+
+def _fail(error: Exception, status: int) -> int:
+    Console(stderr=True).print(
+        f"error: {error}", markup=False, highlight=False, soft_wrap=True
+    )
+    return status

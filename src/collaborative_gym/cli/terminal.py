@@ -1,0 +1,94 @@
+"""What the commands share: kinds of arguments, and output to the terminal."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Progress as Bars
+from rich.table import Table
+
+from collaborative_gym.files import check_writable
+
+OWN_SIZE = (0, 0)
+"""Stands for the size that videos of a format have unless told otherwise."""
+
+Env = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENV")]
+Envs = Annotated[
+    tyro.conf.Positional[tuple[str, ...]],
+    tyro.conf.arg(metavar="[ENV ...]", help_behavior_hint=""),
+]
+Policy = Annotated[str, tyro.conf.arg(metavar="POLICY")]
+Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
+Robots = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
+]
+Agents = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="AGENT ...", help_behavior_hint="(default: none)"),
+]
+File = Annotated[
+    Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
+]
+Folder = Annotated[
+    Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")
+]
+Size = Annotated[
+    tuple[int, int],
+    tyro.conf.arg(
+        metavar="WIDTH HEIGHT",
+        help_behavior_hint="(default: 640 480, of a GIF 320 240)",
+    ),
+]
+
+Progress = Callable[[str], Callable[[float], None]]
+"""Adds a named bar and returns what sets its share, 0 to 1."""
+
+
+def check_files(*paths: Path | None) -> None:
+    """Raise if one of the files cannot be written, so that it shows before the work."""
+    given = [path for path in paths if path is not None]
+    if len(set(given)) < len(given):
+        raise ValueError(f"{given[0]} is named for two outputs; name two files")
+    for path in given:
+        check_writable(path)
+
+
+def show(content: Table | str) -> None:
+    """Print a table or a text on standard output."""
+    console = Console()
+    if isinstance(content, str):
+        console.print(content, markup=False, highlight=False, soft_wrap=True)
+    else:
+        console.print(content)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """Show progress bars below one another while the context lasts."""
+    console = Console(stderr=True)
+    bars = Bars(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+    def add(name: str) -> Callable[[float], None]:
+        bar = bars.add_task(name, total=1.0)
+        return lambda share: bars.update(bar, completed=share)
+
+    with bars:
+        yield add

@@ -1,0 +1,106 @@
+"""The command that trains."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from collaborative_gym.cli.terminal import Envs, Folder, Robots, show
+from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
+
+_Own = tyro.conf.arg(help_behavior_hint="")
+"""Of an option whose help says itself what holds where it is not given."""
+
+_Flat = tyro.conf.arg(name="")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train:
+    """Train policies by PPO; stop at any time and go on with --resume.
+
+    The folder of a run holds policy.safetensors, the best policy so far, which
+    evaluate, record and view play by the folder's name; progress.csv, curve.png,
+    TensorBoard's events, and checkpoints.
+
+    Attributes:
+      envs: environment id, or a task's name.
+      all: train the baselines of all environments, or of those named, one after the
+        other, and write their cards; what is there is gone on with.
+      mode: who learns what. collaborative (default): a policy for each robot and one
+        critic that sees all observations; independent: a policy and a critic each;
+        shared: one policy and critic for robots with equal spaces; centralized: one
+        policy for all robots.
+      seed: of the run (default: 0).
+      seeds: of the runs of each baseline, with --all.
+      output: folder of a new run (default: runs/ENV-MODE-seedS), or of all baselines
+        (default: runs/baselines).
+      resume: folder of a run to go on with; what it was started with holds.
+      robots: robots to use instead of the environment's own, one per agent.
+      randomization: how much starts differ: default, or paper for the thesis's fixed
+        starts.
+      backend: skrl (default), or rllib for more than one machine.
+      checkpoint_interval: environment steps between two checkpoints.
+      resources: what the run may use.
+      hyperparameters: how it learns.
+    """
+
+    envs: Envs = ()
+    all: tyro.conf.FlagCreatePairsOff[bool] = False
+    mode: Annotated[Mode | None, _Own] = None
+    seed: Annotated[int | None, _Own] = None
+    seeds: tuple[int, ...] = (0, 1, 2)
+    output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
+    resume: Folder = None
+    robots: Robots = ()
+    randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
+    backend: Annotated[str | None, _Own] = None
+    checkpoint_interval: int = 100_000
+    resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
+    hyperparameters: Annotated[Hyperparameters, _Flat] = field(
+        default_factory=Hyperparameters
+    )
+
+    def run(self) -> None:
+        """Train, showing how it goes."""
+        if self.all:
+            self._train_all()
+            return
+        from collaborative_gym.learning.display import Display
+        from collaborative_gym.learning.train import train
+
+        if len(self.envs) != 1:
+            raise ValueError("name one environment to train, or pass --all")
+        (env,) = self.envs
+        with Display(env, self.hyperparameters.total_steps) as display:
+            result = train(
+                env,
+                self.mode,
+                self.seed,
+                self.output,
+                self.resume,
+                self.robots or None,
+                self.randomization,
+                self.hyperparameters,
+                self.backend,
+                self.resources,
+                self.checkpoint_interval,
+                display.show,
+            )
+        show(f"wrote {result.folder / 'policy.safetensors'}")
+
+    def _train_all(self) -> None:
+        from collaborative_gym import list_envs
+        from collaborative_gym.learning.baselines import train_baselines
+        from collaborative_gym.learning.display import Display
+
+        for card in train_baselines(
+            self.envs or list_envs(),
+            self.output or Path("runs/baselines"),
+            self.seeds,
+            self.hyperparameters,
+            self.resources,
+            self.checkpoint_interval,
+            Display,
+        ):
+            show(f"wrote {card}")

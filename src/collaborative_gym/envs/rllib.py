@@ -1,0 +1,114 @@
+"""One world as an RLlib multi-agent environment.
+
+Importing this module registers every environment with RLlib under its id, so that a
+script of one's own says `PPOConfig().environment("LiftTaskSawyers-v0")`. What
+`env_config` holds goes to `make_task`: `robots`, `randomization` and fields of the
+task's config.
+"""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from ray.rllib.env.multi_agent_env import MultiAgentEnv
+from ray.tune.registry import register_env as register_with_ray
+
+from collaborative_gym.envs.pettingzoo import ByAgent, PettingZooEnv
+from collaborative_gym.math import Array
+from collaborative_gym.tasks.registry import (
+    EnvSpec,
+    get_env,
+    list_envs,
+    make_task,
+    register_env,
+)
+from collaborative_gym.tasks.task import Task
+
+
+class RLlibEnv(MultiAgentEnv):
+    """A `PettingZooEnv` under RLlib's contract.
+
+    All agents act in every step, and all their episodes end in the same one, truncated.
+    Observations, rewards and infos are those of `PettingZooEnv`.
+
+    Args:
+      task: what to do, from `make_task`.
+      render_mode: "rgb_array", or None for no pictures.
+      name: what the environment calls itself.
+
+    Raises:
+      KeyError: if there is no such render mode.
+
+    Attributes:
+      env: the environment below.
+      possible_agents: the agents' names.
+      agents: the same.
+      observation_spaces: by agent.
+      action_spaces: by agent.
+    """
+
+    def __init__(self, task: Task, render_mode: str | None = None, name: str = ""):
+        self.env = PettingZooEnv(task, render_mode, name)
+        self.metadata = self.env.metadata
+        self.render_mode = render_mode
+        self.possible_agents = list(self.env.possible_agents)
+        # RLlib asks for them before the first reset too.
+        self.agents = list(self.env.possible_agents)
+        self.observation_spaces = {**self.env.observation_spaces}
+        self.action_spaces = {**self.env.action_spaces}
+        super().__init__()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ByAgent, ByAgent]:
+        """Start an episode; see `PettingZooEnv.reset`."""
+        return self.env.reset(seed, options)
+
+    def step(
+        self, action_dict: Mapping[str, Array]
+    ) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
+        """Do one control step.
+
+        Args:
+          action_dict: by agent, (k,); what lies beyond [-1, 1] counts as the nearest
+            bound.
+
+        Returns:
+          Observations, rewards, terminated, truncated and infos by agent; terminated
+          and truncated also of "__all__".
+
+        Raises:
+          ValueError: if the actions are not what the spaces say; nothing is changed.
+          RuntimeError: before the first `reset`, after an episode's end, after `close`.
+        """
+        observations, rewards, terminated, truncated, infos = self.env.step(action_dict)
+        terminated["__all__"] = all(terminated.values())
+        truncated["__all__"] = all(truncated.values())
+        return observations, rewards, terminated, truncated, infos
+
+    def render(self) -> Any:
+        """Return a picture, (480, 640, 3) uint8; see `PettingZooEnv.render`."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Free the renderer. No other call is allowed afterwards."""
+        self.env.close()
+
+
+def register_envs() -> None:
+    """Register all present environments with RLlib under their ids.
+
+    Call it again after registering environments of your own.
+    """
+    for env_id in list_envs():
+        register_with_ray(env_id, partial(_make, get_env(env_id)))
+
+
+def _make(spec: EnvSpec, settings: Mapping[str, Any]) -> RLlibEnv:
+    # Another process of Ray does not know what was registered in this one.
+    if spec.env_id not in list_envs():
+        register_env(spec)
+    return RLlibEnv(make_task(spec.env_id, **settings), name=spec.env_id)
+
+
+register_envs()

@@ -1,0 +1,1 @@
+"""Learning to work together: training runs on skrl or RLlib."""

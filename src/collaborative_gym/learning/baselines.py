@@ -1,0 +1,200 @@
+"""The baselines: several runs for each environment, the best one with its card."""
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from collaborative_gym.benchmark import describe_machine
+from collaborative_gym.evaluation import Report, evaluate
+from collaborative_gym.evaluation.report import show
+from collaborative_gym.files import replacing, write_text
+from collaborative_gym.learning.checkpoint import LAST
+from collaborative_gym.learning.config import Hyperparameters, Resources, changed
+from collaborative_gym.learning.train import OnRow, Result, train
+from collaborative_gym.policies.policy import POLICY_FILE
+
+_EPISODES, _SEED = 200, 0
+"""What a card reports on; no run is trained on these episodes or chosen by them."""
+
+
+class _Display(Protocol):
+    """Shows how a run goes, while its context lasts."""
+
+    def show(
+        self, row: Mapping[str, float], best: Mapping[str, float] | None = None
+    ) -> None: ...
+
+
+Displays = Callable[[str, int], AbstractContextManager[_Display]]
+"""Makes a display of a title and a run's total steps."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One of an environment's runs, and how its best policy did.
+
+    Attributes:
+      seed: of the run.
+      result: what came of the training.
+      reports: by randomization, "paper" and "default".
+    """
+
+    seed: int
+    result: Result
+    reports: Mapping[str, Report]
+
+
+def train_baselines(
+    env_ids: Sequence[str],
+    output: str | Path,
+    seeds: Sequence[int] = (0, 1, 2),
+    hyperparameters: Hyperparameters | None = None,
+    resources: Resources | None = None,
+    checkpoint_interval: int = 100_000,
+    displays: Displays | None = None,
+) -> Iterator[Path]:
+    """Train baselines one after the other, and yield each one's card.
+
+    For each environment there are in `output`: a folder with a run for each seed; the
+    policy of the run with the best validation, as `ID.safetensors`; its curve,
+    `ID.png`; and the card, `ID.md`, with all runs' results. Runs that are there already
+    are gone on with or, where they are complete, taken as they are.
+
+    Args:
+      env_ids: which environments.
+      output: the folder.
+      seeds: of each environment's runs.
+      hyperparameters: how they learn; None for the defaults.
+      resources: device and threads.
+      checkpoint_interval: environment steps between two checkpoints.
+      displays: makes what shows a run; None for no display.
+
+    Raises:
+      ValueError: if there are no seeds, or a run that is there has other
+        hyperparameters.
+      Exception: what `train` raises.
+    """
+    if not seeds:
+        raise ValueError("give at least one seed")
+    output = Path(output)
+    numbers = hyperparameters or Hyperparameters()
+    resources = resources or Resources()
+    for env_id in env_ids:
+        trials = []
+        for seed in seeds:
+            folder = output / env_id / f"seed{seed}"
+            is_there = (folder / LAST).exists()
+            title = f"{env_id}, seed {seed}"
+            with _shown(displays, title, numbers.total_steps) as on_row:
+                result = train(
+                    env_id,
+                    "collaborative",
+                    seed,
+                    None if is_there else folder,
+                    folder if is_there else None,
+                    hyperparameters=numbers,
+                    resources=resources,
+                    checkpoint_interval=checkpoint_interval,
+                    on_row=on_row,
+                )
+            trials.append(Trial(seed, result, _measure(env_id, result, resources)))
+        yield _ship(env_id, trials, output)
+
+
+def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
+    return {
+        preset: evaluate(
+            env_id,
+            result.policy(),
+            _EPISODES,
+            _SEED,
+            randomization=preset,
+            num_threads=resources.num_threads,
+        )
+        for preset in ("paper", "default")
+    }
+
+
+def _ship(env_id: str, trials: Sequence[Trial], output: Path) -> Path:
+    """Write the policy, the curve and the card of the best run; return the card."""
+    best = max(trials, key=lambda trial: trial.result.best["validation/return"])
+    for name, suffix in ((POLICY_FILE, ".safetensors"), ("curve.png", ".png")):
+        with replacing(output / f"{env_id}{suffix}") as partial:
+            shutil.copyfile(best.result.folder / name, partial)
+    card = output / f"{env_id}.md"
+    write_text(card, write_card(env_id, trials, best))
+    return card
+
+
+def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
+    """Return a baseline's card: what it is, how it was trained, and how well it does.
+
+    Args:
+      env_id: its environment.
+      trials: all runs.
+      best: the one whose policy is shipped.
+    """
+    settings = best.result.settings
+    numbers = settings.hyperparameters
+    machine = describe_machine()
+    options = " ".join(
+        f"--{name.replace('_', '-')} {_option(value)}"
+        for name, value in changed(numbers).items()
+    )
+    command = f"collaborative-gym train {env_id} --seed {best.seed} {options}".rstrip()
+    steps = best.result.best["steps"]
+    lines = [
+        f"# {env_id}: baseline",
+        "",
+        f"A policy for each robot ({', '.join(settings.robots)}), trained from scratch"
+        " by PPO on the thesis's reward, mode collaborative: no demonstrations, no"
+        " shaping, no curriculum.",
+        "",
+        f"- environment: `{env_id}`, randomization `default`",
+        f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
+        f" {numbers.activation}; actions are the mean, without noise",
+        f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
+        f" {numbers.validation_episodes} validation episodes that are not those below",
+        f"- command: `{command}`",
+        f"- machine: {machine['cpu']}, {machine['cores']} cores,"
+        f" MuJoCo {machine['mujoco']}",
+        "",
+        f"{_EPISODES} episodes of seed {_SEED} each; means, 95 % bootstrap intervals.",
+        "",
+        "| seed | steps | time | start | mean reward | completion | performance |"
+        " time to success |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for trial in trials:
+        for preset, report in trial.reports.items():
+            cells = [
+                f"{trial.seed} (shipped)" if trial is best else f"{trial.seed}",
+                f"{trial.result.steps / 1e6:.1f} M",
+                f"{trial.result.seconds / 60:.0f} min",
+                preset,
+                show(report.mean_reward),
+                show(report.completion, percent=True),
+                show(report.performance, percent=True),
+                show(report.time_to_success, unit=" s"),
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _option(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+@contextmanager
+def _shown(
+    displays: Displays | None, title: str, total_steps: int
+) -> Iterator[OnRow | None]:
+    """Yield what shows the rows of a run, if anything does."""
+    if displays is None:
+        yield None
+        return
+    with displays(title, total_steps) as display:
+        yield display.show

@@ -1,0 +1,155 @@
+"""What training can be told."""
+
+from dataclasses import dataclass, fields
+from typing import Literal, get_args
+
+from collaborative_gym.envs.vector_env import check_count
+from collaborative_gym.policies.network import check_activation
+
+Mode = Literal["collaborative", "independent", "shared", "centralized"]
+"""Who learns what.
+
+- collaborative: a policy for each robot, which sees its own observation, and one critic
+  that sees all of them; the robots share their mean reward (MAPPO).
+- independent: a policy and a critic for each robot, which see its own observation and
+  learn from its own reward (IPPO).
+- shared: one policy and one critic that every robot uses, told which robot it is; for
+  robots with equal spaces.
+- centralized: one policy that sees all observations and commands all robots, with their
+  mean reward.
+"""
+
+MODES: tuple[Mode, ...] = get_args(Mode)
+
+Activation = Literal["relu", "elu", "tanh"]
+"""The function between a network's layers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hyperparameters:
+    """How PPO learns.
+
+    Attributes:
+      total_steps: environment steps in all, counted over all worlds.
+      num_envs: worlds to collect from beside one another.
+      rollout_steps: control steps in each world between two updates.
+      epochs: passes over what was collected, in an update.
+      minibatch_size: rows of a gradient step; a row is one robot's, or in the modes
+        collaborative and centralized all robots', control step.
+      discount: what a reward is worth one control step earlier.
+      gae_lambda: trace decay of generalized advantage estimation.
+      clip: how far an action's probability may move in an update, as a share.
+      entropy: weight of the policy's entropy in the loss.
+      value_weight: weight of the critic's loss.
+      max_grad_norm: largest norm of a gradient; 0 for any.
+      learning_rate: of Adam, at first.
+      target_kl: the learning rate falls where an epoch moves the policy more than twice
+        as far as this Kullback-Leibler divergence, and rises below half of it; 0 keeps
+        it.
+      min_learning_rate: it never falls below.
+      max_learning_rate: it never rises above.
+      initial_std: standard deviation of the first actions.
+      hidden_sizes: widths of the hidden layers of policies and critics.
+      activation: function between the layers.
+      validation_interval: environment steps between two validations; 0 for none but at
+        the end.
+      validation_episodes: episodes of a validation, with the deterministic policy.
+    """
+
+    total_steps: int = 3_000_000
+    num_envs: int = 256
+    rollout_steps: int = 32
+    epochs: int = 5
+    minibatch_size: int = 2048
+    discount: float = 0.97
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.003
+    value_weight: float = 1.0
+    max_grad_norm: float = 1.0
+    learning_rate: float = 1e-3
+    target_kl: float = 0.016
+    min_learning_rate: float = 1e-5
+    max_learning_rate: float = 3e-3
+    initial_std: float = 0.5
+    hidden_sizes: tuple[int, ...] = (256, 256)
+    activation: Activation = "relu"
+    validation_interval: int = 250_000
+    validation_episodes: int = 64
+
+    def __post_init__(self):
+        for name in (
+            "total_steps",
+            "num_envs",
+            "rollout_steps",
+            "epochs",
+            "minibatch_size",
+            "validation_episodes",
+        ):
+            check_count(name, getattr(self, name), at_least=1)
+        check_count("validation_interval", self.validation_interval, at_least=0)
+        for width in self.hidden_sizes:
+            check_count("each of hidden_sizes", width, at_least=1)
+        for name, low, high in _RANGES:
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"{name} must be {low:g} to {high:g}, got {value!r}")
+        if self.min_learning_rate > self.max_learning_rate:
+            raise ValueError(
+                f"min_learning_rate {self.min_learning_rate:g} is above"
+                f" max_learning_rate {self.max_learning_rate:g}"
+            )
+        check_activation(self.activation)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps between two updates."""
+        return self.num_envs * self.rollout_steps
+
+
+_RANGES = (
+    ("discount", 0.0, 1.0),
+    ("gae_lambda", 0.0, 1.0),
+    ("clip", 1e-3, 1.0),
+    ("entropy", 0.0, 1.0),
+    ("value_weight", 0.0, 1e3),
+    ("max_grad_norm", 0.0, 1e6),
+    ("learning_rate", 0.0, 1.0),
+    ("target_kl", 0.0, 10.0),
+    ("min_learning_rate", 0.0, 1.0),
+    ("max_learning_rate", 0.0, 1.0),
+    ("initial_std", 1e-3, 7.0),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resources:
+    """What a run may use; none of it is part of what is learned.
+
+    Attributes:
+      device: of torch, such as cpu or cuda.
+      num_threads: physics threads, 0 for one per CPU.
+      torch_threads: torch's threads, 0 for one per CPU. Another number may change the
+        last bits of what is learned.
+      num_runners: processes that collect, with RLlib; 0 for the trainer itself.
+      ray_address: a running Ray cluster to join, with RLlib; none for one of its own.
+    """
+
+    device: str = "cpu"
+    num_threads: int = 0
+    torch_threads: int = 0
+    num_runners: int = 0
+    ray_address: str | None = None
+
+    def __post_init__(self):
+        for name in ("num_threads", "torch_threads", "num_runners"):
+            check_count(name, getattr(self, name), at_least=0)
+
+
+def changed(hyperparameters: Hyperparameters) -> dict[str, object]:
+    """Return the hyperparameters that differ from the defaults, by name."""
+    return {
+        field.name: getattr(hyperparameters, field.name)
+        for field in fields(hyperparameters)
+        if getattr(hyperparameters, field.name) != field.default
+    }

@@ -1,0 +1,204 @@
+"""The picture of a training run: what the robots earn as they learn."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from collaborative_gym.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WINDOW = 0.02
+"""Share of the run that the moving mean takes in."""
+
+_INK = "#222222"
+"""Colour of all robots together and of text."""
+
+_COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#56b4e9",
+    "#e69f00",
+    "#8c6bb1",
+    "#7f7f7f",
+)
+"""Of the robots, in order; Okabe and Ito's and two more, which all eyes tell apart."""
+
+_Rows = Sequence[Mapping[str, float]]
+
+
+def robots_of(columns: Iterable[str]) -> list[str]:
+    """Return the agents whose own returns are among the columns, in order."""
+    names = [
+        name.removesuffix("/return") for name in columns if name.endswith("/return")
+    ]
+    return [name for name in dict.fromkeys(names) if name != "validation"]
+
+
+def draw_curve(rows: _Rows, title: str, path: str | Path) -> None:
+    """Draw a run's learning curve into a PNG file, whole or not at all.
+
+    Args:
+      rows: the run's, as `monitor.summarize` gives them.
+      title: heads the picture.
+      path: the file.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if the file cannot be written.
+    """
+    figure = learning_curve(rows, title)
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png")
+
+
+def learning_curve(rows: _Rows, title: str) -> "Figure":
+    """Return a run's learning curve, 8 x 6 in, that belongs to no window.
+
+    Above are the returns over environment steps, of all robots together and of each
+    robot: those of the episodes pale, their moving mean over 2 % of the run strong, and
+    validations as dots. Below are completion and performance.
+
+    Args:
+      rows: the run's, as `monitor.summarize` gives them.
+      title: heads the picture.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+    _draw_returns(above, rows)
+    _draw_shares(below, rows)
+    for axes in (above, below):
+        axes.grid(color="#dddddd", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        _add_legend(axes)
+    figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
+    above.set_ylabel("mean reward per episode")
+    below.set_ylabel("share (%)")
+    below.set_ylim(-4, 104)
+    below.set_yticks((0, 50, 100))
+    below.set_xlabel("environment steps (millions)")
+    if rows:
+        below.set_xlim(0.0, 1.01 * rows[-1]["steps"] / 1e6)
+    return figure
+
+
+def _draw_returns(axes: "Axes", rows: _Rows) -> None:
+    # Drawn on top of the robots' curves, but named before them.
+    _draw_line(axes, rows, "return", "all robots", _INK, 2.4)
+    columns = dict.fromkeys(name for row in rows for name in row)
+    for i, robot in enumerate(robots_of(columns)):
+        colour = _COLOURS[i % len(_COLOURS)]
+        # Every other one is dashed: robots that earn the same lie on one another.
+        style = "dashed" if i % 2 else "solid"
+        _draw_line(axes, rows, f"{robot}/return", robot, colour, 1.5, style=style)
+    _draw_dots(axes, rows, "validation/return", "all robots, validation", _INK)
+
+
+def _draw_shares(axes: "Axes", rows: _Rows) -> None:
+    for name, colour in (("completion", "#0072b2"), ("performance", "#d55e00")):
+        _draw_line(axes, rows, name, name, colour, 1.8, factor=100.0)
+        column, label = f"validation/{name}", f"{name}, validation"
+        _draw_dots(axes, rows, column, label, colour, factor=100.0)
+
+
+def _draw_line(
+    axes: "Axes",
+    rows: _Rows,
+    column: str,
+    label: str,
+    colour: str,
+    width: float,
+    factor: float = 1.0,
+    style: str = "solid",
+) -> None:
+    """Draw a column pale as it is and strong as its moving mean."""
+    steps, values = _points(rows, column)
+    if not len(steps):
+        return
+    # A single point makes no line.
+    marker = "o" if len(steps) == 1 else None
+    axes.plot(steps, factor * values, color=colour, alpha=0.3, linewidth=0.8)
+    smooth = factor * _moving_mean(values, round(_WINDOW * len(rows)))
+    axes.plot(
+        steps,
+        smooth,
+        color=colour,
+        linewidth=width,
+        linestyle=style,
+        marker=marker,
+        label=label,
+        zorder=2.0 + width / 10,
+    )
+
+
+def _draw_dots(
+    axes: "Axes",
+    rows: _Rows,
+    column: str,
+    label: str,
+    colour: str,
+    factor: float = 1.0,
+) -> None:
+    steps, values = _points(rows, column)
+    if len(steps):
+        axes.plot(
+            steps,
+            factor * values,
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            markerfacecolor="white",
+            markeredgecolor=colour,
+            label=label,
+            zorder=3,
+        )
+
+
+def _points(rows: _Rows, column: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return millions of steps and a column's values, where it has finite ones."""
+    points = [
+        (row["steps"] / 1e6, row[column])
+        for row in rows
+        if math.isfinite(row.get(column, math.nan))
+    ]
+    steps, values = np.array(points, float).reshape(-1, 2).T
+    return steps, values
+
+
+def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
+    """Return the mean over a window around each value, shorter at the ends."""
+    half = window // 2
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    low = np.maximum(np.arange(len(values)) - half, 0)
+    high = np.minimum(np.arange(len(values)) + half + 1, len(values))
+    return (sums[high] - sums[low]) / (high - low)
+
+
+def _add_legend(axes: "Axes") -> None:
+    """Name the curves above the axes, where none can run into the names."""
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            handles,
+            labels,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=5,
+            frameon=False,
+            fontsize="small",
+            borderaxespad=0.2,
+        )

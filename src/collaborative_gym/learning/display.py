@@ -1,0 +1,215 @@
+"""What a training run shows on the terminal while it learns."""
+
+import math
+import time
+from collections.abc import Mapping
+
+from rich import box
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from collaborative_gym.learning.curve import robots_of
+
+_LINE_INTERVAL = 30.0
+"""Least time between two lines where the output is no terminal, in s."""
+
+_WIDTH = 100
+"""Most columns of the panel."""
+
+_RESULTS = ("return", "completion", "performance")
+
+_NUMBERS = {
+    "kl": ("KL", ".4f"),
+    "learning_rate": ("learning rate", ".1e"),
+    "std": ("std", ".3f"),
+    "policy_loss": ("policy loss", ".4f"),
+    "value_loss": ("value loss", ".4f"),
+    "entropy_loss": ("entropy loss", ".4f"),
+    "weight_norm": ("weight norm", ".1f"),
+}
+"""What an update tells of a learner, how it is called here and how it is written."""
+
+
+class Display:
+    """Shows how far a run is and how well it does, while the context lasts.
+
+    On a terminal it is a panel that is drawn anew with each row; elsewhere it is a
+    plain line at most every 30 s, at each validation and in the end.
+
+    Args:
+      title: heads the panel.
+      total_steps: environment steps of the whole run.
+      console: where to show it; None for standard error.
+    """
+
+    def __init__(self, title: str, total_steps: int, console: Console | None = None):
+        self._title = title
+        self._total_steps = total_steps
+        self._console = Console(stderr=True) if console is None else console
+        # A dumb terminal, as within an editor, cannot go back up to draw anew.
+        self._is_live = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._live = Live(console=self._console, auto_refresh=False)
+        self._known: dict[str, float] = {}
+        self._first: Mapping[str, float] | None = None
+        self._next_line = -math.inf
+        self._unprinted: Mapping[str, float] | None = None
+
+    def __enter__(self) -> "Display":
+        if self._is_live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_live:
+            self._live.stop()
+        elif self._unprinted is not None:
+            self._print_line(self._unprinted)
+
+    def show(
+        self, row: Mapping[str, float], best: Mapping[str, float] | None = None
+    ) -> None:
+        """Show an iteration's row; what it lacks stays as earlier rows had it.
+
+        Args:
+          row: as `monitor.summarize` gives it.
+          best: the row with the best validation so far, if there is one.
+        """
+        self._known |= row
+        self._first = self._first or dict(row)
+        if self._is_live:
+            self._live.update(self._panel(best or {}), refresh=True)
+            return
+        self._unprinted = row
+        if "validation/return" in row or time.monotonic() >= self._next_line:
+            self._print_line(row)
+
+    def _print_line(self, row: Mapping[str, float]) -> None:
+        cells = [self._title, *self._pace()]
+        for name in _RESULTS:
+            if name in self._known:
+                cells.append(f"{name} {_result(self._known, name)}")
+        for name in _RESULTS:
+            if f"validation/{name}" in row:
+                cells.append(f"validation {name} {_result(row, f'validation/{name}')}")
+        line = ", ".join(cells)
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._next_line = time.monotonic() + _LINE_INTERVAL
+        self._unprinted = None
+
+    def _panel(self, best: Mapping[str, float]) -> Panel:
+        width = min(self._console.width, _WIDTH)
+        progress = Table.grid(expand=True)
+        progress.add_row(ProgressBar(self._total_steps, self._known["steps"]))
+        progress.add_row(", ".join(self._pace()))
+        blocks = (Group(self._results(best), "", self._learners()), self._rewards())
+        gap, frame = 4, 4
+        needed = sum(self._console.measure(block).maximum for block in blocks) + gap
+        if needed <= width - frame:
+            body = Table.grid(padding=(0, gap))
+            body.add_row(*blocks)
+        else:
+            body = Group(blocks[0], "", blocks[1])
+        return Panel(
+            Group(progress, "", body),
+            title=Text(self._title),
+            title_align="left",
+            box=box.ROUNDED,
+            width=width,
+        )
+
+    def _pace(self) -> list[str]:
+        """Return steps, steps per second and the time left, or taken in the end."""
+        known, total = self._known, self._total_steps
+        steps, rate = known["steps"], known["steps_per_second"]
+        words = [
+            f"{_steps(steps)} of {_steps(total)} steps ({100 * steps / total:.0f} %)",
+            f"{rate:,.0f} steps/s",
+        ]
+        if steps >= total:
+            return [*words, f"took {_duration(known['seconds'])}"]
+        # The latest rate jumps about; that since the first row foretells better.
+        assert self._first is not None, "a row is known"
+        seconds = known["seconds"] - self._first["seconds"]
+        if seconds > 0:
+            rate = (steps - self._first["steps"]) / seconds
+        return (
+            [*words, f"{_duration((total - steps) / rate)} left"] if rate > 0 else words
+        )
+
+    def _results(self, best: Mapping[str, float]) -> Table:
+        """Return how well the robots do, all together."""
+        table = _table("", "training", "validation", "best")
+        for name in _RESULTS:
+            table.add_row(
+                name,
+                _result(self._known, name),
+                _result(self._known, f"validation/{name}"),
+                _result(best, f"validation/{name}"),
+            )
+        return table
+
+    def _rewards(self) -> Table:
+        """Return each robot's return and what it is made of."""
+        robots = robots_of(self._known)
+        terms = dict.fromkeys(
+            term
+            for robot, _, term in (name.rpartition("/") for name in self._known)
+            if robot in robots and term not in _NUMBERS
+        )
+        table = _table("reward" if robots else "", *robots)
+        for term in terms:
+            columns = [f"{robot}/{term}" for robot in robots]
+            table.add_row(
+                term, *(_result(self._known, name, absent="") for name in columns)
+            )
+        return table
+
+    def _learners(self) -> Table:
+        """Return what the last update did, by learner."""
+        learners = [
+            name.removesuffix("/kl") for name in self._known if name.endswith("/kl")
+        ]
+        table = _table("update", *learners)
+        for number, (label, digits) in _NUMBERS.items():
+            values = [self._known.get(f"{name}/{number}") for name in learners]
+            if any(value is not None for value in values):
+                cells = (
+                    "" if value is None else f"{value:{digits}}" for value in values
+                )
+                table.add_row(label, *cells)
+        return table
+
+
+def _table(*columns: str) -> Table:
+    """Return an empty table, text in its first column and numbers in the others."""
+    table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
+    for i, name in enumerate(columns):
+        justify = "right" if i else "left"
+        table.add_column(name, justify=justify, no_wrap=True, min_width=6)
+    return table
+
+
+def _result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
+    """Return a return, a reward term or a share as one reads it."""
+    value = row.get(column)
+    if value is None:
+        return absent
+    if column.removeprefix("validation/") in ("completion", "performance"):
+        return f"{100 * value:.0f} %"
+    return f"{value:,.1f}" if abs(value) < 1e5 else f"{value:.3g}"
+
+
+def _steps(steps: float) -> str:
+    return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,.0f}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02} min"
+    return f"{minutes} min {seconds:02} s" if minutes else f"{seconds} s"

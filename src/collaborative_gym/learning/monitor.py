@@ -1,0 +1,227 @@
+"""What a training run writes into its folder while it learns."""
+
+import csv
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from numbers import Integral
+from pathlib import Path
+
+from collaborative_gym.evaluation.report import Report
+from collaborative_gym.files import write_text
+from collaborative_gym.learning.backend import Iteration
+from collaborative_gym.learning.curve import draw_curve
+
+Row = dict[str, float]
+"""What one iteration brought, by column; `summarize` says which there are."""
+
+_NOT_AVERAGED = {"episode", "seed", "time_to_success", "length", "diverged"}
+"""Entries of an episode's row whose mean says nothing about learning."""
+
+_REDRAW_INTERVAL = 20.0
+"""Least time between two drawings of the curve, in s."""
+
+_DRAWING_SHARE = 0.01
+"""Most of the run's time that goes into drawing the curve."""
+
+
+def summarize(
+    steps: int,
+    seconds: float,
+    steps_per_second: float,
+    iteration: Iteration,
+    validation: Report | None = None,
+) -> Row:
+    """Return what an iteration brought as one row of numbers.
+
+    The columns are `steps`, `seconds` and `steps_per_second`; of the episodes that were
+    played in full, `episodes` (how many) and the means of `return`, `completion` and
+    `performance`, and by agent of `robot_1/return` and each reward term, such as
+    `robot_1/distance`; by learner what the update did, such as `team/kl`; and of a
+    validation the means `validation/return`, `validation/completion` and
+    `validation/performance`. What is not known, as where no episode ended, is left out.
+
+    Args:
+      steps: environment steps done so far, over all worlds.
+      seconds: the time they took.
+      steps_per_second: how fast they come.
+      iteration: what the rollout and the update brought.
+      validation: what a validation after the update found, if there was one.
+    """
+    row: Row = {
+        "steps": steps,
+        "seconds": float(seconds),
+        "steps_per_second": float(steps_per_second),
+    }
+    row |= _means(iteration.episodes)
+    for learner, numbers in iteration.numbers.items():
+        row |= {f"{learner}/{name}": float(value) for name, value in numbers.items()}
+    if validation is not None:
+        row["validation/return"] = validation.mean_reward.mean
+        row["validation/completion"] = validation.completion.mean
+        row["validation/performance"] = validation.performance.mean
+    return row
+
+
+def _means(episodes: Sequence[Mapping[str, float]]) -> Row:
+    """Return the number of episodes and the means over them."""
+    means: Row = {"episodes": len(episodes)}
+    for name in episodes[0] if episodes else ():
+        if name not in _NOT_AVERAGED:
+            values = [float(episode[name]) for episode in episodes]
+            means[name] = math.fsum(values) / len(values)
+    return means
+
+
+class Monitor:
+    """Writes a run's progress into its folder.
+
+    `progress.csv` has a line for each iteration, the TensorBoard events a scalar for
+    each of its numbers, and `curve.png`, redrawn now and then, the learning curve.
+    What cannot be written raises `OSError`.
+
+    Args:
+      folder: the run's; made if it is missing.
+      title: heads the curve.
+      rows: those of a run that goes on; later ones of its files are dropped.
+
+    Attributes:
+      rows: all rows so far, with plain numbers.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if the folder cannot be written to.
+    """
+
+    def __init__(self, folder: Path, title: str, rows: Sequence[Row] = ()):
+        for name in ("matplotlib", "tensorboard"):
+            if find_spec(name) is None:
+                raise ImportError(
+                    f"training needs {name}, which is not installed;"
+                    " pip install 'collaborative-gym[train]'"
+                )
+        # Takes seconds, and only a run needs it.
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        self.rows = [_plain(row) for row in rows]
+        self._folder = Path(folder)
+        self._title = title
+        self._columns: list[str] = []
+        for row in self.rows:
+            self._columns = _joined(self._columns, row)
+        self._rewrite()
+        # Hides the events of a run that went further before it was resumed.
+        purge_step = int(self.rows[-1]["steps"]) + 1 if self.rows else 0
+        self._events = SummaryWriter(str(self._folder), purge_step=purge_step)
+        self._next_drawing = -math.inf
+
+    def log(self, row: Mapping[str, float]) -> None:
+        """Append an iteration's row.
+
+        Raises:
+          OSError: if the disk is full or the folder is gone; names the file.
+        """
+        row = _plain(row)
+        self.rows.append(row)
+        columns = _joined(self._columns, row)
+        if columns == self._columns:
+            self._append(row)
+        else:
+            self._columns = columns
+            self._rewrite()
+        for name, value in row.items():
+            if name != "steps":
+                self._events.add_scalar(name, value, int(row["steps"]))
+        self._events.flush()
+        if time.monotonic() >= self._next_drawing:
+            self._draw()
+
+    def close(self) -> None:
+        """Draw the last curve and close the events."""
+        try:
+            self._draw()
+        finally:
+            self._events.close()
+
+    @property
+    def _path(self) -> Path:
+        return self._folder / "progress.csv"
+
+    def _rewrite(self) -> None:
+        """Write all rows anew, under a header that knows all columns."""
+        lines = [",".join(self._columns) + "\n", *map(self._line, self.rows)]
+        with _naming(self._path):
+            write_text(self._path, "".join(lines))
+
+    def _append(self, row: Row) -> None:
+        with _naming(self._path), self._path.open("a", encoding="utf-8") as file:
+            file.write(self._line(row))
+
+    def _line(self, row: Row) -> str:
+        """Return a row's line; its numbers read back exactly."""
+        cells = (repr(row[name]) if name in row else "" for name in self._columns)
+        return ",".join(cells) + "\n"
+
+    def _draw(self) -> None:
+        started = time.monotonic()
+        draw_curve(self.rows, self._title, self._folder / "curve.png")
+        ended = time.monotonic()
+        pause = max(_REDRAW_INTERVAL, (ended - started) / _DRAWING_SHARE)
+        self._next_drawing = ended + pause
+
+
+def read_progress(path: str | Path) -> list[Row]:
+    """Return the rows of a `progress.csv` as they were logged.
+
+    A last line that a run's sudden end cut short is left out.
+
+    Raises:
+      OSError: if it cannot be read.
+      ValueError: if it is something else; says where.
+    """
+    text = Path(path).read_text(encoding="utf-8")
+    lines = csv.reader(text[: text.rfind("\n") + 1].splitlines())
+    columns = next(lines, [])
+    rows = []
+    for number, cells in enumerate(lines, start=2):
+        try:
+            pairs = zip(columns, cells, strict=True)
+            rows.append({name: _number(cell) for name, cell in pairs if cell})
+        except ValueError as error:
+            raise ValueError(
+                f"{path} is no progress.csv of a run: line {number} is"
+                f" {','.join(cells)!r}"
+            ) from error
+    return rows
+
+
+def _number(cell: str) -> float:
+    return int(cell) if cell.lstrip("-").isdigit() else float(cell)
+
+
+def _plain(row: Mapping[str, float]) -> Row:
+    """Return a row with Python's own numbers."""
+    return {
+        name: int(value) if isinstance(value, Integral) else float(value)
+        for name, value in row.items()
+    }
+
+
+def _joined(columns: list[str], row: Row) -> list[str]:
+    """Return the columns with those that a row adds, in the order of that row."""
+    if row.keys() <= set(columns):
+        return columns
+    return list(dict.fromkeys([*row, *columns]))
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an error that knows no file, as of a full disk, name this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.policies import policy
+from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
+
+
+@pytest.fixture
+def random_network(tmp_path, monkeypatch):
+    """Return a function that ships a baseline with random weights; it gives its path.
+
+    No other baseline is shipped during the test.
+    """
+    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+
+    def ship(env_id):
+        env = cg.make_vec(env_id, 1, num_threads=1)
+        rng = np.random.default_rng(0)
+        sizes = {
+            kind: {agent: space.shape[0] for agent, space in spaces.items()}
+            for kind, spaces in (
+                ("observation_sizes", env.single_observation_spaces),
+                ("action_sizes", env.single_action_spaces),
+            )
+        }
+        weights = {}
+        for agent in env.agents:
+            inputs, outputs = (sizes[kind][agent] for kind in sizes)
+            weight = rng.normal(0.0, 0.3, (outputs, inputs)).astype(np.float32)
+            weights[agent] = Weights(
+                np.zeros(inputs, np.float32),
+                np.ones(inputs, np.float32),
+                ((weight, np.zeros(outputs, np.float32)),),
+            )
+        parts = [Part((agent,), agent) for agent in env.agents]
+        robots = [robot.name for robot in env.task.robots.values()]
+        facts = {"environment": env_id, "robots": robots, **sizes}
+        path = tmp_path / f"{env_id}.safetensors"
+        NetworkPolicy(parts, weights, "tanh", facts).save(path)
+        return path
+
+    return ship

@@ -1,0 +1,85 @@
+import csv
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.evaluation.report import Statistic, reports_to_csv, show
+
+
+@pytest.fixture
+def report(carry):
+    return cg.evaluate(carry(), "expert", episodes=5, num_threads=1)
+
+
+def test_statistic_of_known_values():
+    statistic = Statistic.of([0, 0, 1, 2, 3, 4, 100, math.nan])
+    assert statistic.mean == pytest.approx(110 / 7)
+    assert statistic.iqm == pytest.approx(np.mean([0, 1, 2, 3, 4]))
+    assert statistic.low < statistic.mean < statistic.high
+    assert Statistic.of([2.0, 2.0]) == Statistic(2.0, 2.0, 2.0, 2.0)
+    assert math.isnan(Statistic.of([math.nan]).mean)
+
+
+def test_bootstrap_interval_is_that_of_the_mean():
+    values = np.random.default_rng(0).normal(5.0, 2.0, 400)
+    statistic = Statistic.of(values)
+    error = 1.96 * values.std() / 20
+    assert statistic.low == pytest.approx(values.mean() - error, abs=0.03)
+    assert statistic.high == pytest.approx(values.mean() + error, abs=0.03)
+
+
+def test_json_holds_everything_and_null_for_nan(carry):
+    report = cg.evaluate(carry(), "random", episodes=2, num_threads=1)
+    content = json.loads(report.to_json(), parse_constant=pytest.fail)["Carry"]
+    assert content["settings"]["robots"] == ["panda", "panda"]
+    assert content["time_to_success"]["mean"] is None
+    assert len(content["episodes"]) == 2
+
+
+def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
+    failed = cg.evaluate(carry(), "random", episodes=2, num_threads=1)
+    rows = list(csv.DictReader(io.StringIO(reports_to_csv([report, failed]))))
+    assert [row["episode"] for row in rows] == ["0", "1", "2", "3", "4", "0", "1"]
+    assert rows[-1]["time_to_success"] == ""
+    assert float(rows[0]["return"]) == report.episodes[0]["return"]
+
+
+def test_markdown_is_a_table_of_all_statistics(report):
+    head, rule, *rows = report.to_markdown().splitlines()
+    assert {line.count("|") for line in (head, rule, *rows)} == {5}
+    cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows]
+    assert [name for _, name, _, _ in cells] == [
+        "return",
+        "return of robot_1",
+        "return of robot_2",
+        "completion",
+        "performance",
+        "time to success",
+    ]
+    assert cells[3] == ["Carry", "completion", "100 % (100 to 100)", "100 %"]
+    own = report.returns["robot_2"]
+    assert cells[2][2:] == [show(own), f"{own.iqm:.1f}"]
+    assert cells[5][3] == f"{report.time_to_success.iqm:.1f} s"
+
+
+def test_markdown_has_dashes_where_nothing_succeeded(carry):
+    failed = cg.evaluate(carry(height=5.0), episodes=1, num_threads=1)
+    assert failed.to_markdown().endswith("| Carry | time to success | - | - |\n")
+
+
+@pytest.mark.parametrize(
+    ("statistic", "percent", "text"),
+    [
+        (Statistic(0.985, 0.965, 1.0, 1.0), True, "98.5 % (96.5 to 100)"),
+        (Statistic(0.9997, 0.9996, 1.0, 1.0), True, "100.0 % (100.0 to 100)"),
+        (Statistic(-356.88, -360.0, -350.04, 0), False, "-356.9 (-360.0 to -350.0)"),
+        (Statistic(-990.5, -1001.2, -980.5, 0), False, "-990 (-1001 to -980)"),
+        (Statistic(math.nan, math.nan, math.nan, math.nan), True, "-"),
+    ],
+)
+def test_numbers_as_people_read_them(statistic, percent, text):
+    assert show(statistic, percent) == text
