@@ -1,8 +1,10 @@
 """Videos and pictures of policies at work."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ _VISIBLE = 3e-4
 Frames = Iterator[np.ndarray]
 """Pictures, (height, width, 3) uint8."""
 
+AnyPolicy = str | Path | Policy
+"""A policy, or what `load_policy` finds it by."""
+
 
 @dataclass(frozen=True)
 class _Format:
@@ -46,7 +51,7 @@ class _Format:
 def record(
     env: str | Task,
     output: str | Path,
-    policy: str | Policy = "expert",
+    policy: AnyPolicy | Sequence[AnyPolicy] = "expert",
     episodes: int = 1,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
@@ -63,11 +68,13 @@ def record(
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
       policy: a name for `load_policy`, or a function from observations to actions.
+        Several are shown side by side, each at the same episodes, under their names.
       episodes: how many, one after the other.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
-      size: width and height in pixels; None for 640 x 480, of a GIF 320 x 240.
+      size: width and height in pixels, of each policy's picture; None for 640 x 480, of
+        a GIF 320 x 240.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -84,14 +91,27 @@ def record(
     width, height = size or kind.size
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
-    vector_env = VectorEnv(as_task(env, robots, randomization), 1, seed, num_threads=1)
-    act = as_policy(policy, vector_env)
-    frames = _film(vector_env, act, episodes, kind.shots, (width, height), on_progress)
-    try:
+    policies: Sequence[AnyPolicy] = (
+        [policy] if isinstance(policy, str | Path) or callable(policy) else policy
+    )
+    if not policies:
+        raise ValueError("name at least one policy")
+    task = as_task(env, robots, randomization)
+    with ExitStack() as stack:
+        films = []
+        for each in policies:
+            vector_env = VectorEnv(task, 1, seed, num_threads=1)
+            stack.callback(vector_env.close)
+            act = as_policy(each, vector_env)
+            # All films advance together, and the last one tells how far.
+            report = on_progress if len(films) == len(policies) - 1 else None
+            films.append(
+                _film(vector_env, act, episodes, kind.shots, (width, height), report)
+            )
+        names = [_name(each) for each in policies]
+        frames = _side_by_side(films, names) if len(films) > 1 else films[0]
         with replacing(output) as partial:
             kind.write(partial, frames, round(kind.shots / CONTROL_DT))
-    finally:
-        vector_env.close()
     return output
 
 
@@ -240,6 +260,36 @@ def _film(
             is_over = bool(infos["ended"][0])
             if on_progress is not None:
                 on_progress((episode + infos["step"][0] / length) / episodes)
+
+
+def _side_by_side(films: Sequence[Frames], names: Sequence[str]) -> Frames:
+    """Yield the films' frames beside one another, each under its name."""
+    last: list[np.ndarray] = []
+    # A film that ends early, as of a world that diverged, stands still.
+    for frames in zip_longest(*films):
+        last = [
+            before if frame is None else _labelled(frame, name)
+            for frame, before, name in zip(frames, last or frames, names, strict=True)
+        ]
+        yield np.concatenate(last, axis=1)
+
+
+def _labelled(frame: np.ndarray, name: str) -> np.ndarray:
+    """Return a frame with a name in its corner."""
+    picture = _import("PIL.Image").fromarray(frame)
+    size = max(9, frame.shape[0] // 14)
+    font = _import("PIL.ImageFont").load_default(size=size)
+    pen = _import("PIL.ImageDraw").Draw(picture)
+    place = size // 2, size // 3
+    pen.text(place, name, "white", font, stroke_width=1, stroke_fill="black")
+    return np.asarray(picture)
+
+
+def _name(policy: AnyPolicy) -> str:
+    """Return what to call a policy in a picture."""
+    if isinstance(policy, str | Path):
+        return Path(policy).name
+    return getattr(policy, "__name__", type(policy).__name__)
 
 
 def _write_mp4(path: Path, frames: Frames, rate: int) -> None:

@@ -1,7 +1,6 @@
 """The RLlib adapter, by RLlib's own check and its own runner, and by what it adds."""
 
-import os
-
+import gymnasium
 import numpy as np
 import pytest
 
@@ -9,15 +8,16 @@ import collaborative_gym as cg
 
 pytest.importorskip("ray")
 
-from ray.rllib.algorithms.ppo import PPOConfig  # noqa: E402
-from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner  # noqa: E402
-from ray.rllib.utils.pre_checks.env import (  # noqa: E402
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
+from ray.rllib.utils.pre_checks.env import (
     check_multiagent_environments,
 )
-from ray.tune.registry import ENV_CREATOR, _global_registry  # noqa: E402
+from ray.tune.registry import ENV_CREATOR, _global_registry
 
-from collaborative_gym.envs.pettingzoo import PettingZooEnv  # noqa: E402
-from collaborative_gym.envs.rllib import RLlibEnv, register_envs  # noqa: E402
+from collaborative_gym.envs.pettingzoo import PettingZooEnv
+from collaborative_gym.envs.rllib import RLlibEnv, register_envs
+from collaborative_gym.tasks import registry
 
 pytestmark = pytest.mark.slow
 
@@ -74,13 +74,10 @@ def test_every_id_is_registered_with_its_options(carry_in_rllib):
     assert env.metadata["name"] == carry_in_rllib
 
 
-def test_another_process_makes_an_id_that_it_does_not_know(
-    carry_in_rllib, monkeypatch
-):
-    from collaborative_gym.tasks import registry
-
+def test_another_process_makes_an_id_that_it_does_not_know(carry_in_rllib, monkeypatch):
     make = _global_registry.get(ENV_CREATOR, carry_in_rllib)
     monkeypatch.delitem(registry._ENVS, carry_in_rllib)
+    monkeypatch.delitem(gymnasium.registry, carry_in_rllib)
     with pytest.raises(KeyError, match="no environment"):
         cg.make(carry_in_rllib)
     assert make({}).possible_agents == AGENTS
@@ -101,4 +98,3 @@ def test_rllibs_own_runner_collects_whole_episodes(carry_in_rllib):
         assert episode.env_steps() == 4
         assert set(episode.agent_ids) == set(AGENTS)
     runner.stop()
-    assert os.environ  # The runner needs no Ray of its own.

@@ -1,5 +1,6 @@
 """The commands that play, measure and show."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -68,12 +69,17 @@ class Record(_World):
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif.
+      beside: other policies to show beside it, at the same episodes.
       episodes: how many, one after the other.
-      size: width and height in pixels.
+      size: width and height in pixels, of each policy's picture.
     """
 
     env: Env
     output: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    beside: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="POLICY ...", help_behavior_hint="(default: none)"),
+    ] = ()
     episodes: int = 1
     size: Size = OWN_SIZE
 
@@ -85,7 +91,7 @@ class Record(_World):
             record(
                 self.env,
                 self.output,
-                self.policy,
+                (self.policy, *self.beside),
                 self.episodes,
                 self.seed,
                 self.robots or None,
@@ -264,43 +270,61 @@ class View(_World):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Evaluate and film the expert of every environment; the files go to one folder.
+    """Evaluate and film all baselines, and compare them with the thesis's Table 11.
+
+    Where an environment has no baseline, its expert is filmed.
 
     Attributes:
       output: where the files go.
-      episodes: how many per environment.
+      episodes: how many per environment and policy.
     """
 
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out")
     episodes: int = 20
 
     def run(self) -> None:
-        """Print a table; write report.json, a video each and a contact sheet."""
-        from collaborative_gym import demo, list_envs, recording
-        from collaborative_gym.evaluation import evaluate, report
+        """Print two tables; write them, a video each and a contact sheet."""
+        from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
-        from collaborative_gym.tables import reports_table
+        from collaborative_gym.tables import reports_table, table11_table
 
-        env_ids = list_envs()
-        check_files(self.output / "report.json")
+        files = self.output / "table11.json", self.output / "table11.md"
+        check_files(*files)
         with progress_bars() as progress:
-            reports = [
-                evaluate(env_id, "expert", self.episodes, on_progress=progress(env_id))
-                for env_id in env_ids
-            ]
-        show(reports_table(reports))
-        write_text(self.output / "report.json", report.reports_to_json(reports))
-        show(f"wrote {self.output / 'report.json'}")
+            table11 = reproduce_table11(
+                self.episodes, on_progress=progress("baselines, experts, chance")
+            )
+        write_text(files[0], table11.to_json())
+        write_text(files[1], table11.to_markdown())
+        trained = {
+            comparison.environment: comparison.reports["ours_on_default"]
+            for comparison in table11.comparisons
+            if "ours_on_default" in comparison.reports
+        }
+        show(reports_table(list(trained.values())))
+        policies = {
+            comparison.environment: (
+                "baseline" if comparison.environment in trained else "expert"
+            )
+            for comparison in table11.comparisons
+        }
+        for path in [*files, *self._film(policies)]:
+            show(f"wrote {path}")
+        show(table11_table(table11))
+        show(table11.verdict)
+
+    def _film(self, policies: Mapping[str, str]) -> list[Path]:
+        from collaborative_gym import demo, recording
+
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
             show(f"no videos and pictures: {error}")
-            return
+            return []
+        paths: list[Path] = []
         with progress_bars() as progress:
             advance = progress("videos")
-            paths = []
-            for path in demo.film(env_ids, self.output):
+            for path in demo.film(policies, self.output):
                 paths.append(path)
-                advance(len(paths) / (len(env_ids) + 1))
-        for path in paths:
-            show(f"wrote {path}")
+                advance(len(paths) / (len(policies) + 1))
+        return paths

@@ -1,13 +1,13 @@
 """The command that trains."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from collaborative_gym.cli.terminal import Envs, Folder, Robots, show
-from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
+from collaborative_gym.learning.config import Hyperparameters, Mode, Resources, changed
 
 _Own = tyro.conf.arg(help_behavior_hint="")
 """Of an option whose help says itself what holds where it is not given."""
@@ -24,7 +24,7 @@ class Train:
     TensorBoard's events, and checkpoints.
 
     Attributes:
-      envs: environment id, or a task's name.
+      envs: environment id, or a task's name; with --resume that of the run.
       all: train the baselines of all environments, or of those named, one after the
         other, and write their cards; what is there is gone on with.
       mode: who learns what. collaborative (default): a policy for each robot and one
@@ -69,10 +69,8 @@ class Train:
         from collaborative_gym.learning.display import Display
         from collaborative_gym.learning.train import train
 
-        if len(self.envs) != 1:
-            raise ValueError("name one environment to train, or pass --all")
-        (env,) = self.envs
-        with Display(env, self.hyperparameters.total_steps) as display:
+        env, hyperparameters = self._what()
+        with Display(env, hyperparameters.total_steps) as display:
             result = train(
                 env,
                 self.mode,
@@ -81,7 +79,7 @@ class Train:
                 self.resume,
                 self.robots or None,
                 self.randomization,
-                self.hyperparameters,
+                hyperparameters,
                 self.backend,
                 self.resources,
                 self.checkpoint_interval,
@@ -89,11 +87,29 @@ class Train:
             )
         show(f"wrote {result.folder / 'policy.safetensors'}")
 
+    def _what(self) -> tuple[str, Hyperparameters]:
+        """Return the environment and how to learn; a run that goes on knows its own."""
+        from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+
+        envs, numbers = self.envs, self.hyperparameters
+        if self.resume is not None:
+            settings = Checkpoint.load(self.resume / LAST).settings
+            envs = envs or (settings.environment,)
+            numbers = replace(settings.hyperparameters, **changed(numbers))
+        if len(envs) != 1:
+            raise ValueError("name one environment to train, or pass --all")
+        return envs[0], numbers
+
     def _train_all(self) -> None:
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import train_baselines
         from collaborative_gym.learning.display import Display
 
+        for option in ("mode", "seed", "resume", "robots", "randomization", "backend"):
+            if getattr(self, option) not in (None, ()):
+                raise ValueError(
+                    f"{option} does not go with --all: all baselines are trained alike"
+                )
         for card in train_baselines(
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),

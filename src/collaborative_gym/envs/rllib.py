@@ -6,6 +6,9 @@ script of one's own says `PPOConfig().environment("LiftTaskSawyers-v0")`. What
 task's config.
 """
 
+# RLlib is optional.
+# pyright: reportMissingImports=false
+
 from collections.abc import Mapping
 from functools import partial
 from typing import Any

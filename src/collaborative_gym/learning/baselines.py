@@ -15,6 +15,7 @@ from collaborative_gym.learning.checkpoint import LAST
 from collaborative_gym.learning.config import Hyperparameters, Resources, changed
 from collaborative_gym.learning.train import OnRow, Result, train
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.tasks.registry import as_task
 
 _EPISODES, _SEED = 200, 0
 """What a card reports on; no run is trained on these episodes or chosen by them."""
@@ -73,12 +74,15 @@ def train_baselines(
       displays: makes what shows a run; None for no display.
 
     Raises:
+      KeyError: if there is no such environment.
       ValueError: if there are no seeds, or a run that is there has other
         hyperparameters.
       Exception: what `train` raises.
     """
     if not seeds:
         raise ValueError("give at least one seed")
+    for env_id in env_ids:
+        as_task(env_id)  # An unknown one shows before the work.
     output = Path(output)
     numbers = hyperparameters or Hyperparameters()
     resources = resources or Resources()
@@ -151,7 +155,7 @@ def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
         "",
         f"A policy for each robot ({', '.join(settings.robots)}), trained from scratch"
         " by PPO on the thesis's reward, mode collaborative: no demonstrations, no"
-        " shaping, no curriculum.",
+        f" shaping, {_curriculum(numbers)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
@@ -182,6 +186,13 @@ def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def _curriculum(numbers: Hyperparameters) -> str:
+    if not numbers.assisted_steps:
+        return "no curriculum"
+    steps = numbers.assisted_steps / 1e6
+    return f"a curriculum: help, less and less, for the first {steps:g} M steps"
 
 
 def _option(value: Any) -> str:

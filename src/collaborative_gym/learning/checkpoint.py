@@ -1,7 +1,9 @@
 """Everything that a training run needs to go on, in one file."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -103,12 +105,17 @@ class Checkpoint:
             "best": self.best,
             "seconds": self.seconds,
         }
+        # In memory first: torch's own writing hides that a disk is full.
+        whole = BytesIO()
+        torch.save(content, whole)
         with replacing(path) as partial, open(partial, "wb") as file:
             try:
-                torch.save(content, file)
-            except RuntimeError as error:
-                # So torch reports a full disk.
-                raise OSError(f"cannot write {path}: {error}") from error
+                file.write(whole.getbuffer())
+                # Else it may be empty in its place if the power fails.
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError as error:
+                raise OSError(f"cannot write {path}: {error.strerror}") from error
 
     @classmethod
     def load(cls, path: Path) -> "Checkpoint":
@@ -134,10 +141,15 @@ class Checkpoint:
                 f"{path} is no checkpoint of this version: its format is {found!r}, not"
                 f" {_FORMAT!r}"
             )
-        return cls(
-            Settings.from_dict(content["settings"]),
-            content["backend"],
-            content["rows"],
-            content["best"],
-            content["seconds"],
-        )
+        try:
+            return cls(
+                Settings.from_dict(content["settings"]),
+                content["backend"],
+                content["rows"],
+                content["best"],
+                content["seconds"],
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(
+                f"{path} is no checkpoint of this version: {error}"
+            ) from error

@@ -49,8 +49,16 @@ class Hyperparameters:
       min_learning_rate: it never falls below.
       max_learning_rate: it never rises above.
       initial_std: standard deviation of the first actions.
+      initial_grip_std: that of their grip component, which is above or below zero and
+        nothing else: a small one would stop trying the other.
+      noise_persistence: how much of an action's noise stays for the next one, from 0 to
+        below 1. Noise that lasts explores motions that take several steps, such as
+        taking up a load.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
+      assisted_steps: environment steps over which the help of a task's curriculum falls
+        from full to none; 0 for no help. Lift takes up to three quarters of the pot's
+        weight off, the other tasks have no such help.
       validation_interval: environment steps between two validations; 0 for none but at
         the end.
       validation_episodes: episodes of a validation, with the deterministic policy.
@@ -64,16 +72,19 @@ class Hyperparameters:
     discount: float = 0.97
     gae_lambda: float = 0.95
     clip: float = 0.2
-    entropy: float = 0.003
+    entropy: float = 0.0
     value_weight: float = 1.0
     max_grad_norm: float = 1.0
     learning_rate: float = 1e-3
-    target_kl: float = 0.016
+    target_kl: float = 0.012
     min_learning_rate: float = 1e-5
     max_learning_rate: float = 3e-3
-    initial_std: float = 0.5
+    initial_std: float = 0.2
+    initial_grip_std: float = 0.5
+    noise_persistence: float = 0.0
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
+    assisted_steps: int = 0
     validation_interval: int = 250_000
     validation_episodes: int = 64
 
@@ -87,7 +98,8 @@ class Hyperparameters:
             "validation_episodes",
         ):
             check_count(name, getattr(self, name), at_least=1)
-        check_count("validation_interval", self.validation_interval, at_least=0)
+        for name in ("validation_interval", "assisted_steps"):
+            check_count(name, getattr(self, name), at_least=0)
         for width in self.hidden_sizes:
             check_count("each of hidden_sizes", width, at_least=1)
         for name, low, high in _RANGES:
@@ -100,6 +112,12 @@ class Hyperparameters:
                 f" max_learning_rate {self.max_learning_rate:g}"
             )
         check_activation(self.activation)
+
+    def assistance(self, steps: int) -> float:
+        """Return the help of a task's curriculum after that many steps, 1 to 0."""
+        if not self.assisted_steps:
+            return 0.0
+        return max(0.0, 1.0 - steps / self.assisted_steps)
 
     @property
     def steps_per_update(self) -> int:
@@ -119,6 +137,8 @@ _RANGES = (
     ("min_learning_rate", 0.0, 1.0),
     ("max_learning_rate", 0.0, 1.0),
     ("initial_std", 1e-3, 7.0),
+    ("initial_grip_std", 1e-3, 7.0),
+    ("noise_persistence", 0.0, 0.99),
 )
 
 

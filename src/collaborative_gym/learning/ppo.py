@@ -57,7 +57,14 @@ class PPOLearner:
         actions = Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32)
         self._networks = learner.networks(sizes)
         spaces = {"observation_space": observations, "action_space": actions}
-        self._policy = _Policy(self._networks, hyperparameters, device, spaces)
+        std = np.where(
+            learner.is_grip(sizes),
+            hyperparameters.initial_grip_std,
+            hyperparameters.initial_std,
+        )
+        self._policy = _Policy(
+            self._networks, rows, std, hyperparameters, device, spaces
+        )
         self._value = _Value(size, hyperparameters, device, spaces)
         self._memory = RandomMemory(
             memory_size=hyperparameters.rollout_steps, num_envs=rows, device=device
@@ -125,10 +132,10 @@ class PPOLearner:
         agent.update(timestep=0, timesteps=0)
         agent.enable_models_training_mode(False)
         self._memory.reset()
+        # skrl leaves out a loss that has no weight.
         numbers = {
-            name: float(agent.tracking_data[tag][-1])
+            name: float(agent.tracking_data.get(tag, [0.0])[-1])
             for name, tag in _LOSSES.items()
-            if tag in agent.tracking_data
         }
         agent.tracking_data.clear()
         numbers["kl"] = self._modules["scheduler"].kl
@@ -179,6 +186,8 @@ class _Policy(GaussianMixin, Model):
     def __init__(
         self,
         networks: Mapping[str, tuple[int, int]],
+        rows: int,
+        std: np.ndarray,
         hyperparameters: Hyperparameters,
         device: str,
         spaces: Mapping[str, Box],
@@ -190,8 +199,22 @@ class _Policy(GaussianMixin, Model):
             _network(inputs, outputs, hyperparameters, gain=0.01)
             for inputs, outputs in networks.values()
         )
-        log_std = np.log(hyperparameters.initial_std)
-        self.log_std = nn.Parameter(torch.full((self.num_actions,), float(log_std)))
+        self.log_std = nn.Parameter(torch.from_numpy(np.log(std)).float())
+        self._persistence = hyperparameters.noise_persistence
+        self.noise: torch.Tensor
+        self.register_buffer("noise", torch.randn(rows, self.num_actions))
+
+    def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
+        """Return actions that the policy's noise moves away from their mean."""
+        actions, outputs = super().act(dict(inputs), role=role)
+        if "taken_actions" in inputs:
+            return actions, outputs
+        fresh = (1.0 - self._persistence**2) ** 0.5 * torch.randn_like(self.noise)
+        self.noise = self._persistence * self.noise + fresh
+        normal = self.distribution(role=role)
+        actions = normal.mean + normal.stddev * self.noise
+        outputs["log_prob"] = normal.log_prob(actions).sum(dim=1, keepdim=True)
+        return actions, outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         blocks = inputs["observations"].split(self._inputs, dim=1)

@@ -1,17 +1,27 @@
 """Training on one machine or a Ray cluster, with RLlib."""
 
+# RLlib is optional, and its annotations differ from what its code takes and returns.
+# pyright: reportMissingImports=false, reportOptionalMemberAccess=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+# pyright: reportOperatorIssue=false, reportReturnType=false
+# pyright: reportIndexIssue=false, reportPrivateImportUsage=false
+
 import logging
 import os
+import sys
+import sysconfig
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import ray
 import torch
+from ray import cloudpickle
 from ray._private import ray_constants
 from ray.rllib.algorithms.ppo import PPO, PPOConfig
 from ray.rllib.core.learner.learner import Learner as RLlibLearner
@@ -55,10 +65,12 @@ class TeamPPO(PPO):
     Attributes:
       samples: what the last `train` was made of, by runner.
       rollouts: how many rollouts there were.
+      steps: how many environment steps they had, over all worlds.
     """
 
     samples: list[Sample]
     rollouts: int = 0
+    steps: int = 0
 
     def _setup_logdir(self) -> None:
         # Otherwise RLlib makes a folder in the home, and leaves it there empty.
@@ -67,7 +79,7 @@ class TeamPPO(PPO):
 
     def training_step(self) -> None:
         """Collect a rollout from all runners that live, and learn from it."""
-        self.samples = self._collect()
+        self.samples = self.collect()
         if not self.samples:
             return
         steps = sum(sample.steps for sample in self.samples)
@@ -84,6 +96,7 @@ class TeamPPO(PPO):
                 shuffle_batch_per_epoch=True,
             )
         self.rollouts += 1
+        self.steps += steps
         self.metrics.aggregate(results, key=LEARNER_RESULTS)
         for name, reduce in (
             (NUM_ENV_STEPS_SAMPLED, "sum"),
@@ -124,9 +137,10 @@ class TeamPPO(PPO):
                 raise RuntimeError(f"a runner failed: {result!r}") from result
         return results
 
-    def _collect(self) -> list[Sample]:
+    def collect(self) -> list[Sample]:
+        """Return a rollout of each runner that lives."""
         state = ray.put(self.learner.module.get_state())
-        return self.on_runners(partial(_sample, state, self.rollouts))
+        return self.on_runners(partial(_sample, state, self.rollouts, self.steps))
 
 
 class RLlibBackend:
@@ -155,7 +169,7 @@ class RLlibBackend:
         is used as it is.
 
     Raises:
-      ValueError: if there are more runners than worlds.
+      ValueError: if there are more runners than worlds, or than CPUs in the cluster.
       ConnectionError: if there is no such cluster.
     """
 
@@ -177,10 +191,14 @@ class RLlibBackend:
                 " give more num_envs or fewer num_runners"
             )
         self.steps = 0
+        self._learners = tuple(learners)
         threads = num_threads or (1 if num_runners else 0)
-        job = Job(task, tuple(learners), sizes, seed, hyperparameters, threads)
+        job = Job(
+            _pickled(task), tuple(learners), sizes, seed, hyperparameters, threads
+        )
         self._has_started_ray = connect(ray_address, num_runners)
         try:
+            _check_room(num_runners)
             self._algorithm: TeamPPO = _config(job, num_runners, device).build_algo()
         except BaseException:
             self._disconnect()
@@ -202,7 +220,7 @@ class RLlibBackend:
             if time.monotonic() - since > _PATIENCE:
                 raise RuntimeError(f"no runner has answered for {_PATIENCE:.0f} s")
             time.sleep(1.0)
-        self.steps += sum(sample.steps for sample in samples)
+        self.steps = self._algorithm.steps
         samples.sort(key=lambda sample: sample.runner)
         return Iteration(
             [row for sample in samples for row in sample.episodes],
@@ -214,6 +232,13 @@ class RLlibBackend:
                 for name in self._modules()
             },
         )
+
+    def collect(self) -> int:
+        """Collect a rollout, learn nothing from it, and return how many steps it had.
+
+        It is how fast the runners are; the worlds go on.
+        """
+        return sum(sample.steps for sample in self._algorithm.collect())
 
     def weights(self) -> dict[str, Weights]:
         """Return what the networks have learned so far, by name."""
@@ -244,7 +269,7 @@ class RLlibBackend:
 
         With another number of runners than it had, the worlds begin new episodes.
         """
-        self.steps = state["steps"]
+        self.steps = self._algorithm.steps = state["steps"]
         self._algorithm.rollouts = state["rollouts"]
         for name, module in self._modules().items():
             module.load_state_dict(state["modules"][name])
@@ -259,7 +284,8 @@ class RLlibBackend:
 
     def _modules(self) -> dict[str, TeamModule]:
         modules = self._algorithm.learner.module
-        return {name: modules[name].unwrapped() for name in modules.keys()}
+        names = [each.name for each in self._learners]
+        return {name: modules[name].unwrapped() for name in names}
 
     def _disconnect(self) -> None:
         if self._has_started_ray:
@@ -283,18 +309,6 @@ def _config(job: Job, num_runners: int, device: str) -> PPOConfig:
     names = [learner.name for learner in job.learners]
     # RLlib sets the level only after it has said that this is its new API.
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)
-    specs = {}
-    for learner in job.learners:
-        observations, actions = job.spaces(learner)
-        specs[learner.name] = RLModuleSpec(
-            module_class=TeamModule,
-            observation_space=observations,
-            action_space=actions,
-            model_config={
-                "networks": learner.networks(job.sizes),
-                "hyperparameters": numbers,
-            },
-        )
     config = PPOConfig(algo_class=TeamPPO)
     config.environment(RLlibEnv, env_config={"job": job})
     config.framework("torch")
@@ -312,7 +326,7 @@ def _config(job: Job, num_runners: int, device: str) -> PPOConfig:
         policies=dict.fromkeys(names, PolicySpec()),
         policy_mapping_fn=lambda agent, episode: names[0],
     )
-    config.rl_module(rl_module_spec=MultiRLModuleSpec(rl_module_specs=specs))
+    config.rl_module(rl_module_spec=_modules_spec(job))
     config.training(
         learner_class=TeamPPOLearner,
         lr=numbers.learning_rate,
@@ -332,6 +346,28 @@ def _config(job: Job, num_runners: int, device: str) -> PPOConfig:
     )
     config.debugging(log_level="ERROR")
     return config
+
+
+def _modules_spec(job: Job) -> MultiRLModuleSpec:
+    numbers = job.hyperparameters
+    specs = {}
+    for learner in job.learners:
+        observations, actions = job.spaces(learner)
+        specs[learner.name] = RLModuleSpec(
+            module_class=TeamModule,
+            observation_space=observations,
+            action_space=actions,
+            model_config={
+                "networks": learner.networks(job.sizes),
+                "std": np.where(
+                    learner.is_grip(job.sizes),
+                    numbers.initial_grip_std,
+                    numbers.initial_std,
+                ).tolist(),
+                "hyperparameters": numbers,
+            },
+        )
+    return MultiRLModuleSpec(rl_module_specs=specs)
 
 
 def connect(address: str | None, num_runners: int) -> bool:
@@ -358,6 +394,16 @@ def connect(address: str | None, num_runners: int) -> bool:
     return True
 
 
+def _check_room(num_runners: int) -> None:
+    """Raise ValueError where Ray would wait without end for CPUs."""
+    cpus = int(ray.cluster_resources().get("CPU", 0))
+    if num_runners > cpus:
+        raise ValueError(
+            f"{num_runners} runners need a CPU each, but Ray has {cpus}; give fewer"
+            " num_runners or join a larger cluster"
+        )
+
+
 @contextmanager
 def on_loopback() -> Iterator[None]:
     """Let what is started of Ray meanwhile listen on loopback alone.
@@ -371,6 +417,29 @@ def on_loopback() -> Iterator[None]:
         yield
     finally:
         ray_constants.ENABLE_RAY_CLUSTER = allowed
+
+
+def _pickled(task: Task) -> bytes:
+    """Return a task for another process, with its code where that is not installed."""
+    classes = (*type(task).__mro__, type(task.config))
+    modules = {sys.modules[each.__module__] for each in classes}
+    own = [module for module in modules if not _is_installed(module)]
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return cloudpickle.dumps(task)
+    finally:
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _is_installed(module: ModuleType) -> bool:
+    if module.__name__.startswith("collaborative_gym."):
+        return True
+    file = getattr(module, "__file__", None)
+    paths = sysconfig.get_paths()
+    installed = tuple(paths[name] for name in ("stdlib", "purelib", "platlib"))
+    return file is None or file.startswith(installed)
 
 
 @contextmanager
@@ -395,8 +464,8 @@ def _try(call: Any, runner: BatchedEnvRunner) -> Any:
         return error
 
 
-def _sample(state: Any, iteration: int, runner: BatchedEnvRunner) -> Sample:
-    return runner.sample(iteration=iteration, weights=ray.get(state))
+def _sample(state: Any, iteration: int, steps: int, runner: BatchedEnvRunner) -> Sample:
+    return runner.sample(iteration=iteration, steps=steps, weights=ray.get(state))
 
 
 def _get_worlds(runner: BatchedEnvRunner) -> tuple[int, dict[str, Any] | None]:

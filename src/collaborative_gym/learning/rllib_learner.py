@@ -1,10 +1,17 @@
 """What RLlib learns with: the networks of one learner, and PPO's loss on them."""
 
+# RLlib is optional, and its annotations differ from what its code takes and returns.
+# pyright: reportMissingImports=false, reportOptionalMemberAccess=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+# pyright: reportOperatorIssue=false, reportReturnType=false
+# pyright: reportIndexIssue=false, reportPrivateImportUsage=false
+
 import math
 from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from ray.rllib.algorithms.ppo.torch.ppo_torch_learner import PPOTorchLearner
 from ray.rllib.core.columns import Columns
@@ -37,7 +44,8 @@ class TeamModule(TorchRLModule, ValueFunctionAPI):
     The critic sees the whole row. Both see observations in standard deviations; what
     was seen so far is part of the module's state.
 
-    `model_config` has `networks` (inputs and outputs by name) and `hyperparameters`.
+    `model_config` has `networks` (inputs and outputs by name), `std` (of each component
+    of the first actions) and `hyperparameters`.
     """
 
     def setup(self) -> None:
@@ -48,13 +56,11 @@ class TeamModule(TorchRLModule, ValueFunctionAPI):
         size = sum(self.inputs.values())
         self.policy = nn.ModuleDict(
             {
-                name: _perceptron(*ends, self.hyperparameters, gain=0.01)
-                for name, ends in networks.items()
+                name: _perceptron(inputs, outputs, self.hyperparameters, gain=0.01)
+                for name, (inputs, outputs) in networks.items()
             }
         )
-        actions = sum(outputs for _, outputs in networks.values())
-        log_std = math.log(self.hyperparameters.initial_std)
-        self.log_std = nn.Parameter(torch.full((actions,), log_std))
+        self.log_std = nn.Parameter(torch.tensor(self.model_config["std"]).log())
         self.critic = _perceptron(size, 1, self.hyperparameters, gain=1.0)
         self.observations = Normalization(size)
         self.returns = Normalization(1)
@@ -93,8 +99,9 @@ class TeamModule(TorchRLModule, ValueFunctionAPI):
         found, start = {}, 0
         for name, size in self.inputs.items():
             layers = tuple(
-                tuple(each.detach().cpu().numpy().copy() for each in pair)
-                for pair in _linear_layers(self.policy[name])
+                (_array(layer.weight), _array(layer.bias))
+                for layer in self.policy[name].modules()
+                if isinstance(layer, nn.Linear)
             )
             columns = slice(start, start + size)
             found[name] = Weights(mean[columns].numpy(), std[columns].numpy(), layers)
@@ -266,5 +273,5 @@ def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
     return layer
 
 
-def _linear_layers(net: nn.Module) -> list[tuple[Tensor, Tensor]]:
-    return [(each.weight, each.bias) for each in net if isinstance(each, nn.Linear)]
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().numpy().copy()

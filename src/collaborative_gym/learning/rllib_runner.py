@@ -1,5 +1,11 @@
 """Collects for RLlib from many worlds in one batch."""
 
+# RLlib is optional, and its annotations differ from what its code takes and returns.
+# pyright: reportMissingImports=false, reportOptionalMemberAccess=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+# pyright: reportOperatorIssue=false, reportReturnType=false
+# pyright: reportIndexIssue=false, reportPrivateImportUsage=false
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.spaces import Box, Dict
+from ray import cloudpickle
 from ray.rllib.core import COMPONENT_RL_MODULE
 from ray.rllib.core.columns import Columns
 from ray.rllib.env import INPUT_ENV_SINGLE_SPACES, INPUT_ENV_SPACES
@@ -18,7 +25,6 @@ from collaborative_gym.learning.backend import training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import ADVANTAGES, RETURNS, TeamModule
 from collaborative_gym.learning.team import Learner, Sizes
-from collaborative_gym.tasks.task import Task
 
 Rows = dict[str, np.ndarray]
 """Columns of a learner's batch, each with a row for every step of each of its rows."""
@@ -32,7 +38,7 @@ class Job:
     """What all runners of a run do; `env_config` of RLlib holds it under "job".
 
     Attributes:
-      task: what to learn.
+      task: what to learn, pickled.
       learners: who learns what.
       sizes: of the agents' spaces.
       seed: of the run.
@@ -40,7 +46,7 @@ class Job:
       num_threads: physics threads of a runner, 0 for one per CPU.
     """
 
-    task: Task
+    task: bytes
     learners: tuple[Learner, ...]
     sizes: Sizes
     seed: int
@@ -91,6 +97,7 @@ class BatchedEnvRunner(EnvRunner):
         self.index = max(self.worker_index or 0, 1) - 1
         self.num_runners = max(runners, 1)
         self._observations: Observations | None = None
+        self._noise: dict[str, np.ndarray] = {}
         if self.worker_index:
             # A process for each core: more threads would only wait for one another.
             torch.set_num_threads(1)
@@ -103,7 +110,7 @@ class BatchedEnvRunner(EnvRunner):
         job = self._job
         share = len(range(self.index, job.hyperparameters.num_envs, self.num_runners))
         seed = training_seed(job.seed)
-        self.env = VectorEnv(job.task, share, seed, job.num_threads)
+        self.env = VectorEnv(cloudpickle.loads(job.task), share, seed, job.num_threads)
         self._observations = None
 
     def make_module(self) -> None:
@@ -114,10 +121,7 @@ class BatchedEnvRunner(EnvRunner):
     def get_spaces(self) -> dict[str, tuple[Any, Any]]:
         """Return observation and action spaces by module, and those of the worlds."""
         job = self._job
-        single = tuple(
-            Dict({a: Box(-np.inf, np.inf, (n,), np.float32) for a, n in sizes.items()})
-            for sizes in (job.sizes.observation, job.sizes.action)
-        )
+        single = _spaces(job.sizes.observation, np.inf), _spaces(job.sizes.action, 1.0)
         return {
             INPUT_ENV_SPACES: single,
             INPUT_ENV_SINGLE_SPACES: single,
@@ -125,42 +129,46 @@ class BatchedEnvRunner(EnvRunner):
         }
 
     def sample(
-        self, *, iteration: int, weights: Mapping[str, Any], **kwargs: Any
+        self, *, iteration: int, steps: int, weights: Mapping[str, Any], **kwargs: Any
     ) -> Sample:
         """Collect one rollout in each of this runner's worlds.
 
-        What comes of it depends on the worlds, on the weights and on `iteration`, and
-        on no generator's state.
+        What comes of it depends on the worlds and the arguments, and on no generator's
+        state.
 
         Args:
           iteration: how many rollouts the run has had.
+          steps: how many environment steps they had, over all worlds.
           weights: state of each module, by learner.
           **kwargs: not used.
         """
         self.module.set_state(weights)
-        if self._observations is None:
-            self._start(iteration)
         job = self._job
+        self.env.task.assistance = job.hyperparameters.assistance(steps)
         rng = np.random.default_rng([job.seed, iteration, self.index])
+        observations = self._observations or self._start(iteration, rng)
         rollouts = [
-            _Rollout(learner, job, self.module[learner.name].unwrapped())
+            _Rollout(
+                learner,
+                job,
+                self.module[learner.name].unwrapped(),
+                self._noise[learner.name],
+            )
             for learner in job.learners
         ]
         episodes: list[dict[str, Any]] = []
         for _ in range(job.hyperparameters.rollout_steps):
             actions: dict[str, np.ndarray] = {}
             for rollout in rollouts:
-                actions |= rollout.act(self._observations, rng)
-            self._observations, rewards, _, _, infos = self.env.step(actions)
+                actions |= rollout.act(observations, rng)
+            observations, rewards, _, _, infos = self.env.step(actions)
             for rollout in rollouts:
                 rollout.record(rewards, infos)
             episodes += _full_episodes(infos)
-        steps = job.hyperparameters.rollout_steps * self.env.num_envs
-        rows = {
-            rollout.learner.name: rollout.finish(self._observations)
-            for rollout in rollouts
-        }
-        return Sample(self.index, steps, rows, episodes)
+        self._observations = observations
+        done = job.hyperparameters.rollout_steps * self.env.num_envs
+        rows = {each.learner.name: each.finish(observations) for each in rollouts}
+        return Sample(self.index, done, rows, episodes)
 
     def get_worlds(self) -> dict[str, Any] | None:
         """Return the state of the worlds as tensors, None before the first rollout."""
@@ -171,10 +179,14 @@ class BatchedEnvRunner(EnvRunner):
             "physics": torch.from_numpy(np.asarray(state.physics)),
             "memory": _tensors(state.memory),
             "progress": _tensors(state.progress),
+            "noise": _tensors(self._noise),
         }
 
     def set_worlds(self, state: Mapping[str, Any]) -> None:
         """Go on from what `get_worlds` returned."""
+        self._noise = {
+            name: each.copy() for name, each in _arrays(state["noise"]).items()
+        }
         self._observations = self.env.set_state(
             EnvState(
                 state["physics"].numpy(),
@@ -205,23 +217,44 @@ class BatchedEnvRunner(EnvRunner):
         if self.env is not None:
             self.env.close()
 
-    def _start(self, iteration: int) -> None:
+    def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
         """Start episodes that no runner has played, at any time before."""
+        self._noise = {
+            learner.name: rng.standard_normal(
+                (
+                    learner.num_rows(self.env.num_envs),
+                    learner.action_size(self._job.sizes),
+                ),
+                np.float32,
+            )
+            for learner in self._job.learners
+        }
         first = (iteration * self.num_runners + self.index) * _BLOCK
-        self._observations, _ = self.env.reset(
+        observations, _ = self.env.reset(
             seed=training_seed(self._job.seed),
-            episodes=first + np.arange(self.env.num_envs),
+            episodes=range(first, first + self.env.num_envs),
             stagger=True,
         )
+        return observations
 
 
 class _Rollout:
-    """What a learner's rows saw, did and earned, step by step."""
+    """What a learner's rows saw, did and earned, step by step.
 
-    def __init__(self, learner: Learner, job: Job, module: TeamModule):
+    Args:
+      learner: whose.
+      job: what is done.
+      module: the learner's networks.
+      noise: that of the last actions, (rows, actions); goes on in place.
+    """
+
+    def __init__(
+        self, learner: Learner, job: Job, module: TeamModule, noise: np.ndarray
+    ):
         self.learner = learner
         self._job = job
         self._module = module
+        self._noise = noise
         self._distribution = module.get_exploration_action_dist_cls()
         self._columns: dict[str, list[np.ndarray]] = {
             name: [] for name in (Columns.OBS, Columns.ACTIONS, Columns.ACTION_LOGP)
@@ -239,8 +272,11 @@ class _Rollout:
         batch = {Columns.OBS: torch.from_numpy(rows)}
         found = self._module.forward_exploration(batch)
         mean, log_std = found[Columns.ACTION_DIST_INPUTS].chunk(2, dim=1)
-        noise = torch.from_numpy(rng.standard_normal(mean.shape, np.float32))
-        actions = mean + log_std.exp() * noise
+        persistence = self._job.hyperparameters.noise_persistence
+        self._noise *= persistence
+        fresh = rng.standard_normal(self._noise.shape, np.float32)
+        self._noise += (1.0 - persistence**2) ** 0.5 * fresh
+        actions = mean + log_std.exp() * torch.from_numpy(self._noise)
         with torch.no_grad():
             values = self._module.compute_values(batch, found[Columns.EMBEDDINGS])
             distribution = self._distribution.from_logits(
@@ -328,6 +364,10 @@ def join(samples: Sequence[Sample]) -> dict[str, Rows]:
         }
         for name, rows in ordered[0].rows.items()
     }
+
+
+def _spaces(sizes: Mapping[str, int], bound: float) -> Dict:
+    return Dict({a: Box(-bound, bound, (n,), np.float32) for a, n in sizes.items()})
 
 
 def _full_episodes(infos: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -42,7 +42,7 @@ class SkrlBackend:
         num_threads: int = 0,
     ):
         self.steps = 0
-        self._rollout_steps = hyperparameters.rollout_steps
+        self._hyperparameters = hyperparameters
         self._device = device
         num_envs = hyperparameters.num_envs
         self._env = VectorEnv(task, num_envs, training_seed(seed), num_threads)
@@ -54,7 +54,9 @@ class SkrlBackend:
     def advance(self) -> Iteration:
         """Collect one rollout in every world, and learn from it."""
         episodes = []
-        for _ in range(self._rollout_steps):
+        rollout_steps = self._hyperparameters.rollout_steps
+        self._env.task.assistance = self._hyperparameters.assistance(self.steps)
+        for _ in range(rollout_steps):
             actions = {}
             for learner in self._learners:
                 actions |= learner.act(self._observations)
@@ -63,7 +65,7 @@ class SkrlBackend:
                 learner.record(rewards, infos["final_observation"], infos["ended"])
             episodes += full_episodes(infos)
         numbers = {learner.learner.name: learner.update() for learner in self._learners}
-        self.steps += self._rollout_steps * self._env.num_envs
+        self.steps += rollout_steps * self._env.num_envs
         return Iteration(episodes, numbers)
 
     def weights(self) -> dict[str, Weights]:

@@ -17,10 +17,12 @@ class Sizes:
     Attributes:
       observation: by agent.
       action: by agent.
+      gripping: whether the last component of an action grips where it is above zero.
     """
 
     observation: Mapping[str, int]
     action: Mapping[str, int]
+    gripping: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,14 @@ class Learner:
             )
             for part in self.parts
         }
+
+    def is_grip(self, sizes: Sizes) -> np.ndarray:
+        """Return which columns of its actions grip, (action_size,) bool."""
+        agents = self.agents[:1] if self.stacked else self.agents
+        columns = []
+        for agent in agents:
+            columns += [False] * (sizes.action[agent] - 1) + [sizes.gripping]
+        return np.array(columns)
 
     def num_rows(self, num_envs: int) -> int:
         """Return how many rows it has."""

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -9,10 +10,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 try:
+    import skrl  # noqa: F401  # Shows here what is missing.
     import torch
 except ImportError as error:
     raise ImportError(
-        "training needs torch, which is not installed;"
+        f"training needs {error.name}, which is not installed;"
         " pip install 'collaborative-gym[train]'"
     ) from error
 
@@ -28,12 +30,13 @@ from collaborative_gym.learning.backend import (
     validation_seed,
 )
 from collaborative_gym.learning.checkpoint import BEST, LAST, Checkpoint, Settings
-from collaborative_gym.learning.config import Hyperparameters, Mode, Resources, changed
+from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
 from collaborative_gym.learning.monitor import Monitor, summarize
 from collaborative_gym.learning.skrl_backend import SkrlBackend
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
@@ -41,7 +44,7 @@ from collaborative_gym.tasks.task import Randomization, Task
 BACKENDS = ("skrl", "rllib")
 
 _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
-"""Hyperparameters that a run may go on with another value of."""
+"""Hyperparameters that a run may go on with another value of; steps only of more."""
 
 OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
 """Gets an iteration's row and that of the best validation so far (or nothing)."""
@@ -98,7 +101,8 @@ def train(
       output: a new folder; None for one in `runs/` named after environment, mode and
         seed.
       resume: the folder of a run to go on with, in place of `output`. What it was
-        started with holds, and need not be given again; `total_steps` may be raised.
+        started with holds, and need not be given again; `total_steps` may be raised,
+        and validations changed.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for the defaults.
@@ -119,6 +123,8 @@ def train(
         another run than the one asked for.
     """
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+    resources = resources or Resources()
+    _check_device(resources.device)
     started = None
     if resume is not None:
         if output is not None:
@@ -137,8 +143,7 @@ def train(
         given = mode, seed, backend, hyperparameters
         settings = _resumed(started.settings, str(resume), name, task, *given)
         folder = Path(str(resume))
-    resources = resources or Resources()
-    _check_device(resources.device)
+        _clear(folder)
     with _own_generator(settings.seed), _torch_threads(resources.torch_threads):
         run = _Run(folder, task, settings, resources, started)
         try:
@@ -162,7 +167,7 @@ class _Run:
         self._task = task
         self._settings = settings
         self._num_threads = resources.num_threads
-        sizes = Sizes(settings.observation_sizes, settings.action_sizes)
+        sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
         learners = make_learners(settings.mode, sizes)
         self._parts = [part for learner in learners for part in learner.parts]
         self._backend = _make_backend(task, settings, resources, learners, sizes)
@@ -174,12 +179,12 @@ class _Run:
                 self._best, self._before = dict(started.best), started.seconds
             rows = started.rows if started is not None else ()
             self._monitor = Monitor(folder, settings.title, rows)
+            self._since = time.monotonic()
+            if started is None:
+                self._save(LAST)
         except BaseException:
             self._backend.close()
             raise
-        self._since = time.monotonic()
-        if started is None:
-            self._save(LAST)
 
     def finish(self, checkpoint_interval: int, on_row: OnRow | None) -> Result:
         """Train up to the last step."""
@@ -271,8 +276,10 @@ class _Run:
 def _check_device(device: str) -> None:
     try:
         kind = torch.device(device).type
-    except RuntimeError as error:
-        raise ValueError(f"no device {device!r}; give cpu or cuda") from error
+    except RuntimeError:
+        kind = None
+    if kind not in ("cpu", "cuda"):
+        raise ValueError(f"no device {device!r}; give cpu or cuda")
     if kind == "cuda" and not torch.cuda.is_available():
         raise ValueError("device is cuda, but torch finds no CUDA device here")
 
@@ -295,7 +302,7 @@ def _settings(
         robots=tuple(robot.name for robot in task.robots.values()),
         randomization=asdict(task.config.randomization),
         mode=mode or "collaborative",
-        seed=seed or 0,
+        seed=check_seed(0 if seed is None else seed),
         backend=backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
@@ -308,9 +315,12 @@ def _settings(
 
 def _sizes(task: Task) -> Sizes:
     env = VectorEnv(task, 1, num_threads=1)
-    spaces = env.single_observation_spaces, env.single_action_spaces
+    observation, action = (
+        {agent: space.shape[0] for agent, space in spaces.items()}
+        for spaces in (env.single_observation_spaces, env.single_action_spaces)
+    )
     env.close()
-    return Sizes(*({a: space.shape[0] for a, space in each.items()} for each in spaces))
+    return Sizes(observation, action, task.gripping)
 
 
 def _resumed(
@@ -324,8 +334,8 @@ def _resumed(
     hyperparameters: Hyperparameters | None,
 ) -> Settings:
     """Return the settings of a run that goes on, after comparing what was asked for."""
-    numbers = own.hyperparameters
-    asked = changed(hyperparameters) if hyperparameters is not None else {}
+    asked = asdict(hyperparameters or own.hyperparameters)
+    numbers = asdict(own.hyperparameters)
     given = {
         "environment": name,
         "robots": tuple(robot.name for robot in task.robots.values()),
@@ -335,8 +345,10 @@ def _resumed(
         "backend": backend or own.backend,
     }
     kept = {field: getattr(own, field) for field in given}
-    for option in asked.keys() - _MAY_CHANGE:
-        given[option], kept[option] = asked[option], getattr(numbers, option)
+    for option, value in asked.items():
+        is_lower = option == "total_steps" and value < numbers[option]
+        if is_lower or option not in _MAY_CHANGE:
+            given[option], kept[option] = value, numbers[option]
     for option, value in given.items():
         if value != kept[option]:
             raise ValueError(
@@ -349,8 +361,7 @@ def _resumed(
             f"the run in {folder} is of another version of {name}: its spaces have"
             " other sizes; start another run"
         )
-    may = {option: asked[option] for option in asked.keys() & _MAY_CHANGE}
-    return replace(own, hyperparameters=replace(numbers, **may))
+    return replace(own, hyperparameters=hyperparameters or own.hyperparameters)
 
 
 def _new_folder(settings: Settings, output: str | Path | None) -> Path:
@@ -366,6 +377,12 @@ def _new_folder(settings: Settings, output: str | Path | None) -> Path:
     return folder
 
 
+def _clear(folder: Path) -> None:
+    """Remove what a run that was killed had half written."""
+    for partial in folder.glob(".*.partial"):
+        shutil.rmtree(partial, ignore_errors=True)
+
+
 def _make_backend(
     task: Task,
     settings: Settings,
@@ -373,20 +390,7 @@ def _make_backend(
     learners: Sequence[Learner],
     sizes: Sizes,
 ) -> Backend:
-    if settings.backend == "rllib":
-        from collaborative_gym.learning.rllib_backend import RLlibBackend
-
-        return RLlibBackend(
-            task,
-            learners,
-            sizes,
-            settings.seed,
-            settings.hyperparameters,
-            resources.num_runners,
-            resources.ray_address,
-            resources.num_threads,
-        )
-    return SkrlBackend(
+    given = (
         task,
         learners,
         sizes,
@@ -395,6 +399,11 @@ def _make_backend(
         resources.device,
         resources.num_threads,
     )
+    if settings.backend == "rllib":
+        from collaborative_gym.learning.rllib_backend import RLlibBackend
+
+        return RLlibBackend(*given, resources.num_runners, resources.ray_address)
+    return SkrlBackend(*given)
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:

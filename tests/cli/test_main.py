@@ -156,14 +156,14 @@ def test_version_is_that_of_the_package(capsys):
 
 
 def test_environments_are_optional_where_help_says_so(capsys):
-    for command in ("evaluate", "benchmark"):
+    for command in ("evaluate", "benchmark", "train"):
         with pytest.raises(SystemExit, match="0"):
             main([command, "--help"])
         assert " [ENV ...]" in capsys.readouterr().out.splitlines()[0]
 
 
 @pytest.mark.parametrize(
-    "command", ["", "record", "evaluate", "reproduce", "view", "benchmark"]
+    "command", ["", "record", "evaluate", "reproduce", "view", "benchmark", "train"]
 )
 def test_help_fits_a_terminal(capsys, command):
     with pytest.raises(SystemExit, match="0"):

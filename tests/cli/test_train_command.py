@@ -1,0 +1,241 @@
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.cli.main import main
+from collaborative_gym.learning import baselines
+from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+from collaborative_gym.learning.display import Display
+from collaborative_gym.learning.monitor import read_progress
+
+THREADS = ["--num-threads", "1", "--torch-threads", "1"]
+SIZES = """
+--num-envs 4 --rollout-steps 8 --epochs 2 --minibatch-size 16 --hidden-sizes 16 16
+--validation-interval 128 --validation-episodes 4 --checkpoint-interval 64
+"""
+TINY = [*SIZES.split(), *THREADS]
+"""Updates after 32 steps each, with a checkpoint after every second one."""
+
+IN_A_PROCESS = """
+import sys
+sys.path.insert(0, sys.argv.pop(1))
+import collaborative_gym as cg
+from conftest import Carry
+from collaborative_gym.cli.main import main
+from collaborative_gym.learning import monitor
+
+monitor.draw_curve = lambda *_: None
+cg.register_task("Carry", Carry)
+cg.register_env(cg.EnvSpec("CarryPandas-v0", Carry, ("panda", "panda")))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def undrawn(monkeypatch):
+    """Leave out the drawing of curves, most of a small run's time."""
+    monkeypatch.setattr(
+        "collaborative_gym.learning.monitor.draw_curve",
+        lambda rows, title, path: path.write_bytes(b"a curve"),
+    )
+
+
+@contextmanager
+def ctrl_c_after(steps):
+    """Press Ctrl-C when a run shows so many steps."""
+    show = Display.show
+
+    def shown(self, row, best=None):
+        show(self, row, best)
+        if row["steps"] == steps:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Display, "show", shown)
+        yield
+
+
+def curve(folder):
+    """Return a run's rows without what a clock says."""
+    return [
+        {k: v for k, v in row.items() if k not in ("seconds", "steps_per_second")}
+        for row in read_progress(folder / "progress.csv")
+    ]
+
+
+def num_updates(folder):
+    """Return how many updates a run has shown so far, -1 before its folder is there."""
+    file = folder / "progress.csv"
+    if not (folder / LAST).exists() or not file.exists():
+        return -1
+    return max(0, file.read_text().count("\n") - 1)
+
+
+def test_train_writes_a_run_whose_folder_is_a_policy(carry_id, tmp_path, capsys):
+    folder = tmp_path / "run"
+    arguments = ["train", carry_id, "--output", str(folder), "--total-steps", "64"]
+    assert main([*arguments, "--mode", "independent", "--seed", "3", *TINY]) == 0
+    assert capsys.readouterr().out == f"wrote {folder / 'policy.safetensors'}\n"
+    settings = Checkpoint.load(folder / LAST).settings
+    assert (settings.mode, settings.seed) == ("independent", 3)
+    assert settings.hyperparameters.hidden_sizes == (16, 16)
+    assert main(["evaluate", carry_id, "--policy", str(folder), "--episodes", "2"]) == 0
+
+
+def test_ctrl_c_ends_a_run_and_resume_goes_on(carry_id, tmp_path, capsys):
+    arguments = ["train", carry_id, "--total-steps", "192", *TINY, "--output"]
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert main([*arguments, str(whole)]) == 0
+    with ctrl_c_after(96):
+        assert main([*arguments, str(cut)]) == 130
+    capsys.readouterr()
+    # What it was started with need not be given again, not even the environment.
+    assert main(["train", "--resume", str(cut), *THREADS]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == f"wrote {cut / 'policy.safetensors'}\n"
+    assert curve(cut) == curve(whole)
+    policies = [(each / "policy.safetensors").read_bytes() for each in (whole, cut)]
+    assert policies[0] == policies[1]
+
+
+def test_a_killed_run_goes_on_as_if_nothing_had_been(carry_id, tmp_path):
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    steps, update, pause = 32 * 40, random.randrange(30), random.uniform(0.0, 0.05)
+    arguments = ["train", carry_id, "--total-steps", str(steps), *TINY, "--output"]
+    tests = str(Path(__file__).parents[1])
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_A_PROCESS, tests, *arguments, str(cut)],
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline and num_updates(cut) <= update:
+        assert process.poll() is None
+        time.sleep(0.002)
+    time.sleep(pause)
+    process.kill()
+    moment = f"{pause} s after update {update}"
+    assert process.wait() == -signal.SIGKILL, moment
+    assert Checkpoint.load(cut / LAST).backend["steps"] < steps
+    assert main(["train", carry_id, "--resume", str(cut), *THREADS]) == 0
+    assert main([*arguments, str(whole)]) == 0
+    assert curve(cut) == curve(whole), moment
+    for name in ("policy.safetensors", "config.json"):
+        assert (cut / name).read_bytes() == (whole / name).read_bytes()
+    assert not list(cut.glob(".*"))
+
+
+def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
+    folder, totals = tmp_path / "run", []
+    arguments = ["train", carry_id, "--output", str(folder), "--total-steps", "64"]
+    assert main([*arguments, *TINY]) == 0
+    init = Display.__init__
+
+    def made(self, title, total_steps, *others):
+        totals.append((title, total_steps))
+        init(self, title, total_steps, *others)
+
+    monkeypatch.setattr(Display, "__init__", made)
+    resume = ["train", "--resume", str(folder), *THREADS]
+    assert main(resume) == 0
+    assert main([*resume, "--total-steps", "96"]) == 0
+    assert totals == [(carry_id, 64), (carry_id, 96)]
+    assert Checkpoint.load(folder / LAST).backend["steps"] == 96
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("", "name one environment to train, or pass --all"),
+        ("Carry Poke", "name one environment to train, or pass --all"),
+        ("Cary", "did you mean 'Carry'?"),
+        ("Carry --device gpu", "no device 'gpu'; give cpu or cuda"),
+        ("Carry --backend jax", "backends: rllib, skrl"),
+        ("Carry --robots panda", "needs 2 robots, got 1"),
+        ("Carry --randomization none", "default, paper"),
+        ("Carry --seed -1", "seed must be at least 0"),
+        ("Carry --total-steps 0", "total_steps must be at least 1"),
+        ("Carry --discount 2", "discount must be 0 to 1, got 2.0"),
+        ("Carry --num-threads -1", "num_threads must be at least 0"),
+        ("Carry --output a --resume run", "either output, for a new run, or resume"),
+        ("Poke --resume run", "has environment Carry, not Poke"),
+        ("--resume run --discount 0.5", "has discount"),
+        ("--resume run --mode shared", "has mode collaborative, not shared"),
+        ("--all --mode shared", "mode does not go with --all"),
+        ("--all --seed 0", "seed does not go with --all"),
+        ("--all --resume run", "resume does not go with --all"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    carry_id, capsys, tmp_path, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(tmp_path)
+    if "run" in arguments:
+        small = ["--output", "run", "--total-steps", "1", *TINY]
+        assert main(["train", "Carry", *small]) == 0
+        capsys.readouterr()
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["train", *arguments.split()]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("error: ") and printed.err.count("\n") == 1
+    assert message in printed.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("Carry --mode alone", "collaborative"),
+        ("Carry --activation gelu", "elu"),
+    ],
+)
+def test_a_choice_names_what_there_is(carry_id, capsys, arguments, message):
+    with pytest.raises(SystemExit, match="2"):
+        main(["train", *arguments.split()])
+    assert message in capsys.readouterr().err
+
+
+def test_a_missing_or_foreign_folder_is_named(carry_id, capsys, tmp_path):
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / LAST).write_text("something else")
+    for folder, status in ((tmp_path / "nowhere", 1), (foreign, 2)):
+        assert main(["train", carry_id, "--resume", str(folder)]) == status
+        printed = capsys.readouterr().err
+        assert str(folder / LAST) in printed and printed.count("\n") == 1
+
+
+def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
+    arguments = ["train", carry_id, "--output", str(tmp_path), "--total-steps", "1"]
+    assert main([*arguments, *TINY]) == 0
+    before = (tmp_path / LAST).read_bytes()
+    assert main([*arguments, *TINY]) == 1
+    assert "go on with it by resume" in capsys.readouterr().err
+    assert (tmp_path / LAST).read_bytes() == before
+
+
+def test_all_trains_one_after_the_other_and_goes_on(
+    carry_id, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(baselines, "_EPISODES", 4)
+    monkeypatch.setattr(cg, "list_envs", lambda: [carry_id])
+    arguments = ["train", "--all", "--seeds", "0", "1", "--output", str(tmp_path)]
+    arguments += ["--total-steps", "96", *TINY]
+    with ctrl_c_after(64):
+        assert main(arguments) == 130
+    assert not (tmp_path / f"{carry_id}.md").exists()
+    capsys.readouterr()
+    assert main(arguments) == 0
+    assert capsys.readouterr().out == f"wrote {tmp_path / carry_id}.md\n"
+    for seed in (0, 1):
+        folder = tmp_path / carry_id / f"seed{seed}"
+        assert Checkpoint.load(folder / LAST).backend["steps"] == 96
+        assert len(curve(folder)) == 3

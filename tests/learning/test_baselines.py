@@ -1,0 +1,107 @@
+import re
+
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.evaluation.report import show
+from collaborative_gym.learning import baselines
+from collaborative_gym.learning.baselines import train_baselines
+from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+
+
+@pytest.fixture
+def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
+    """Return a function that trains the small task's baseline, of two runs."""
+    monkeypatch.setattr(baselines, "_EPISODES", 4)
+
+    def train_both(numbers=None, **options):
+        numbers = numbers or tiny(total_steps=64)
+        given = (0, 1), numbers, alone
+        return list(train_baselines([carry_id], tmp_path, *given, **options))
+
+    return train_both
+
+
+def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path):
+    assert train_both() == [tmp_path / f"{carry_id}.md"]
+    names = {entry.name for entry in tmp_path.iterdir()}
+    suffixes = ("", ".md", ".png", ".safetensors")
+    assert names == {f"{carry_id}{suffix}" for suffix in suffixes}
+    scores = {
+        seed: Checkpoint.load(tmp_path / carry_id / f"seed{seed}" / LAST).best[
+            "validation/return"
+        ]
+        for seed in (0, 1)
+    }
+    best = max(scores, key=scores.__getitem__)
+    shipped = tmp_path / f"{carry_id}.safetensors"
+    policy = cg.load_policy(shipped)
+    assert policy.facts["seed"] == best
+    own = tmp_path / carry_id / f"seed{best}" / "policy.safetensors"
+    assert shipped.read_bytes() == own.read_bytes()
+    card = (tmp_path / f"{carry_id}.md").read_text()
+    assert f"--seed {best} " in card and "--hidden-sizes 16 16" in card
+    rows = [line for line in card.splitlines() if re.match(r"\| [01] ", line)]
+    assert len(rows) == 4
+    shown = [row for row in rows if "(shipped)" in row]
+    assert len(shown) == 2 and all(f"| {best} (shipped)" in row for row in shown)
+    report = cg.evaluate(carry_id, policy, 4, 0, randomization="paper", num_threads=1)
+    (paper,) = [row for row in shown if "| paper |" in row]
+    assert f"| {show(report.mean_reward)} |" in paper
+
+
+@pytest.mark.parametrize(
+    ("assisted_steps", "told"),
+    [
+        (0, "no shaping, no curriculum."),
+        (2_500_000, "less and less, for the first 2.5 M steps."),
+    ],
+)
+def test_the_card_tells_of_a_curriculum(train_both, tiny, assisted_steps, told):
+    (card,) = train_both(tiny(total_steps=32, assisted_steps=assisted_steps))
+    assert told in card.read_text()
+
+
+def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):
+    train_both()
+    runs = tmp_path / carry_id
+    before = hashes(runs)
+    kept = [name for name in before if not name.endswith((".csv", "curve.png"))]
+    rows = []
+
+    class Shown:
+        def __init__(self, title, total_steps):
+            assert title in (f"{carry_id}, seed 0", f"{carry_id}, seed 1")
+            assert total_steps == 64
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def show(self, row, best=None):
+            rows.append(row)
+
+    train_both(displays=Shown)
+    assert rows == []
+    after = hashes(runs)
+    assert all(after[name] == before[name] for name in kept)
+
+
+def test_runs_with_other_hyperparameters_are_refused(train_both, tiny):
+    train_both()
+    with pytest.raises(ValueError, match=r"has discount .*, not 0\.5"):
+        train_both(tiny(total_steps=64, discount=0.5))
+    # Also where they are the defaults, so that no card tells of others.
+    numbers = type(tiny())(total_steps=64)
+    with pytest.raises(ValueError, match=r"leave it out .* or start another"):
+        train_both(numbers)
+
+
+def test_bad_input_shows_before_the_work(carry_id, tmp_path):
+    with pytest.raises(ValueError, match="give at least one seed"):
+        next(train_baselines([carry_id], tmp_path, ()))
+    with pytest.raises(KeyError, match="did you mean 'Carry'"):
+        next(train_baselines([carry_id, "Cary"], tmp_path))
+    assert not list(tmp_path.iterdir())

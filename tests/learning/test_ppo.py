@@ -1,0 +1,257 @@
+from copy import deepcopy
+
+import numpy as np
+import pytest
+import torch
+
+from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.policies.network import ACTIVATIONS, NetworkPolicy
+
+AGENTS = ("robot_1", "robot_2")
+SIZES = Sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
+
+
+@pytest.fixture(autouse=True)
+def seeded():
+    """Let torch draw the same in every test."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        yield
+
+
+@pytest.fixture
+def make(tiny):
+    """Return a function that makes the learners of a mode."""
+
+    def make(mode, num_envs=4, **changes):
+        numbers = tiny(num_envs=num_envs, **changes)
+        learners = make_learners(mode, SIZES)
+        return [PPOLearner(learner, SIZES, numbers, "cpu") for learner in learners]
+
+    return make
+
+
+def drawn(rng, num_envs):
+    """Return observations by agent, far from zero mean and unit deviation."""
+    return {a: np.float32(rng.normal(3.0, 2.0, (num_envs, 3))) for a in AGENTS}
+
+
+def practise(learners, updates=2, num_envs=4, rollout_steps=8):
+    """Let the learners learn something from noise."""
+    rng = np.random.default_rng(0)
+    for _ in range(updates):
+        for _ in range(rollout_steps):
+            observations, following = drawn(rng, num_envs), drawn(rng, num_envs)
+            rewards = {agent: np.float32(rng.normal(size=num_envs)) for agent in AGENTS}
+            for learner in learners:
+                learner.act(observations)
+                learner.record(rewards, following, rng.random(num_envs) < 0.2)
+        for learner in learners:
+            learner.update()
+
+
+def means(learners, observations):
+    """Return the mean actions of torch's policies by agent."""
+    found = {}
+    for learner in learners:
+        agent = learner._agent
+        rows = torch.from_numpy(learner.learner.observations(observations))
+        inputs = {"observations": agent._observation_preprocessor(rows)}
+        with torch.no_grad():
+            rows, _ = learner._policy.compute(inputs)
+        found |= learner.learner.actions(rows.numpy(), SIZES)
+    return found
+
+
+def values(learner, observations):
+    """Return what the critic expects in each row."""
+    agent = learner._agent
+    rows = torch.from_numpy(learner.learner.observations(observations))
+    inputs = {"observations": agent._observation_preprocessor(rows)}
+    with torch.no_grad():
+        found, _ = learner._value.act(inputs, role="value")
+        return agent._value_preprocessor(found, inverse=True).numpy()[:, 0]
+
+
+def as_policy(learners, activation):
+    """Return what NumPy runs."""
+    parts = [part for learner in learners for part in learner.learner.parts]
+    weights = {}
+    for learner in learners:
+        weights |= learner.weights()
+    return NetworkPolicy(parts, weights, activation, {"action_sizes": SIZES.action})
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+@pytest.mark.parametrize("mode", MODES)
+def test_numpy_agrees_with_torch_and_rows_with_themselves(make, mode, activation):
+    learners = make(mode, activation=activation)
+    practise(learners)
+    observations = drawn(np.random.default_rng(1), 40)
+    policy = as_policy(learners, activation)
+    actions = policy(observations)
+    for agent, expected in means(learners, observations).items():
+        assert np.ptp(expected) > 0.0
+        np.testing.assert_allclose(
+            actions[agent], np.clip(expected, -1, 1), rtol=0, atol=1e-5
+        )
+    for i in range(40):
+        alone = policy({a: rows[i : i + 1] for a, rows in observations.items()})
+        assert all(np.array_equal(alone[a][0], actions[a][i]) for a in AGENTS)
+
+
+@pytest.mark.parametrize(
+    ("mode", "sees_other", "critic_sees_other"),
+    [
+        ("collaborative", False, True),
+        ("independent", False, False),
+        ("shared", False, False),
+        ("centralized", True, True),
+    ],
+)
+def test_who_sees_what(make, mode, sees_other, critic_sees_other):
+    learners = make(mode)
+    practise(learners)
+    before = drawn(np.random.default_rng(1), 4)
+    after = {**before, "robot_2": before["robot_2"] + 1.0}
+    actions = [means(learners, each) for each in (before, after)]
+    assert not np.array_equal(actions[0]["robot_2"], actions[1]["robot_2"])
+    assert np.array_equal(actions[0]["robot_1"], actions[1]["robot_1"]) != sees_other
+    expected = [values(learners[0], each)[:4] for each in (before, after)]
+    assert np.array_equal(*expected) != critic_sees_other
+
+
+def test_a_shared_policy_and_critic_know_which_robot_it_is(make):
+    (learner,) = make("shared")
+    practise([learner])
+    rows = drawn(np.random.default_rng(1), 4)["robot_1"]
+    alike = dict.fromkeys(AGENTS, rows)
+    actions = means([learner], alike)
+    assert not np.allclose(actions["robot_1"], actions["robot_2"])
+    first, second = np.split(values(learner, alike), 2)
+    assert not np.allclose(first, second)
+
+
+@pytest.mark.parametrize("mode", ["collaborative", "shared"])
+def test_time_that_is_up_counts_the_last_observations_value(make, mode):
+    """Compares what the critic is taught with sums by hand."""
+    discount, decay, steps, num_envs = 0.9, 0.8, 4, 2
+    (learner,) = make(
+        mode,
+        num_envs,
+        discount=discount,
+        gae_lambda=decay,
+        rollout_steps=steps,
+        validation_interval=0,
+    )
+    rng = np.random.default_rng(0)
+    # World 0 ends after the second step; the next observation is of another episode.
+    ended = np.zeros((steps, num_envs), bool)
+    ended[1, 0] = True
+    observations = [drawn(rng, num_envs) for _ in range(steps)]
+    final = [*observations[1:], drawn(rng, num_envs)]
+    final[1] = {
+        agent: np.where(ended[1][:, None], rng.normal(size=(2, 3)), rows).astype("f4")
+        for agent, rows in final[1].items()
+    }
+    rewards = [
+        {a: np.float32(rng.normal(size=num_envs)) for a in AGENTS} for _ in range(steps)
+    ]
+    value = np.array([values(learner, each) for each in observations])
+    following = np.array([values(learner, each) for each in final])
+    for t in range(steps):
+        learner.act(observations[t])
+        learner.record(rewards[t], final[t], ended[t])
+    learner.update()
+    expected, advantage = np.zeros_like(value), 0.0
+    for t in reversed(range(steps)):
+        over = learner.learner.per_row(ended[t])
+        earned = learner.learner.rewards(rewards[t])
+        error = earned + discount * following[t] - value[t]
+        advantage = error + discount * decay * advantage * ~over
+        expected[t] = advantage + value[t]
+    taught = learner._agent._value_preprocessor(
+        learner._memory.get_tensor_by_name("returns"), inverse=True
+    )
+    np.testing.assert_allclose(taught.numpy()[:, :, 0], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_it_learns_what_is_rewarded(make, mode):
+    """Each robot is to do what its observation says: a bandit."""
+    size = {"num_envs": 64, "minibatch_size": 128, "epochs": 4, "rollout_steps": 4}
+    learners = make(mode, learning_rate=3e-3, **size)
+    rng, earned = np.random.default_rng(0), []
+    for _ in range(40):
+        for _ in range(size["rollout_steps"]):
+            observations = drawn(rng, 64)
+            actions = {}
+            for learner in learners:
+                actions |= learner.act(observations)
+            rewards = {
+                agent: -np.square(actions[agent] - (rows[:, :2] - 3.0) / 4.0).mean(1)
+                for agent, rows in observations.items()
+            }
+            earned.append(np.mean(list(rewards.values())))
+            for learner in learners:
+                learner.record(rewards, drawn(rng, 64), np.ones(64, bool))
+        for learner in learners:
+            learner.update()
+    assert np.mean(earned[-8:]) > 0.5 * np.mean(earned[:8])
+
+
+@pytest.mark.parametrize("entropy", [0.0, 0.01])
+def test_an_update_tells_its_losses_and_rates(make, entropy):
+    learning = {"learning_rate": 1e-3, "target_kl": 0.0, "entropy": entropy}
+    (learner,) = make("collaborative", initial_std=0.5, **learning)
+    observations = drawn(np.random.default_rng(2), 4)
+    rewards = dict.fromkeys(AGENTS, np.ones(4, np.float32))
+    for _ in range(8):
+        learner.act(observations)
+        learner.record(rewards, observations, np.zeros(4, bool))
+    numbers = learner.update()
+    assert (numbers["entropy_loss"] == 0.0) == (entropy == 0.0)
+    names = "policy_loss value_loss entropy_loss std kl learning_rate weight_norm"
+    assert set(numbers) == set(names.split())
+    assert numbers["learning_rate"] == 1e-3
+    assert numbers["std"] == pytest.approx(0.5, rel=0.1)
+    assert numbers["kl"] > 0.0
+
+
+@pytest.mark.parametrize(("target", "rises"), [(1e-9, False), (10.0, True)])
+def test_the_learning_rate_keeps_the_policy_near_its_target(make, target, rises):
+    limits = {"min_learning_rate": 5e-4, "max_learning_rate": 2e-3}
+    (learner,) = make("collaborative", learning_rate=1e-3, target_kl=target, **limits)
+    practise([learner], updates=3)
+    assert learner._agent.optimizer.param_groups[0]["lr"] == (2e-3 if rises else 5e-4)
+
+
+@pytest.mark.parametrize("persistence", [0.0, 0.8])
+def test_noise_lasts_as_long_as_asked_for(make, persistence):
+    std = {"initial_std": 0.3, "initial_grip_std": 0.3}
+    (learner,) = make("collaborative", 2000, noise_persistence=persistence, **std)
+    observations = drawn(np.random.default_rng(0), 2000)
+    expected = means([learner], observations)["robot_1"]
+    noise = np.array(
+        [learner.act(observations)["robot_1"] - expected for _ in range(3)]
+    )
+    assert noise.std(axis=(1, 2)) == pytest.approx(0.3, rel=0.05)
+    correlation = np.corrcoef(noise.reshape(3, -1))
+    assert correlation[0, 1] == pytest.approx(persistence, abs=0.05)
+    assert correlation[0, 2] == pytest.approx(persistence**2, abs=0.05)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_learner_goes_on_where_its_state_was_taken(make, same, mode):
+    learners, others = make(mode), make(mode)
+    practise(learners)
+    for learner, other in zip(learners, others, strict=True):
+        other.load_state_dict(deepcopy(learner.state_dict()))
+    generator = torch.get_rng_state()
+    practise(learners, updates=1)
+    torch.set_rng_state(generator)
+    practise(others, updates=1)
+    for learner, other in zip(learners, others, strict=True):
+        assert same(learner.state_dict(), other.state_dict())
