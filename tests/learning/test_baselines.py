@@ -50,18 +50,6 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
     assert f"| {show(report.mean_reward)} |" in paper
 
 
-@pytest.mark.parametrize(
-    ("assisted_steps", "told"),
-    [
-        (0, "no shaping, no curriculum."),
-        (2_500_000, "less and less, for the first 2.5 M steps."),
-    ],
-)
-def test_the_card_tells_of_a_curriculum(train_both, tiny, assisted_steps, told):
-    (card,) = train_both(tiny(total_steps=32, assisted_steps=assisted_steps))
-    assert told in card.read_text()
-
-
 def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):
     train_both()
     runs = tmp_path / carry_id

@@ -1,4 +1,5 @@
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,10 +26,10 @@ def seeded():
 def make(tiny):
     """Return a function that makes the learners of a mode."""
 
-    def make(mode, num_envs=4, **changes):
+    def make(mode, num_envs=4, sizes=SIZES, **changes):
         numbers = tiny(num_envs=num_envs, **changes)
-        learners = make_learners(mode, SIZES)
-        return [PPOLearner(learner, SIZES, numbers, "cpu") for learner in learners]
+        learners = make_learners(mode, sizes)
+        return [PPOLearner(learner, sizes, numbers, "cpu") for learner in learners]
 
     return make
 
@@ -228,19 +229,23 @@ def test_the_learning_rate_keeps_the_policy_near_its_target(make, target, rises)
     assert learner._agent.optimizer.param_groups[0]["lr"] == (2e-3 if rises else 5e-4)
 
 
-@pytest.mark.parametrize("persistence", [0.0, 0.8])
-def test_noise_lasts_as_long_as_asked_for(make, persistence):
-    std = {"initial_std": 0.3, "initial_grip_std": 0.3}
-    (learner,) = make("collaborative", 2000, noise_persistence=persistence, **std)
+@pytest.mark.parametrize("is_gripping", [False, True])
+def test_the_grips_noise_lasts_and_no_other(make, is_gripping):
+    std = {"initial_std": 0.3, "initial_grip_std": 0.5, "grip_persistence": 0.8}
+    gripping = replace(SIZES, gripping=is_gripping)
+    (learner,) = make("collaborative", 2000, sizes=gripping, **std)
     observations = drawn(np.random.default_rng(0), 2000)
     expected = means([learner], observations)["robot_1"]
     noise = np.array(
         [learner.act(observations)["robot_1"] - expected for _ in range(3)]
     )
-    assert noise.std(axis=(1, 2)) == pytest.approx(0.3, rel=0.05)
-    correlation = np.corrcoef(noise.reshape(3, -1))
-    assert correlation[0, 1] == pytest.approx(persistence, abs=0.05)
-    assert correlation[0, 2] == pytest.approx(persistence**2, abs=0.05)
+    for column, lasts in ((0, 0.0), (-1, 0.8 if is_gripping else 0.0)):
+        found = noise[:, :, column]
+        size = 0.5 if lasts else 0.3
+        assert found.std(axis=1) == pytest.approx(size, rel=0.08)
+        correlation = np.corrcoef(found)
+        assert correlation[0, 1] == pytest.approx(lasts, abs=0.08)
+        assert correlation[0, 2] == pytest.approx(lasts**2, abs=0.08)
 
 
 @pytest.mark.parametrize("mode", MODES)

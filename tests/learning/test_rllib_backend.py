@@ -212,7 +212,7 @@ def test_a_run_may_resume_with_other_runners(backends):
 def test_noise_lasts_and_grips_have_their_own(backends):
     numbers = replace(
         SMALL,
-        noise_persistence=0.9,
+        grip_persistence=0.9,
         initial_std=0.1,
         initial_grip_std=0.8,
         num_envs=200,
@@ -227,16 +227,6 @@ def test_noise_lasts_and_grips_have_their_own(backends):
     for column in range(16):
         found = np.corrcoef(rows[:-1, :, column].ravel(), rows[1:, :, column].ravel())
         assert found[0, 1] == pytest.approx(0.9, abs=0.05)
-
-
-@pytest.mark.usefixtures("local_ray")
-def test_help_falls_with_the_steps_of_all_runners(backends):
-    backend = backends(numbers=replace(SMALL, assisted_steps=120), num_runners=2)
-    found = []
-    for _ in range(3):
-        backend.advance()
-        found += backend._algorithm.on_runners(lambda each: each.env.task.assistance)
-    assert found == [1.0, 1.0, 0.75, 0.75, 0.5, 0.5]
 
 
 @pytest.mark.usefixtures("local_ray")

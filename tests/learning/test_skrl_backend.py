@@ -60,20 +60,6 @@ def test_an_end_is_recorded_with_what_was_seen_last(make_backend, recorded):
             assert np.array_equal(is_same, ~now["ended"])
 
 
-def test_a_curriculums_help_falls_to_none(make_backend, carry, monkeypatch):
-    helped, disturb = [], type(carry()).disturb
-
-    def disturbing(self, sim, steps):
-        helped.append(self.assistance)
-        disturb(self, sim, steps)
-
-    monkeypatch.setattr(type(carry()), "disturb", disturbing)
-    backend = make_backend(assisted_steps=64)
-    for _ in range(3):
-        backend.advance()
-    assert helped == [1.0] * 8 + [0.5] * 8 + [0.0] * 8
-
-
 def test_worlds_end_at_different_times_and_only_full_episodes_count(
     make_backend, recorded
 ):

@@ -155,7 +155,7 @@ def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
         "",
         f"A policy for each robot ({', '.join(settings.robots)}), trained from scratch"
         " by PPO on the thesis's reward, mode collaborative: no demonstrations, no"
-        f" shaping, {_curriculum(numbers)}.",
+        " shaping, no curriculum.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
@@ -186,13 +186,6 @@ def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def _curriculum(numbers: Hyperparameters) -> str:
-    if not numbers.assisted_steps:
-        return "no curriculum"
-    steps = numbers.assisted_steps / 1e6
-    return f"a curriculum: help, less and less, for the first {steps:g} M steps"
 
 
 def _option(value: Any) -> str:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
+import numpy as np
+
 from collaborative_gym.envs.vector_env import check_count
 from collaborative_gym.policies.network import check_activation
 
@@ -49,16 +51,13 @@ class Hyperparameters:
       min_learning_rate: it never falls below.
       max_learning_rate: it never rises above.
       initial_std: standard deviation of the first actions.
-      initial_grip_std: that of their grip component, which is above or below zero and
-        nothing else: a small one would stop trying the other.
-      noise_persistence: how much of an action's noise stays for the next one, from 0 to
-        below 1. Noise that lasts explores motions that take several steps, such as
-        taking up a load.
+      initial_grip_std: that of their grip component.
+      grip_persistence: how much of the grip's noise stays for the next action, from 0
+        to below 1. A grip that noise opens now and then loses what it carries, and
+        carrying would not be learned; noise that lasts tries long holds and long
+        releases.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
-      assisted_steps: environment steps over which the help of a task's curriculum falls
-        from full to none; 0 for no help. Lift takes up to three quarters of the pot's
-        weight off, the other tasks have no such help.
       validation_interval: environment steps between two validations; 0 for none but at
         the end.
       validation_episodes: episodes of a validation, with the deterministic policy.
@@ -80,11 +79,10 @@ class Hyperparameters:
     min_learning_rate: float = 1e-5
     max_learning_rate: float = 3e-3
     initial_std: float = 0.2
-    initial_grip_std: float = 0.5
-    noise_persistence: float = 0.0
+    initial_grip_std: float = 0.3
+    grip_persistence: float = 0.9
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
-    assisted_steps: int = 0
     validation_interval: int = 250_000
     validation_episodes: int = 64
 
@@ -98,8 +96,7 @@ class Hyperparameters:
             "validation_episodes",
         ):
             check_count(name, getattr(self, name), at_least=1)
-        for name in ("validation_interval", "assisted_steps"):
-            check_count(name, getattr(self, name), at_least=0)
+        check_count("validation_interval", self.validation_interval, at_least=0)
         for width in self.hidden_sizes:
             check_count("each of hidden_sizes", width, at_least=1)
         for name, low, high in _RANGES:
@@ -113,11 +110,13 @@ class Hyperparameters:
             )
         check_activation(self.activation)
 
-    def assistance(self, steps: int) -> float:
-        """Return the help of a task's curriculum after that many steps, 1 to 0."""
-        if not self.assisted_steps:
-            return 0.0
-        return max(0.0, 1.0 - steps / self.assisted_steps)
+    def first_std(self, is_grip: np.ndarray) -> np.ndarray:
+        """Return the standard deviation of each component of the first actions."""
+        return np.where(is_grip, self.initial_grip_std, self.initial_std)
+
+    def persistence(self, is_grip: np.ndarray) -> np.ndarray:
+        """Return how much of each component's noise stays for the next action."""
+        return np.where(is_grip, self.grip_persistence, 0.0)
 
     @property
     def steps_per_update(self) -> int:
@@ -138,7 +137,7 @@ _RANGES = (
     ("max_learning_rate", 0.0, 1.0),
     ("initial_std", 1e-3, 7.0),
     ("initial_grip_std", 1e-3, 7.0),
-    ("noise_persistence", 0.0, 0.99),
+    ("grip_persistence", 0.0, 0.999),
 )
 
 

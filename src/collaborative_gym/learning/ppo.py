@@ -14,13 +14,14 @@ from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import nn
 
 from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.networks import (
+    LOG_STD_LIMITS,
+    MEMORY,
+    Actor,
+    perceptron,
+)
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.policies.network import OBSERVATION_LIMIT, Weights
-
-_ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
-
-_MEMORY = 400_000
-"""Rows after which the normalization has forgotten most of what it saw."""
 
 _LOSSES = {
     "policy_loss": "Loss / Policy loss",
@@ -55,16 +56,8 @@ class PPOLearner:
         size = learner.observation_size(sizes)
         observations = Box(-np.inf, np.inf, (size,), np.float32)
         actions = Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32)
-        self._networks = learner.networks(sizes)
         spaces = {"observation_space": observations, "action_space": actions}
-        std = np.where(
-            learner.is_grip(sizes),
-            hyperparameters.initial_grip_std,
-            hyperparameters.initial_std,
-        )
-        self._policy = _Policy(
-            self._networks, rows, std, hyperparameters, device, spaces
-        )
+        self._policy = _Policy(learner, sizes, hyperparameters, device, spaces)
         self._value = _Value(size, hyperparameters, device, spaces)
         self._memory = RandomMemory(
             memory_size=hyperparameters.rollout_steps, num_envs=rows, device=device
@@ -148,24 +141,8 @@ class PPOLearner:
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
         scaler = self._modules["observation_preprocessor"]
-        mean = scaler.running_mean.float().cpu().numpy()
-        std = (scaler.running_variance.float().sqrt() + scaler.epsilon).cpu().numpy()
-        found, start = {}, 0
-        for (name, (size, _)), net in zip(
-            self._networks.items(), self._policy.nets, strict=True
-        ):
-            columns = slice(start, start + size)
-            layers = tuple(
-                (
-                    layer.weight.detach().cpu().numpy().copy(),
-                    layer.bias.detach().cpu().numpy().copy(),
-                )
-                for layer in net.modules()
-                if isinstance(layer, nn.Linear)
-            )
-            found[name] = Weights(mean[columns], std[columns], layers)
-            start += size
-        return found
+        std = scaler.running_variance.float().sqrt() + scaler.epsilon
+        return self._policy.actor.weights(scaler.running_mean, std)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that an update changes."""
@@ -181,26 +158,23 @@ class PPOLearner:
 
 
 class _Policy(GaussianMixin, Model):
-    """Gaussian actions; each network's means depend on its own inputs alone."""
+    """The learner's actor, as skrl knows policies, with noise that may last."""
 
     def __init__(
         self,
-        networks: Mapping[str, tuple[int, int]],
-        rows: int,
-        std: np.ndarray,
+        learner: Learner,
+        sizes: Sizes,
         hyperparameters: Hyperparameters,
         device: str,
         spaces: Mapping[str, Box],
     ):
         Model.__init__(self, device=device, **spaces)
-        GaussianMixin.__init__(self)
-        self._inputs = [inputs for inputs, _ in networks.values()]
-        self.nets = nn.ModuleList(
-            _network(inputs, outputs, hyperparameters, gain=0.01)
-            for inputs, outputs in networks.values()
-        )
-        self.log_std = nn.Parameter(torch.from_numpy(np.log(std)).float())
-        self._persistence = hyperparameters.noise_persistence
+        low, high = LOG_STD_LIMITS
+        GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
+        self.actor = Actor(learner, sizes, hyperparameters)
+        stays = hyperparameters.persistence(learner.is_grip(sizes))
+        self._persistence = torch.from_numpy(stays).float().to(device)
+        rows = learner.num_rows(hyperparameters.num_envs)
         self.noise: torch.Tensor
         self.register_buffer("noise", torch.randn(rows, self.num_actions))
 
@@ -209,7 +183,7 @@ class _Policy(GaussianMixin, Model):
         actions, outputs = super().act(dict(inputs), role=role)
         if "taken_actions" in inputs:
             return actions, outputs
-        fresh = (1.0 - self._persistence**2) ** 0.5 * torch.randn_like(self.noise)
+        fresh = (1.0 - self._persistence**2).sqrt() * torch.randn_like(self.noise)
         self.noise = self._persistence * self.noise + fresh
         normal = self.distribution(role=role)
         actions = normal.mean + normal.stddev * self.noise
@@ -217,9 +191,7 @@ class _Policy(GaussianMixin, Model):
         return actions, outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
-        blocks = inputs["observations"].split(self._inputs, dim=1)
-        means = [net(block) for net, block in zip(self.nets, blocks, strict=True)]
-        return torch.cat(means, dim=1), {"log_std": self.log_std}
+        return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
 
 
 class _Value(DeterministicMixin, Model):
@@ -234,7 +206,7 @@ class _Value(DeterministicMixin, Model):
     ):
         Model.__init__(self, device=device, **spaces)
         DeterministicMixin.__init__(self)
-        self.net = _network(size, 1, hyperparameters, gain=1.0)
+        self.net = perceptron(size, 1, hyperparameters, gain=1.0)
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         return self.net(inputs["observations"]), {}
@@ -258,36 +230,11 @@ class _Scheduler(KLAdaptiveLR):
 
 
 class _Scaler(RunningStandardScaler):
-    """Standardizes by the last `_MEMORY` rows or so, not by all since the beginning.
-
-    The first returns are far from the later ones. In their deviation all differences
-    that matter later would be small.
-    """
+    """Standardizes by the last `MEMORY` rows or so, not by all since the beginning."""
 
     def _parallel_variance(self, *args) -> None:
         super()._parallel_variance(*args)
-        self.current_count = self.current_count.clamp(max=_MEMORY)
-
-
-def _network(
-    inputs: int, outputs: int, hyperparameters: Hyperparameters, gain: float
-) -> nn.Sequential:
-    """Return a perceptron with orthogonal weights, the last ones scaled by `gain`."""
-    layers: list[nn.Module] = []
-    for width in hyperparameters.hidden_sizes:
-        layers += [
-            _linear(inputs, width, 2**0.5),
-            _ACTIVATIONS[hyperparameters.activation](),
-        ]
-        inputs = width
-    return nn.Sequential(*layers, _linear(inputs, outputs, gain))
-
-
-def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
-    layer = nn.Linear(inputs, outputs)
-    nn.init.orthogonal_(layer.weight, gain)
-    nn.init.zeros_(layer.bias)
-    return layer
+        self.current_count = self.current_count.clamp(max=MEMORY)
 
 
 def _config(

@@ -140,7 +140,7 @@ class TeamPPO(PPO):
     def collect(self) -> list[Sample]:
         """Return a rollout of each runner that lives."""
         state = ray.put(self.learner.module.get_state())
-        return self.on_runners(partial(_sample, state, self.rollouts, self.steps))
+        return self.on_runners(partial(_sample, state, self.rollouts))
 
 
 class RLlibBackend:
@@ -358,12 +358,8 @@ def _modules_spec(job: Job) -> MultiRLModuleSpec:
             observation_space=observations,
             action_space=actions,
             model_config={
-                "networks": learner.networks(job.sizes),
-                "std": np.where(
-                    learner.is_grip(job.sizes),
-                    numbers.initial_grip_std,
-                    numbers.initial_std,
-                ).tolist(),
+                "learner": learner,
+                "sizes": job.sizes,
                 "hyperparameters": numbers,
             },
         )
@@ -464,8 +460,8 @@ def _try(call: Any, runner: BatchedEnvRunner) -> Any:
         return error
 
 
-def _sample(state: Any, iteration: int, steps: int, runner: BatchedEnvRunner) -> Sample:
-    return runner.sample(iteration=iteration, steps=steps, weights=ray.get(state))
+def _sample(state: Any, iteration: int, runner: BatchedEnvRunner) -> Sample:
+    return runner.sample(iteration=iteration, weights=ray.get(state))
 
 
 def _get_worlds(runner: BatchedEnvRunner) -> tuple[int, dict[str, Any] | None]:

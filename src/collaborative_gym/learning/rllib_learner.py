@@ -11,7 +11,6 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from ray.rllib.algorithms.ppo.torch.ppo_torch_learner import PPOTorchLearner
 from ray.rllib.core.columns import Columns
@@ -20,17 +19,16 @@ from ray.rllib.core.rl_module.torch import TorchRLModule
 from torch import Tensor, nn
 
 from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.networks import (
+    LOG_STD_LIMITS,
+    MEMORY,
+    Actor,
+    perceptron,
+)
 from collaborative_gym.policies.network import OBSERVATION_LIMIT, Weights
 
 ADVANTAGES, RETURNS = "advantages", "returns"
 """Columns of a batch, beside RLlib's own."""
-
-_ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
-
-_MEMORY = 400_000
-"""Rows after which the normalization has forgotten most of what it saw."""
-
-_LOG_STD_LIMITS = (-20.0, 2.0)
 
 _LR_FACTOR, _KL_FACTOR = 1.5, 2.0
 """How far the learning rate moves at once, and how far beside its target the divergence
@@ -40,39 +38,27 @@ must be for that."""
 class TeamModule(TorchRLModule, ValueFunctionAPI):
     """Policies and critic of one learner, on rows of its agents.
 
-    Actions are Gaussian; each network's mean depends on its own part of the row alone.
-    The critic sees the whole row. Both see observations in standard deviations; what
-    was seen so far is part of the module's state.
+    The critic sees the whole row, each network of the actor its own part. Both see
+    observations in standard deviations; what was seen so far is part of the state.
 
-    `model_config` has `networks` (inputs and outputs by name), `std` (of each component
-    of the first actions) and `hyperparameters`.
+    `model_config` has `learner`, `sizes` and `hyperparameters`.
     """
 
     def setup(self) -> None:
         """Make the networks, with weights from torch's own generator."""
-        networks: Mapping[str, tuple[int, int]] = self.model_config["networks"]
+        learner, sizes = self.model_config["learner"], self.model_config["sizes"]
         self.hyperparameters: Hyperparameters = self.model_config["hyperparameters"]
-        self.inputs = {name: inputs for name, (inputs, _) in networks.items()}
-        size = sum(self.inputs.values())
-        self.policy = nn.ModuleDict(
-            {
-                name: _perceptron(inputs, outputs, self.hyperparameters, gain=0.01)
-                for name, (inputs, outputs) in networks.items()
-            }
-        )
-        self.log_std = nn.Parameter(torch.tensor(self.model_config["std"]).log())
-        self.critic = _perceptron(size, 1, self.hyperparameters, gain=1.0)
+        size = learner.observation_size(sizes)
+        self.actor = Actor(learner, sizes, self.hyperparameters)
+        self.critic = perceptron(size, 1, self.hyperparameters, gain=1.0)
         self.observations = Normalization(size)
         self.returns = Normalization(1)
 
     def _forward(self, batch: Mapping[str, Any], **kwargs: Any) -> dict[str, Tensor]:
         rows = self.observations(batch[Columns.OBS])
         rows = rows.clamp(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
-        blocks = rows.split(list(self.inputs.values()), dim=1)
-        nets = self.policy.values()
-        means = [net(block) for net, block in zip(nets, blocks, strict=True)]
-        mean = torch.cat(means, dim=1)
-        log_std = self.log_std.clamp(*_LOG_STD_LIMITS).expand_as(mean)
+        mean = self.actor(rows)
+        log_std = self.actor.log_std.clamp(*LOG_STD_LIMITS).expand_as(mean)
         inputs = torch.cat([mean, log_std], dim=1)
         return {Columns.ACTION_DIST_INPUTS: inputs, Columns.EMBEDDINGS: rows}
 
@@ -94,23 +80,11 @@ class TeamModule(TorchRLModule, ValueFunctionAPI):
 
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
-        mean = self.observations.mean.float().cpu()
-        std = self.observations.std.float().cpu()
-        found, start = {}, 0
-        for name, size in self.inputs.items():
-            layers = tuple(
-                (_array(layer.weight), _array(layer.bias))
-                for layer in self.policy[name].modules()
-                if isinstance(layer, nn.Linear)
-            )
-            columns = slice(start, start + size)
-            found[name] = Weights(mean[columns].numpy(), std[columns].numpy(), layers)
-            start += size
-        return found
+        return self.actor.weights(self.observations.mean, self.observations.std)
 
 
 class Normalization(nn.Module):
-    """Mean and deviation of rows, of the last `_MEMORY` or so.
+    """Mean and deviation of rows, of the last `MEMORY` or so.
 
     Args:
       size: width of a row.
@@ -140,7 +114,7 @@ class Normalization(nn.Module):
         spread += difference**2 * self.count * len(rows) / total
         self.mean += difference * len(rows) / total
         self.variance.copy_(spread / total)
-        self.count.copy_(total.clamp(max=_MEMORY))
+        self.count.copy_(total.clamp(max=MEMORY))
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return rows in standard deviations."""
@@ -238,7 +212,7 @@ class TeamPPOLearner(PPOTorchLearner):
             module = self.module[name].unwrapped()
             policy, value, entropy = torch.stack(losses).mean(dim=0).tolist()
             with torch.no_grad():
-                std = module.log_std.clamp(*_LOG_STD_LIMITS).exp().mean()
+                std = module.actor.log_std.clamp(*LOG_STD_LIMITS).exp().mean()
                 norm = nn.utils.get_total_norm(list(module.parameters()))
             numbers = {
                 "policy_loss": policy,
@@ -250,28 +224,3 @@ class TeamPPOLearner(PPOTorchLearner):
                 "weight_norm": float(norm),
             }
             self.metrics.log_dict(numbers, key=name, window=1)
-
-
-def _perceptron(
-    inputs: int, outputs: int, hyperparameters: Hyperparameters, gain: float
-) -> nn.Sequential:
-    """Return a perceptron with orthogonal weights, the last ones scaled by `gain`."""
-    layers: list[nn.Module] = []
-    for width in hyperparameters.hidden_sizes:
-        layers += [
-            _linear(inputs, width, 2**0.5),
-            _ACTIVATIONS[hyperparameters.activation](),
-        ]
-        inputs = width
-    return nn.Sequential(*layers, _linear(inputs, outputs, gain))
-
-
-def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
-    layer = nn.Linear(inputs, outputs)
-    nn.init.orthogonal_(layer.weight, gain)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().cpu().numpy().copy()

@@ -19,12 +19,18 @@ from ray.rllib.core.columns import Columns
 from ray.rllib.env import INPUT_ENV_SINGLE_SPACES, INPUT_ENV_SPACES
 from ray.rllib.env.env_runner import EnvRunner
 
-from collaborative_gym.envs.vector_env import EnvState, Observations, VectorEnv
-from collaborative_gym.evaluation.play import episode_row
+from collaborative_gym.envs.vector_env import Observations, VectorEnv
 from collaborative_gym.learning.backend import training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import ADVANTAGES, RETURNS, TeamModule
 from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.worlds import (
+    arrays,
+    full_episodes,
+    load_worlds,
+    save_worlds,
+    tensors,
+)
 
 Rows = dict[str, np.ndarray]
 """Columns of a learner's batch, each with a row for every step of each of its rows."""
@@ -129,7 +135,7 @@ class BatchedEnvRunner(EnvRunner):
         }
 
     def sample(
-        self, *, iteration: int, steps: int, weights: Mapping[str, Any], **kwargs: Any
+        self, *, iteration: int, weights: Mapping[str, Any], **kwargs: Any
     ) -> Sample:
         """Collect one rollout in each of this runner's worlds.
 
@@ -138,13 +144,11 @@ class BatchedEnvRunner(EnvRunner):
 
         Args:
           iteration: how many rollouts the run has had.
-          steps: how many environment steps they had, over all worlds.
           weights: state of each module, by learner.
           **kwargs: not used.
         """
         self.module.set_state(weights)
         job = self._job
-        self.env.task.assistance = job.hyperparameters.assistance(steps)
         rng = np.random.default_rng([job.seed, iteration, self.index])
         observations = self._observations or self._start(iteration, rng)
         rollouts = [
@@ -164,7 +168,7 @@ class BatchedEnvRunner(EnvRunner):
             observations, rewards, _, _, infos = self.env.step(actions)
             for rollout in rollouts:
                 rollout.record(rewards, infos)
-            episodes += _full_episodes(infos)
+            episodes += full_episodes(infos)
         self._observations = observations
         done = job.hyperparameters.rollout_steps * self.env.num_envs
         rows = {each.learner.name: each.finish(observations) for each in rollouts}
@@ -174,26 +178,13 @@ class BatchedEnvRunner(EnvRunner):
         """Return the state of the worlds as tensors, None before the first rollout."""
         if self._observations is None:
             return None
-        state = self.env.get_state()
-        return {
-            "physics": torch.from_numpy(np.asarray(state.physics)),
-            "memory": _tensors(state.memory),
-            "progress": _tensors(state.progress),
-            "noise": _tensors(self._noise),
-        }
+        return {**save_worlds(self.env), "noise": tensors(self._noise)}
 
     def set_worlds(self, state: Mapping[str, Any]) -> None:
         """Go on from what `get_worlds` returned."""
-        self._noise = {
-            name: each.copy() for name, each in _arrays(state["noise"]).items()
-        }
-        self._observations = self.env.set_state(
-            EnvState(
-                state["physics"].numpy(),
-                _arrays(state["memory"]),
-                _arrays(state["progress"]),
-            )
-        )
+        noise = arrays(state["noise"])
+        self._noise = {name: each.copy() for name, each in noise.items()}
+        self._observations = load_worlds(self.env, state)
 
     def get_state(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """Return the weights, for RLlib."""
@@ -272,10 +263,11 @@ class _Rollout:
         batch = {Columns.OBS: torch.from_numpy(rows)}
         found = self._module.forward_exploration(batch)
         mean, log_std = found[Columns.ACTION_DIST_INPUTS].chunk(2, dim=1)
-        persistence = self._job.hyperparameters.noise_persistence
+        is_grip = self.learner.is_grip(self._job.sizes)
+        persistence = self._job.hyperparameters.persistence(is_grip).astype(np.float32)
         self._noise *= persistence
         fresh = rng.standard_normal(self._noise.shape, np.float32)
-        self._noise += (1.0 - persistence**2) ** 0.5 * fresh
+        self._noise += np.sqrt(1.0 - persistence**2) * fresh
         actions = mean + log_std.exp() * torch.from_numpy(self._noise)
         with torch.no_grad():
             values = self._module.compute_values(batch, found[Columns.EMBEDDINGS])
@@ -368,20 +360,3 @@ def join(samples: Sequence[Sample]) -> dict[str, Rows]:
 
 def _spaces(sizes: Mapping[str, int], bound: float) -> Dict:
     return Dict({a: Box(-bound, bound, (n,), np.float32) for a, n in sizes.items()})
-
-
-def _full_episodes(infos: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each episode that ended and was not cut by a staggered start."""
-    return [
-        episode_row(dict(infos), int(i))
-        for i in np.flatnonzero(infos["ended"])
-        if infos["step"][i] == infos["metrics"]["length"][i]
-    ]
-
-
-def _tensors(arrays: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    return {name: torch.from_numpy(np.asarray(each)) for name, each in arrays.items()}
-
-
-def _arrays(tensors: Mapping[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    return {name: tensor.numpy() for name, tensor in tensors.items()}

@@ -3,15 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 
-from collaborative_gym.envs.vector_env import EnvState, VectorEnv
-from collaborative_gym.evaluation.play import episode_row
+from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.backend import Iteration, training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.worlds import full_episodes, load_worlds, save_worlds
 from collaborative_gym.policies.network import Weights
 from collaborative_gym.tasks.task import Task
 
@@ -42,7 +41,7 @@ class SkrlBackend:
         num_threads: int = 0,
     ):
         self.steps = 0
-        self._hyperparameters = hyperparameters
+        self._rollout_steps = hyperparameters.rollout_steps
         self._device = device
         num_envs = hyperparameters.num_envs
         self._env = VectorEnv(task, num_envs, training_seed(seed), num_threads)
@@ -54,9 +53,7 @@ class SkrlBackend:
     def advance(self) -> Iteration:
         """Collect one rollout in every world, and learn from it."""
         episodes = []
-        rollout_steps = self._hyperparameters.rollout_steps
-        self._env.task.assistance = self._hyperparameters.assistance(self.steps)
-        for _ in range(rollout_steps):
+        for _ in range(self._rollout_steps):
             actions = {}
             for learner in self._learners:
                 actions |= learner.act(self._observations)
@@ -65,7 +62,7 @@ class SkrlBackend:
                 learner.record(rewards, infos["final_observation"], infos["ended"])
             episodes += full_episodes(infos)
         numbers = {learner.learner.name: learner.update() for learner in self._learners}
-        self.steps += rollout_steps * self._env.num_envs
+        self.steps += self._rollout_steps * self._env.num_envs
         return Iteration(episodes, numbers)
 
     def weights(self) -> dict[str, Weights]:
@@ -77,7 +74,6 @@ class SkrlBackend:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on, bit for bit on a CPU."""
-        world = self._env.get_state()
         cuda = torch.cuda.get_rng_state_all() if self._device != "cpu" else []
         return {
             "steps": self.steps,
@@ -86,21 +82,14 @@ class SkrlBackend:
             },
             "generator": torch.get_rng_state(),
             "cuda_generators": cuda,
-            "physics": torch.from_numpy(world.physics),
-            "memory": _tensors(world.memory),
-            "progress": _tensors(world.progress),
+            "worlds": save_worlds(self._env),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what `state_dict` returned."""
         for learner in self._learners:
             learner.load_state_dict(state["learners"][learner.learner.name])
-        world = EnvState(
-            state["physics"].numpy(),
-            _arrays(state["memory"]),
-            _arrays(state["progress"]),
-        )
-        self._observations = self._env.set_state(world)
+        self._observations = load_worlds(self._env, state["worlds"])
         self.steps = state["steps"]
         torch.set_rng_state(state["generator"])
         if self._device != "cpu" and state["cuda_generators"]:
@@ -109,21 +98,3 @@ class SkrlBackend:
     def close(self) -> None:
         """Free the worlds."""
         self._env.close()
-
-
-def full_episodes(infos: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each episode that ended and was not cut by a staggered start."""
-    ended = np.flatnonzero(infos["ended"])
-    return [
-        episode_row(infos, int(i))
-        for i in ended
-        if infos["step"][i] == infos["metrics"]["length"][i]
-    ]
-
-
-def _tensors(arrays: dict[str, Any]) -> dict[str, torch.Tensor]:
-    return {name: torch.from_numpy(np.asarray(each)) for name, each in arrays.items()}
-
-
-def _arrays(tensors: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
-    return {name: tensor.numpy() for name, tensor in tensors.items()}

@@ -51,9 +51,6 @@ reaches pots that do not stand in the middle."""
 _LIFT_STEP = 0.03
 """Motion of the pot in a step of the expert's lift, in m."""
 
-_RELIEF = 0.75
-"""Share of the pot's weight that full assistance takes off."""
-
 _CLOSE = 0.015
 """Distance from the handle at which the expert grips, in m."""
 
@@ -183,10 +180,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self._eq = {
             grip.agent: int(model.equality(grip.name).id) for grip in scene.grips
         }
-        pot_body = model.body("pot/pot")
-        self._pot_body = pot_body.id
-        self._pot = int(model.jnt_qposadr[pot_body.jntadr[0]])
-        self._gravity = -float(model.opt.gravity[2])
+        self._pot = int(model.jnt_qposadr[model.body("pot/pot").jntadr[0]])
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
             arm, way = scene.arms[agent], self._ways[agent]
@@ -209,12 +203,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
         sim.qpos[env_ids, self._pot : self._pot + 7] = pose
         shift = rng.uniform(-bounds.target_position, bounds.target_position, 3)
         sim.mocap_pos[env_ids, 0] = self.target + shift
-
-    def disturb(self, sim: Sim, steps: np.ndarray) -> None:
-        # At first a learner's arms hold the handles and never lift: their noise does
-        # not raise the weight, and what they learn at rest pulls them back.
-        relief = _RELIEF * self.assistance * self.pot_mass * self._gravity
-        sim.xfrc_applied[:, self._pot_body, 2] = relief
 
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}

@@ -103,8 +103,6 @@ class Task(Generic[ConfigT, FactsT]):
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
-      assistance: help that a training curriculum gives at present, from 1 to 0. Only a
-        trainer sets it; with 0, as it is else, the task is what it says.
       memory: what must be remembered between steps, (num_envs, ...) arrays by name;
         part of a saved state.
     """
@@ -119,7 +117,6 @@ class Task(Generic[ConfigT, FactsT]):
         self.agents = tuple(f"robot_{i + 1}" for i in range(len(robots)))
         self.robots = dict(zip(self.agents, robots, strict=True))
         self.config = config
-        self.assistance = 0.0
         self.memory: dict[str, Array] = {}
 
     @property

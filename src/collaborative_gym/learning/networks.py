@@ -1,0 +1,99 @@
+"""The networks of a learner, in torch."""
+
+import torch
+from torch import Tensor, nn
+
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.policies.network import Weights
+
+MEMORY = 400_000
+"""Rows after which a normalization has forgotten most of what it saw.
+
+The first returns are far from the later ones: in their deviation, all that matters
+later would be small."""
+
+LOG_STD_LIMITS = (-20.0, 2.0)
+"""Bounds of the logarithm of the actions' standard deviation."""
+
+_ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
+
+
+class Actor(nn.Module):
+    """Gaussian actions on a learner's rows of normalized observations.
+
+    Each network's mean depends on its own part of the row alone.
+
+    Args:
+      learner: whom it commands.
+      sizes: of the agents' spaces.
+      hyperparameters: of the networks and the first actions.
+
+    Attributes:
+      nets: the networks, in the order of the learner's parts.
+      log_std: of each component of a row of actions.
+    """
+
+    def __init__(
+        self, learner: Learner, sizes: Sizes, hyperparameters: Hyperparameters
+    ):
+        super().__init__()
+        networks = learner.networks(sizes)
+        self._names = list(networks)
+        self._inputs = [inputs for inputs, _ in networks.values()]
+        self.nets = nn.ModuleList(
+            perceptron(inputs, outputs, hyperparameters, gain=0.01)
+            for inputs, outputs in networks.values()
+        )
+        std = hyperparameters.first_std(learner.is_grip(sizes))
+        self.log_std = nn.Parameter(torch.from_numpy(std).float().log())
+
+    def forward(self, rows: Tensor) -> Tensor:
+        """Return the mean actions of the rows."""
+        blocks = rows.split(self._inputs, dim=1)
+        means = [net(block) for net, block in zip(self.nets, blocks, strict=True)]
+        return torch.cat(means, dim=1)
+
+    def weights(self, mean: Tensor, std: Tensor) -> dict[str, Weights]:
+        """Return the networks as arrays, by name.
+
+        Args:
+          mean: that was taken from a row of observations.
+          std: by which it was divided then.
+        """
+        found, start = {}, 0
+        for name, size, net in zip(self._names, self._inputs, self.nets, strict=True):
+            layers = tuple(
+                (_array(layer.weight), _array(layer.bias))
+                for layer in net.modules()
+                if isinstance(layer, nn.Linear)
+            )
+            columns = slice(start, start + size)
+            found[name] = Weights(_array(mean[columns]), _array(std[columns]), layers)
+            start += size
+        return found
+
+
+def perceptron(
+    inputs: int, outputs: int, hyperparameters: Hyperparameters, gain: float
+) -> nn.Sequential:
+    """Return a perceptron with orthogonal weights, the last ones scaled by `gain`."""
+    layers: list[nn.Module] = []
+    for width in hyperparameters.hidden_sizes:
+        layers += [
+            _linear(inputs, width, 2**0.5),
+            _ACTIVATIONS[hyperparameters.activation](),
+        ]
+        inputs = width
+    return nn.Sequential(*layers, _linear(inputs, outputs, gain))
+
+
+def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:
+    layer = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def _array(tensor: Tensor):
+    return tensor.detach().float().cpu().numpy().copy()
