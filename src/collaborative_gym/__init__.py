@@ -31,11 +31,14 @@ from collaborative_gym.tasks.task import (  # noqa: E402
 
 if TYPE_CHECKING:
     from collaborative_gym.evaluation import Report, evaluate
+    from collaborative_gym.learning.config import Hyperparameters
+    from collaborative_gym.learning.train import train
     from collaborative_gym.policies import load_policy
 
 __all__ = [
     "EnvSpec",
     "Gripper",
+    "Hyperparameters",
     "Placement",
     "Randomization",
     "Report",
@@ -53,13 +56,16 @@ __all__ = [
     "make_vec",
     "register_env",
     "register_task",
+    "train",
 ]
 
 # Imported on first use, so that `import collaborative_gym` stays quick.
 _LATER = {
+    "Hyperparameters": "collaborative_gym.learning.config",
     "Report": "collaborative_gym.evaluation",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
+    "train": "collaborative_gym.learning.train",
 }
 
 

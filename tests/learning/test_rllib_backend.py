@@ -209,7 +209,7 @@ def test_a_run_may_resume_with_other_runners(backends):
 
 
 @pytest.mark.usefixtures("local_ray")
-def test_noise_lasts_and_grips_have_their_own(backends):
+def test_the_grips_noise_is_its_own_and_lasts(backends):
     numbers = replace(
         SMALL,
         grip_persistence=0.9,
@@ -226,7 +226,8 @@ def test_noise_lasts_and_grips_have_their_own(backends):
     np.testing.assert_allclose(rows.std((0, 1)), std, rtol=0.15)
     for column in range(16):
         found = np.corrcoef(rows[:-1, :, column].ravel(), rows[1:, :, column].ravel())
-        assert found[0, 1] == pytest.approx(0.9, abs=0.05)
+        lasts = 0.9 if column in (7, 15) else 0.0
+        assert found[0, 1] == pytest.approx(lasts, abs=0.1)
 
 
 @pytest.mark.usefixtures("local_ray")

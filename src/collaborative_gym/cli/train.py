@@ -7,7 +7,13 @@ from typing import Annotated
 import tyro
 
 from collaborative_gym.cli.terminal import Envs, Folder, Robots, show
-from collaborative_gym.learning.config import Hyperparameters, Mode, Resources, changed
+from collaborative_gym.learning.config import (
+    Hyperparameters,
+    Mode,
+    Resources,
+    changed,
+    recipe,
+)
 
 _Own = tyro.conf.arg(help_behavior_hint="")
 """Of an option whose help says itself what holds where it is not given."""
@@ -91,14 +97,15 @@ class Train:
         """Return the environment and how to learn; a run that goes on knows its own."""
         from collaborative_gym.learning.checkpoint import LAST, Checkpoint
 
-        envs, numbers = self.envs, self.hyperparameters
+        envs, own = self.envs, None
         if self.resume is not None:
             settings = Checkpoint.load(self.resume / LAST).settings
             envs = envs or (settings.environment,)
-            numbers = replace(settings.hyperparameters, **changed(numbers))
+            own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name one environment to train, or pass --all")
-        return envs[0], numbers
+        given = changed(self.hyperparameters)
+        return envs[0], replace(own or recipe(envs[0]), **given)
 
     def _train_all(self) -> None:
         from collaborative_gym import list_envs
@@ -114,7 +121,7 @@ class Train:
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),
             self.seeds,
-            self.hyperparameters,
+            self.hyperparameters if changed(self.hyperparameters) else None,
             self.resources,
             self.checkpoint_interval,
             Display,

@@ -12,7 +12,12 @@ from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.report import show
 from collaborative_gym.files import replacing, write_text
 from collaborative_gym.learning.checkpoint import LAST
-from collaborative_gym.learning.config import Hyperparameters, Resources, changed
+from collaborative_gym.learning.config import (
+    Hyperparameters,
+    Resources,
+    changed,
+    recipe,
+)
 from collaborative_gym.learning.train import OnRow, Result, train
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.tasks.registry import as_task
@@ -68,7 +73,7 @@ def train_baselines(
       env_ids: which environments.
       output: the folder.
       seeds: of each environment's runs.
-      hyperparameters: how they learn; None for the defaults.
+      hyperparameters: how they learn; None for each environment's recipe.
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
       displays: makes what shows a run; None for no display.
@@ -84,10 +89,10 @@ def train_baselines(
     for env_id in env_ids:
         as_task(env_id)  # An unknown one shows before the work.
     output = Path(output)
-    numbers = hyperparameters or Hyperparameters()
     resources = resources or Resources()
     for env_id in env_ids:
         trials = []
+        numbers = hyperparameters or recipe(env_id)
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
             is_there = (folder / LAST).exists()
@@ -105,7 +110,7 @@ def train_baselines(
                     on_row=on_row,
                 )
             trials.append(Trial(seed, result, _measure(env_id, result, resources)))
-        yield _ship(env_id, trials, output)
+        yield _ship(env_id, trials, output, resources)
 
 
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
@@ -122,31 +127,38 @@ def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Rep
     }
 
 
-def _ship(env_id: str, trials: Sequence[Trial], output: Path) -> Path:
+def _ship(
+    env_id: str, trials: Sequence[Trial], output: Path, resources: Resources
+) -> Path:
     """Write the policy, the curve and the card of the best run; return the card."""
     best = max(trials, key=lambda trial: trial.result.best["validation/return"])
     for name, suffix in ((POLICY_FILE, ".safetensors"), ("curve.png", ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.result.folder / name, partial)
     card = output / f"{env_id}.md"
-    write_text(card, write_card(env_id, trials, best))
+    write_text(card, write_card(env_id, trials, best, resources))
     return card
 
 
-def write_card(env_id: str, trials: Sequence[Trial], best: Trial) -> str:
+def write_card(
+    env_id: str, trials: Sequence[Trial], best: Trial, resources: Resources
+) -> str:
     """Return a baseline's card: what it is, how it was trained, and how well it does.
 
     Args:
       env_id: its environment.
       trials: all runs.
       best: the one whose policy is shipped.
+      resources: that they used.
     """
     settings = best.result.settings
     numbers = settings.hyperparameters
     machine = describe_machine()
+    others = changed(numbers, recipe(env_id))
+    if resources.torch_threads:  # Another number may change the last bits.
+        others["torch_threads"] = resources.torch_threads
     options = " ".join(
-        f"--{name.replace('_', '-')} {_option(value)}"
-        for name, value in changed(numbers).items()
+        f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     )
     command = f"collaborative-gym train {env_id} --seed {best.seed} {options}".rstrip()
     steps = best.result.best["steps"]

@@ -1,7 +1,8 @@
 """What training can be told."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -32,7 +33,8 @@ class Hyperparameters:
     """How PPO learns.
 
     Attributes:
-      total_steps: environment steps in all, counted over all worlds.
+      total_steps: environment steps in all, counted over all worlds. Some environments
+        have a recipe of their own: Poke and Balance take half of it, Lift more.
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
@@ -165,10 +167,30 @@ class Resources:
             check_count(name, getattr(self, name), at_least=0)
 
 
-def changed(hyperparameters: Hyperparameters) -> dict[str, object]:
-    """Return the hyperparameters that differ from the defaults, by name."""
+RECIPES: Mapping[str, Mapping[str, Any]] = {
+    "PokeTaskSawyers-v0": {"total_steps": 1_500_000},
+    "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000},
+    "BalanceTaskSawyers-v0": {"total_steps": 1_500_000},
+    "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
+    "LiftTaskSawyers-v0": {"total_steps": 4_000_000},
+    "LiftTaskJacos-v0": {"total_steps": 4_000_000},
+}
+"""Hyperparameters with which an environment is best learned, where they are others than
+the defaults."""
+
+
+def recipe(env: str) -> Hyperparameters:
+    """Return the hyperparameters for an environment: its recipe, or the defaults."""
+    return Hyperparameters(**RECIPES.get(env, {}))
+
+
+def changed(
+    hyperparameters: Hyperparameters, from_: Hyperparameters | None = None
+) -> dict[str, object]:
+    """Return the hyperparameters that differ from others, None for the defaults."""
+    others = from_ or Hyperparameters()
     return {
         field.name: getattr(hyperparameters, field.name)
         for field in fields(hyperparameters)
-        if getattr(hyperparameters, field.name) != field.default
+        if getattr(hyperparameters, field.name) != getattr(others, field.name)
     }

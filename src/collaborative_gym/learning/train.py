@@ -30,7 +30,7 @@ from collaborative_gym.learning.backend import (
     validation_seed,
 )
 from collaborative_gym.learning.checkpoint import BEST, LAST, Checkpoint, Settings
-from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
+from collaborative_gym.learning.config import Hyperparameters, Mode, Resources, recipe
 from collaborative_gym.learning.monitor import Monitor, summarize
 from collaborative_gym.learning.skrl_backend import SkrlBackend
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
@@ -105,7 +105,7 @@ def train(
         and validations changed.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
-      hyperparameters: how it learns; None for the defaults.
+      hyperparameters: how it learns; None for `recipe(env)`.
       backend: "skrl" or "rllib"; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
@@ -306,7 +306,7 @@ def _settings(
         backend=backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
-        hyperparameters=hyperparameters or Hyperparameters(),
+        hyperparameters=hyperparameters or recipe(name),
     )
     training_seed(settings.seed)
     make_learners(settings.mode, sizes)
