@@ -18,7 +18,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     with _beside(path) as folder:
         yield folder / path.name
-        with _naming(path):
+        with naming(path):
             os.replace(folder / path.name, path)
 
 
@@ -47,7 +47,7 @@ def _beside(path: Path) -> Iterator[Path]:
     back after an interruption.
     """
     with ExitStack() as stack:
-        with _naming(path):
+        with naming(path):
             if path.exists() and not path.is_file():
                 raise OSError(errno.EINVAL, "it is a folder or a device")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,9 +63,15 @@ def _beside(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let errors name the file that the caller asked for."""
+def naming(path: Path) -> Iterator[None]:
+    """Let errors name the file that the caller asked for.
+
+    Raises:
+      OSError: says that the file cannot be written, and why.
+    """
     try:
         yield
     except OSError as error:
+        if error.errno is None:  # It has its message already.
+            raise
         raise type(error)(f"cannot write {path}: {error.strerror}") from error

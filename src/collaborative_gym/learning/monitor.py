@@ -3,14 +3,13 @@
 import csv
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from numbers import Integral
 from pathlib import Path
 
 from collaborative_gym.evaluation.report import Report
-from collaborative_gym.files import write_text
+from collaborative_gym.files import naming, write_text
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve
 
@@ -152,11 +151,11 @@ class Monitor:
     def _rewrite(self) -> None:
         """Write all rows anew, under a header that knows all columns."""
         lines = [",".join(self._columns) + "\n", *map(self._line, self.rows)]
-        with _naming(self._path):
+        with naming(self._path):
             write_text(self._path, "".join(lines))
 
     def _append(self, row: Row) -> None:
-        with _naming(self._path), self._path.open("a", encoding="utf-8") as file:
+        with naming(self._path), self._path.open("a", encoding="utf-8") as file:
             file.write(self._line(row))
 
     def _line(self, row: Row) -> str:
@@ -214,14 +213,3 @@ def _joined(columns: list[str], row: Row) -> list[str]:
     if row.keys() <= set(columns):
         return columns
     return list(dict.fromkeys([*row, *columns]))
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Let an error that knows no file, as of a full disk, name this one."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None or error.filename is not None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error
