@@ -4,9 +4,10 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.report import show
-from collaborative_gym.learning import baselines
+from collaborative_gym.learning import baselines, config
 from collaborative_gym.learning.baselines import train_baselines
 from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+from collaborative_gym.learning.config import changed
 
 
 @pytest.fixture
@@ -14,9 +15,9 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
     """Return a function that trains the small task's baseline, of two runs."""
     monkeypatch.setattr(baselines, "_EPISODES", 4)
 
-    def train_both(numbers=None, **options):
-        numbers = numbers or tiny(total_steps=64)
-        given = (0, 1), numbers, alone
+    def train_both(changes=None, **options):
+        changes = changes or changed(tiny(total_steps=64))
+        given = (0, 1), changes, alone
         return list(train_baselines([carry_id], tmp_path, *given, **options))
 
     return train_both
@@ -80,11 +81,23 @@ def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, has
 def test_runs_with_other_hyperparameters_are_refused(train_both, tiny):
     train_both()
     with pytest.raises(ValueError, match=r"has discount .*, not 0\.5"):
-        train_both(tiny(total_steps=64, discount=0.5))
+        train_both(changed(tiny(total_steps=64, discount=0.5)))
     # Also where they are the defaults, so that no card tells of others.
-    numbers = type(tiny())(total_steps=64)
     with pytest.raises(ValueError, match=r"leave it out .* or start another"):
-        train_both(numbers)
+        train_both({"total_steps": 64})
+
+
+def test_what_is_changed_is_laid_over_the_recipe(
+    train_both, carry_id, tiny, tmp_path, monkeypatch
+):
+    recipes = {carry_id: {"assistance": 0.5, "discount": 0.9}}
+    monkeypatch.setattr(config, "RECIPES", recipes)
+    (card,) = train_both(changed(tiny(total_steps=64, discount=0.8)))
+    settings = Checkpoint.load(tmp_path / carry_id / "seed0" / LAST).settings
+    assert settings.hyperparameters.assistance == 0.5
+    assert settings.hyperparameters.discount == 0.8
+    assert "a curriculum: at first 50 % of the weight" in card.read_text()
+    assert "--discount 0.8" in card.read_text()
 
 
 def test_bad_input_shows_before_the_work(carry_id, tmp_path):

@@ -3,7 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -57,7 +57,7 @@ def train_baselines(
     env_ids: Sequence[str],
     output: str | Path,
     seeds: Sequence[int] = (0, 1, 2),
-    hyperparameters: Hyperparameters | None = None,
+    changes: Mapping[str, Any] | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     displays: Displays | None = None,
@@ -73,7 +73,8 @@ def train_baselines(
       env_ids: which environments.
       output: the folder.
       seeds: of each environment's runs.
-      hyperparameters: how they learn; None for each environment's recipe.
+      changes: hyperparameters to use instead of those of each environment's recipe, by
+        name; None for none.
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
       displays: makes what shows a run; None for no display.
@@ -92,7 +93,7 @@ def train_baselines(
     resources = resources or Resources()
     for env_id in env_ids:
         trials = []
-        numbers = hyperparameters or recipe(env_id)
+        numbers = replace(recipe(env_id), **(changes or {}))
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
             is_there = (folder / LAST).exists()
@@ -167,7 +168,7 @@ def write_card(
         "",
         f"A policy for each robot ({', '.join(settings.robots)}), trained from scratch"
         " by PPO on the thesis's reward, mode collaborative: no demonstrations, no"
-        " shaping, no curriculum.",
+        f" shaping, {_curriculum(numbers)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
@@ -198,6 +199,16 @@ def write_card(
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def _curriculum(numbers: Hyperparameters) -> str:
+    if not numbers.assistance:
+        return "no curriculum"
+    return (
+        f"and a curriculum: at first {100 * numbers.assistance:g} % of the weight of"
+        " what moves freely was carried, the less the more episodes were completed"
+        " (none in what is reported)"
+    )
 
 
 def _option(value: Any) -> str:

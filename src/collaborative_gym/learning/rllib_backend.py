@@ -49,6 +49,7 @@ from collaborative_gym.learning.rllib_runner import (
     join,
 )
 from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.worlds import Assistance
 from collaborative_gym.policies.network import Weights
 from collaborative_gym.tasks.task import Task
 
@@ -66,8 +67,10 @@ class TeamPPO(PPO):
       samples: what the last `train` was made of, by runner.
       rollouts: how many rollouts there were.
       steps: how many environment steps they had, over all worlds.
+      assistance: what is carried in the worlds.
     """
 
+    assistance: Assistance
     samples: list[Sample]
     rollouts: int = 0
     steps: int = 0
@@ -97,6 +100,9 @@ class TeamPPO(PPO):
             )
         self.rollouts += 1
         self.steps += steps
+        self.assistance.adapt(
+            [row for sample in self.samples for row in sample.episodes]
+        )
         self.metrics.aggregate(results, key=LEARNER_RESULTS)
         for name, reduce in (
             (NUM_ENV_STEPS_SAMPLED, "sum"),
@@ -140,7 +146,7 @@ class TeamPPO(PPO):
     def collect(self) -> list[Sample]:
         """Return a rollout of each runner that lives."""
         state = ray.put(self.learner.module.get_state())
-        return self.on_runners(partial(_sample, state, self.rollouts))
+        return self.on_runners(partial(_sample, state, self.rollouts, self.assistance))
 
 
 class RLlibBackend:
@@ -200,6 +206,7 @@ class RLlibBackend:
         try:
             _check_room(num_runners)
             self._algorithm: TeamPPO = _config(job, num_runners, device).build_algo()
+            self._algorithm.assistance = Assistance(hyperparameters.assistance)
         except BaseException:
             self._disconnect()
             raise
@@ -254,6 +261,7 @@ class RLlibBackend:
         return {
             "steps": self.steps,
             "rollouts": self._algorithm.rollouts,
+            "assistance": self._algorithm.assistance.share,
             "modules": {
                 name: module.state_dict() for name, module in self._modules().items()
             },
@@ -271,6 +279,7 @@ class RLlibBackend:
         """
         self.steps = self._algorithm.steps = state["steps"]
         self._algorithm.rollouts = state["rollouts"]
+        self._algorithm.assistance.share = state["assistance"]
         for name, module in self._modules().items():
             module.load_state_dict(state["modules"][name])
             optimizer = self._algorithm.learner.get_optimizer(name)
@@ -460,8 +469,12 @@ def _try(call: Any, runner: BatchedEnvRunner) -> Any:
         return error
 
 
-def _sample(state: Any, iteration: int, runner: BatchedEnvRunner) -> Sample:
-    return runner.sample(iteration=iteration, weights=ray.get(state))
+def _sample(
+    state: Any, iteration: int, assistance: Assistance, runner: BatchedEnvRunner
+) -> Sample:
+    return runner.sample(
+        iteration=iteration, weights=ray.get(state), assistance=assistance
+    )
 
 
 def _get_worlds(runner: BatchedEnvRunner) -> tuple[int, dict[str, Any] | None]:

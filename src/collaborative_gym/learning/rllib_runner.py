@@ -25,6 +25,7 @@ from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import ADVANTAGES, RETURNS, TeamModule
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
+    Assistance,
     arrays,
     full_episodes,
     load_worlds,
@@ -135,7 +136,12 @@ class BatchedEnvRunner(EnvRunner):
         }
 
     def sample(
-        self, *, iteration: int, weights: Mapping[str, Any], **kwargs: Any
+        self,
+        *,
+        iteration: int,
+        weights: Mapping[str, Any],
+        assistance: Assistance,
+        **kwargs: Any,
     ) -> Sample:
         """Collect one rollout in each of this runner's worlds.
 
@@ -145,6 +151,7 @@ class BatchedEnvRunner(EnvRunner):
         Args:
           iteration: how many rollouts the run has had.
           weights: state of each module, by learner.
+          assistance: what is carried meanwhile.
           **kwargs: not used.
         """
         self.module.set_state(weights)
@@ -165,6 +172,7 @@ class BatchedEnvRunner(EnvRunner):
             actions: dict[str, np.ndarray] = {}
             for rollout in rollouts:
                 actions |= rollout.act(observations, rng)
+            assistance.carry(self.env)
             observations, rewards, _, _, infos = self.env.step(actions)
             for rollout in rollouts:
                 rollout.record(rewards, infos)

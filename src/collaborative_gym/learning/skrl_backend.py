@@ -10,7 +10,12 @@ from collaborative_gym.learning.backend import Iteration, training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Learner, Sizes
-from collaborative_gym.learning.worlds import full_episodes, load_worlds, save_worlds
+from collaborative_gym.learning.worlds import (
+    Assistance,
+    full_episodes,
+    load_worlds,
+    save_worlds,
+)
 from collaborative_gym.policies.network import Weights
 from collaborative_gym.tasks.task import Task
 
@@ -43,6 +48,7 @@ class SkrlBackend:
         self.steps = 0
         self._rollout_steps = hyperparameters.rollout_steps
         self._device = device
+        self._assistance = Assistance(hyperparameters.assistance)
         num_envs = hyperparameters.num_envs
         self._env = VectorEnv(task, num_envs, training_seed(seed), num_threads)
         self._learners = [
@@ -57,10 +63,12 @@ class SkrlBackend:
             actions = {}
             for learner in self._learners:
                 actions |= learner.act(self._observations)
+            self._assistance.carry(self._env)
             self._observations, rewards, _, _, infos = self._env.step(actions)
             for learner in self._learners:
                 learner.record(rewards, infos["final_observation"], infos["ended"])
             episodes += full_episodes(infos)
+        self._assistance.adapt(episodes)
         numbers = {learner.learner.name: learner.update() for learner in self._learners}
         self.steps += self._rollout_steps * self._env.num_envs
         return Iteration(episodes, numbers)
@@ -77,6 +85,7 @@ class SkrlBackend:
         cuda = torch.cuda.get_rng_state_all() if self._device != "cpu" else []
         return {
             "steps": self.steps,
+            "assistance": self._assistance.share,
             "learners": {
                 each.learner.name: each.state_dict() for each in self._learners
             },
@@ -91,6 +100,7 @@ class SkrlBackend:
             learner.load_state_dict(state["learners"][learner.learner.name])
         self._observations = load_worlds(self._env, state["worlds"])
         self.steps = state["steps"]
+        self._assistance.share = state["assistance"]
         torch.set_rng_state(state["generator"])
         if self._device != "cpu" and state["cuda_generators"]:
             torch.cuda.set_rng_state_all(state["cuda_generators"])
