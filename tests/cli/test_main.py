@@ -10,6 +10,7 @@ from importlib.metadata import version
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym import viewer
 from collaborative_gym.cli.commands import Evaluate, Reproduce
 from collaborative_gym.cli.main import main
 from collaborative_gym.evaluation import table11
@@ -175,14 +176,39 @@ def test_help_fits_a_terminal(capsys, command):
 @pytest.mark.parametrize(
     "flag", [["--env", "Carry"], ["--env=Carry"], ["view", "Carry"]]
 )
-def test_view_without_a_display_says_what_to_do(carry_id, capsys, monkeypatch, flag):
+def test_view_without_display_and_extra_says_what_to_do(
+    carry_id, capsys, monkeypatch, flag
+):
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
+    monkeypatch.delitem(sys.modules, "collaborative_gym.viewer.web", raising=False)
+    monkeypatch.delitem(sys.modules, "collaborative_gym.viewer.shapes", raising=False)
+    monkeypatch.setitem(sys.modules, "viser", None)
     monkeypatch.setattr(sys, "argv", ["collaborative_gym", *flag])
     with pytest.raises(SystemExit) as ending:
         runpy.run_module("collaborative_gym", run_name="__main__")
     assert ending.value.code == 1
-    assert "collaborative-gym record" in capsys.readouterr().err
+    printed = capsys.readouterr()
+    assert "no display to open a window on" in printed.out
+    assert printed.err.startswith("error: the viewer in the browser needs viser")
+    assert "pip install 'collaborative-gym[view]'" in printed.err
+    assert "collaborative-gym record" in printed.err
+
+
+def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(viewer, "view", lambda *arguments: asked.append(arguments))
+    assert main(["view", "Lift"]) == 0
+    options = "--policy expert --seed 3 --robots panda jaco --randomization paper"
+    served = "--web --host 0.0.0.0 --port 99"
+    assert main(["view", "Lift", *options.split(), *served.split()]) == 0
+    env_id, tell, warn, *rest = asked[0]
+    assert env_id == "Lift"
+    assert rest == ["random", 0, None, "default", False, "127.0.0.1", 8080]
+    robots, served = ("panda", "jaco"), [True, "0.0.0.0", 99]
+    assert list(asked[1][3:]) == ["expert", 3, robots, "paper", *served]
+    tell("here"), warn("beware")
+    assert capsys.readouterr() == ("here\n", "beware\n")
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import tyro
 from collaborative_gym.cli.terminal import (
     OWN_SIZE,
     Agents,
+    Command,
     Env,
     Envs,
     File,
@@ -20,13 +21,14 @@ from collaborative_gym.cli.terminal import (
     check_files,
     progress_bars,
     show,
+    warn,
 )
 
 # Everything else is imported by the command that needs it, so that help is quick.
 
 
 @dataclass(frozen=True, kw_only=True)
-class List:
+class List(Command):
     """List the environments: robots, and each agent's observation and action sizes."""
 
     def run(self) -> None:
@@ -44,7 +46,7 @@ class List:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _World:
+class _World(Command):
     """What is played.
 
     Attributes:
@@ -210,7 +212,7 @@ class Reproduce:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Benchmark:
+class Benchmark(Command):
     """Measure the environments' speed beside that of the bare physics, in one run.
 
     Attributes:
@@ -247,25 +249,43 @@ class Benchmark:
 
 @dataclass(frozen=True, kw_only=True)
 class View(_World):
-    """Watch a policy in a window, in real time.
+    """Watch a policy in real time, and pull at things to disturb it.
 
-    The same as `python -m collaborative_gym --env ENV`.
+    The same as `python -m collaborative_gym --env ENV`. It shows in a window, or in the
+    browser where none can be opened.
 
     Attributes:
       env: environment id, or a task's name.
       policy: who commands the robots: expert, random, baseline (the trained policy that
         is shipped), or a path to a policy file or a training folder.
+      web: show it in the browser.
+      host: address that the browser's page is served at. Whoever reaches it can watch
+        and control the robots.
+      port: of the page; the next free one is taken if it is in use.
     """
 
     env: Env
     policy: Policy = "random"
+    web: tyro.conf.FlagCreatePairsOff[bool] = False
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    port: int = 8080
 
     def run(self) -> None:
-        """Show the window until it is closed."""
+        """Show it until the window is closed, or until Ctrl-C."""
         from collaborative_gym.viewer import view
 
-        robots = self.robots or None
-        view(self.env, self.policy, self.seed, robots, self.randomization)
+        view(
+            self.env,
+            show,
+            warn,
+            self.policy,
+            self.seed,
+            self.robots or None,
+            self.randomization,
+            self.web,
+            self.host,
+            self.port,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,8 +20,9 @@ from collaborative_gym.cli.commands import (
     Reproduce,
     View,
 )
-from collaborative_gym.cli.terminal import show
+from collaborative_gym.cli.terminal import Command, show
 from collaborative_gym.cli.train import Train
+from collaborative_gym.modules import load_modules
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
 
@@ -94,6 +95,8 @@ def _run(arguments: list[str]) -> None:
         "With --version, say which version this is.",
         args=arguments,
     )
+    if isinstance(command, Command):
+        load_modules(command.module)
     command.run()
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,28 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 
 from collaborative_gym.files import check_writable
+
+Modules = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.arg(metavar="MODULE", help_behavior_hint="(default: none)"),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What the commands have that name environments.
+
+    Attributes:
+      module: file (.py) or installed module that registers tasks or arms of your own;
+        may be repeated.
+    """
+
+    module: Modules = ()
+
+    def run(self) -> None:
+        """Do what the command says, once its modules are loaded."""
+        raise NotImplementedError
+
 
 OWN_SIZE = (0, 0)
 """Stands for the size that videos of a format have unless told otherwise."""
@@ -70,6 +93,12 @@ def show(content: Table | str) -> None:
         console.print(content, markup=False, highlight=False, soft_wrap=True)
     else:
         console.print(content)
+
+
+def warn(text: str) -> None:
+    """Print what must not be overlooked on standard error."""
+    console = Console(stderr=True)
+    console.print(text, style="bold red", markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager

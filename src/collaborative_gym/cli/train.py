@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from collaborative_gym.cli.terminal import Envs, Folder, Robots, show
+from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, show
 from collaborative_gym.learning.config import (
     Hyperparameters,
     Mode,
@@ -22,7 +22,7 @@ _Flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train:
+class Train(Command):
     """Train policies by PPO; stop at any time and go on with --resume.
 
     The folder of a run holds policy.safetensors, the best policy so far, which
@@ -121,7 +121,7 @@ class Train:
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),
             self.seeds,
-            self.hyperparameters if changed(self.hyperparameters) else None,
+            changed(self.hyperparameters),
             self.resources,
             self.checkpoint_interval,
             Display,

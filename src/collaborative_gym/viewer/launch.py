@@ -1,0 +1,92 @@
+"""Showing a policy at work, in real time."""
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from typing import Any
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.policies import load_policy
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Randomization
+from collaborative_gym.viewer.session import Session
+
+
+def view(
+    env_id: str,
+    tell: Callable[[str], object],
+    warn: Callable[[str], object],
+    policy: str = "random",
+    seed: int = 0,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization = "default",
+    web: bool = False,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Let a policy play one episode after the other, until the viewer is closed.
+
+    It shows in a window, or else on a web page. The page's server has no password: who
+    reaches it may watch and control.
+
+    Args:
+      env_id: an environment id or a task's name.
+      tell: takes what the user needs to know, such as where the page is.
+      warn: takes what should alarm the user.
+      policy: a name for `load_policy`.
+      seed: which episodes.
+      robots: other arms than the environment's own, in the order of the agents.
+      randomization: how starts are drawn.
+      web: whether to show a page even if a window can be opened.
+      host: address that the page's server listens on.
+      port: its port; the next free one is taken if it is in use.
+
+    Raises:
+      ImportError: if a page is needed and the extra `view` is not installed.
+      KeyError: if a name is unknown.
+      OSError: if the server cannot listen there.
+    """
+    task = make_task(env_id, robots, randomization)
+    env = VectorEnv(task, 1, seed, num_threads=1)
+    with closing(env):
+        session = Session(env, load_policy(policy, env))
+        face = None if web else _window(session, tell)
+        if face is None:
+            face = _page(session, f"{env_id}, {policy}", host, port)
+            if face.is_public:
+                warn(
+                    f"WARNING: the viewer listens on {host}. Everyone who reaches this"
+                    " machine can watch and control it; there is no password."
+                )
+            tell(f"open {face.url} in a browser; Ctrl-C ends it")
+        with closing(face):
+            session.run(face.show)
+
+
+def _window(session: Session, tell: Callable[[str], object]) -> Any:
+    """Return a window, or None where none can be opened, and say so."""
+    # Imported here because a page needs no windowing system.
+    from collaborative_gym.viewer.window import Window
+
+    try:
+        return Window(session)
+    except RuntimeError as error:
+        tell(f"{error}; showing it in the browser instead")
+        return None
+
+
+def _page(session: Session, title: str, host: str, port: int) -> Any:
+    """Return a page's server.
+
+    Raises:
+      ImportError: if the extra `view` is not installed; says how to.
+    """
+    try:
+        from collaborative_gym.viewer.web import Page
+    except ImportError as error:
+        raise ImportError(
+            f"the viewer in the browser needs {error.name}, which is not installed; pip"
+            " install 'collaborative-gym[view]', or make a video instead:"
+            " collaborative-gym record ENV --output video.mp4"
+        ) from error
+    return Page(session, title, host, port)

@@ -1,0 +1,185 @@
+"""One world that a policy plays in real time, and what its viewers ask of it."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Literal
+
+import mujoco
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.policies import Policy
+from collaborative_gym.viewer.reading import read, sum_up
+from collaborative_gym.viewer.spring import Spring
+
+SLOWEST, FASTEST = 0.1, 4.0
+"""Bounds of the speed, in simulated seconds per second."""
+
+_PICTURES = 60
+"""How often a second to draw at most, of the user's time."""
+
+_LAG = 0.1
+"""How far the world may be late and still catch up, in s."""
+
+_Request = Literal["step", "reset", "next"]
+
+
+class Session:
+    """A world that a policy plays in real time until it is told to end.
+
+    The world belongs to the thread that calls `run`. Everything else may be used by any
+    thread; what is asked for happens at the end of the control step under way, which is
+    then played without waiting.
+
+    Args:
+      env: the world, a batch of one.
+      policy: who commands the robots.
+
+    Attributes:
+      env: the world.
+      reading: what to say of the present state.
+      perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
+        the same bits as in every other environment.
+    """
+
+    def __init__(self, env: VectorEnv, policy: Policy):
+        if env.num_envs != 1:
+            raise ValueError(f"a session plays 1 world, got {env.num_envs}")
+        self.env = env
+        self.perturb: mujoco.MjvPerturb | None = None
+        self._policy = policy
+        self._speed = 1.0
+        self._is_paused = False
+        self._has_ended = False
+        self._requests: deque[_Request] = deque()
+        self._asked = threading.Event()
+        self._spring = Spring(env)
+        self._show: Callable[[], object] = lambda: None
+        self._due = self._shown = 0.0
+        self._observations, infos = env.reset()
+        self.reading = read(env, infos, "")
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still."""
+        return self._is_paused
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per second."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        """Set the speed.
+
+        Raises:
+          ValueError: if it is out of bounds.
+        """
+        if not SLOWEST <= speed <= FASTEST:
+            raise ValueError(
+                f"speed must be between {SLOWEST} and {FASTEST}, got {speed}"
+            )
+        self._speed = speed
+
+    def pause(self) -> None:
+        """Let time stand still."""
+        self._is_paused = True
+        self._asked.set()
+
+    def play(self) -> None:
+        """Let time go on."""
+        self._is_paused = False
+        self._asked.set()
+
+    def step(self) -> None:
+        """Do one control step and pause."""
+        self._is_paused = True
+        self._ask("step")
+
+    def reset(self) -> None:
+        """Start the same episode again, with the same bits."""
+        self._ask("reset")
+
+    def next(self) -> None:
+        """Start the seed's next episode."""
+        self._ask("next")
+
+    def end(self) -> None:
+        """Let `run` return."""
+        self._has_ended = True
+        self._asked.set()
+
+    def run(self, show: Callable[[], object]) -> None:
+        """Play until `end`.
+
+        Args:
+          show: called whenever there may be something new to draw, also while paused,
+            and in this thread, so that it may read the world.
+        """
+        self._show = show
+        self._due = time.perf_counter()
+        self.env.watch(self._after_physics, self.env.substeps)
+        try:
+            while not self._has_ended:
+                self._go_on()
+        finally:
+            self.env.watch(None)
+
+    def _ask(self, request: _Request) -> None:
+        self._requests.append(request)
+        self._asked.set()
+
+    def _go_on(self) -> None:
+        """Do what is asked for, or else the next control step, or else wait."""
+        self._asked.clear()
+        request = self._requests.popleft() if self._requests else None
+        if self._requests:
+            self._asked.set()
+        if request in ("reset", "next"):
+            self._restart(same=request == "reset")
+        elif request == "step" or not self._is_paused:
+            self._step()
+        else:
+            self._draw()
+            self._asked.wait(1 / _PICTURES)
+            self._due = time.perf_counter()
+
+    def _restart(self, same: bool) -> None:
+        reading = self.reading
+        self._spring.forget()
+        if same:
+            begun = self.env.reset(reading.seed, [reading.episode])
+        else:
+            begun = self.env.reset()
+        self._observations, infos = begun
+        self.reading = read(self.env, infos, reading.previous)
+        self._draw()
+
+    def _step(self) -> None:
+        actions = self._policy(self._observations)
+        self._spring.pull(self.perturb)
+        self._observations, _, _, _, infos = self.env.step(actions)
+        previous = self.reading.previous
+        if infos["ended"][0]:
+            self._spring.forget()
+            previous = sum_up(infos)
+        self.reading = read(self.env, infos, previous)
+        if self._is_paused:
+            self._draw()
+
+    def _after_physics(self) -> None:
+        """Draw, wait until it is time for the next physics step, and pull in it."""
+        now = time.perf_counter()
+        length = self.env.control_dt / self.env.substeps / self._speed
+        self._due = max(self._due + length, now - _LAG)
+        if now - self._shown >= 1 / _PICTURES:
+            self._draw()
+        if not self._has_ended:
+            self._asked.wait(max(0.0, self._due - time.perf_counter()))
+        self._spring.pull(self.perturb)
+
+    def _draw(self) -> None:
+        self._shown = time.perf_counter()
+        self._show()

@@ -1,0 +1,175 @@
+"""A world's geoms as nodes of a web page's scene."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+import viser
+
+_MAX_GROUP = 2
+"""Geoms of higher groups collide and are not seen."""
+
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+"""A geom of this colour takes its material's."""
+
+_FLOOR = 40.0
+"""Half width of what is drawn of an endless plane, in m."""
+
+_SQUARE = 1.0
+"""Side of the squares in which a plane is coloured, in m."""
+
+_MAX_COLORS = 4
+"""A texture of more colours than these is drawn in their mean."""
+
+_CUBE = np.array(
+    [
+        [[0, 0, -1], [0, -1, 0]],
+        [[0, 0, 1], [0, -1, 0]],
+        [[1, 0, 0], [0, 0, 1]],
+        [[1, 0, 0], [0, 0, -1]],
+        [[1, 0, 0], [0, -1, 0]],
+        [[-1, 0, 0], [0, -1, 0]],
+    ]
+)
+"""Where the columns and rows of a cube texture's faces (x, -x, y, -y, z, -z) go."""
+
+_KIND = mujoco.mjtGeom
+
+
+def add_geom(
+    scene: viser.SceneApi, name: str, model: mujoco.MjModel, geom: int
+) -> list[Any]:
+    """Add a geom to a page's scene and return its nodes; an unseen one has none.
+
+    Args:
+      scene: the page's scene.
+      name: of the nodes, below that of the geom's body.
+      model: the world.
+      geom: id of the geom.
+
+    Raises:
+      ValueError: if geoms of its kind cannot be drawn.
+    """
+    rgba = _rgba(model, geom)
+    if model.geom_group[geom] > _MAX_GROUP or rgba[3] == 0:
+        return []
+    looks: dict[str, Any] = {
+        "position": model.geom_pos[geom],
+        "wxyz": model.geom_quat[geom],
+        "opacity": None if rgba[3] == 1 else float(rgba[3]),
+        "cast_shadow": bool(rgba[3] == 1),
+        "side": "front" if rgba[3] == 1 else "double",
+    }
+    mesh = _mesh(model, geom)
+    return [
+        scene.add_mesh_simple(
+            f"{name}_{i}",
+            mesh.vertices,
+            faces,
+            color=tuple(np.rint(255 * color).astype(int).tolist()),
+            **looks,
+        )
+        for i, (color, faces) in enumerate(_painted(model, geom, mesh, rgba[:3]))
+    ]
+
+
+def _rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    own, material = model.geom_rgba[geom], model.geom_matid[geom]
+    if material >= 0 and np.allclose(own, _DEFAULT_RGBA):
+        return model.mat_rgba[material]
+    return own
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """Return a geom's surface in its own frame, with edges where it is not smooth."""
+    size = model.geom_size[geom].astype(float)
+    match _KIND(model.geom_type[geom]):
+        case _KIND.mjGEOM_BOX:
+            mesh = trimesh.creation.box(2 * size)
+            mesh.unmerge_vertices()
+            return mesh
+        case _KIND.mjGEOM_CYLINDER:
+            mesh = trimesh.creation.cylinder(size[0], 2 * size[1])
+            is_end = np.abs(mesh.face_normals[:, 2:]) > 0.5
+            faces = mesh.faces + is_end * len(mesh.vertices)
+            return _surface(np.tile(mesh.vertices, (2, 1)), faces)
+        case _KIND.mjGEOM_CAPSULE:
+            return trimesh.creation.capsule(2 * size[1], size[0], [16, 16])
+        case _KIND.mjGEOM_SPHERE:
+            return trimesh.creation.icosphere(4, size[0])
+        case _KIND.mjGEOM_ELLIPSOID:
+            return trimesh.creation.icosphere(3).apply_scale(size)
+        case _KIND.mjGEOM_PLANE:
+            return _plane(*(half or _FLOOR for half in size[:2]))
+        case _KIND.mjGEOM_MESH:
+            asset = model.mesh(model.geom_dataid[geom])
+            first, face = asset.vertadr[0], asset.faceadr[0]
+            return _surface(
+                model.mesh_vert[first : first + asset.vertnum[0]],
+                model.mesh_face[face : face + asset.facenum[0]],
+            )
+    raise ValueError(
+        f"geom {model.geom(geom).name!r} is a {_KIND(model.geom_type[geom]).name[7:]},"
+        " which the page cannot draw"
+    )
+
+
+def _plane(x: float, y: float) -> trimesh.Trimesh:
+    """Return squares that cover a plane, x and y being half its widths in m."""
+    columns, rows = (max(1, round(2 * half / _SQUARE)) for half in (x, y))
+    across, along = np.meshgrid(
+        np.linspace(-x, x, columns + 1), np.linspace(-y, y, rows + 1)
+    )
+    vertices = np.stack([across, along, np.zeros_like(across)], axis=-1).reshape(-1, 3)
+    corner = np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)
+    corner = corner.reshape(-1, 1)
+    above = corner + columns + 1
+    triangles = [corner, corner + 1, above + 1, corner, above + 1, above]
+    return _surface(vertices, np.hstack(triangles).reshape(-1, 3))
+
+
+def _surface(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _painted(
+    model: mujoco.MjModel, geom: int, mesh: trimesh.Trimesh, rgb: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the colours of a surface, 0 to 1, and the faces that have each."""
+    texels = _texels(model, geom, mesh.triangles_center)
+    if texels is None:
+        return [(rgb, mesh.faces)]
+    colors, which = np.unique(texels, axis=0, return_inverse=True)
+    if len(colors) > _MAX_COLORS:
+        return [(rgb * texels.mean(axis=0) / 255, mesh.faces)]
+    return [
+        (rgb * color / 255, mesh.faces[which == i]) for i, color in enumerate(colors)
+    ]
+
+
+def _texels(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray | None:
+    """Return a texture's colours at points of a geom, (points, 3), if it has one."""
+    material = model.geom_matid[geom]
+    role = mujoco.mjtTextureRole.mjTEXROLE_RGB
+    texture = model.mat_texid[material, role] if material >= 0 else -1
+    if texture < 0:
+        return None
+    height, width = model.tex_height[texture], model.tex_width[texture]
+    start, channels = model.tex_adr[texture], model.tex_nchannel[texture]
+    image = model.tex_data[start : start + height * width * channels]
+    if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D:
+        # MuJoCo repeats a uniform texture every two metres, and turns it over.
+        place = 0.5 * points[:, :2] * model.mat_texrepeat[material] * (1, -1)
+        image = image.reshape(1, height, width, channels)
+        face = np.zeros(len(points), int)
+    else:
+        major = np.abs(points).argmax(axis=1)
+        depth = points[np.arange(len(points)), major]
+        face = 2 * major + (depth < 0)
+        place = np.einsum("nij,nj->ni", _CUBE[face], points) / np.abs(depth)[:, None]
+        place = 0.5 + 0.5 * place
+        image = image.reshape(6, -1, width, channels)
+    shape = image.shape[2], image.shape[1]
+    column, row = (place % 1 * shape).astype(int).T
+    return image[face, row, column, :3]

@@ -1,0 +1,63 @@
+"""A user's pull at a body."""
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.envs.vector_env import VectorEnv
+
+
+class Spring:
+    """The force of a user's pull, beside what else acts on the bodies.
+
+    Args:
+      env: the world, a batch of one.
+    """
+
+    def __init__(self, env: VectorEnv):
+        self._sim, self._model = env.sim, env.model
+        self._data = mujoco.MjData(env.model)
+        self._scene = mujoco.MjvScene(env.model, 100)
+        self._pulled: tuple[int, np.ndarray, np.ndarray] | None = None
+
+    def forget(self) -> None:
+        """Leave the forces as they are, as after a reset, which clears them."""
+        self._pulled = None
+
+    def pull(self, perturb: mujoco.MjvPerturb | None) -> None:
+        """Let this pull, and no other, act from now on.
+
+        Args:
+          perturb: MuJoCo's spring, or None to let go. Where its `localmass` is 0 it is
+            new, and is told what mass it pulls at.
+        """
+        forces = self._sim.xfrc_applied[0]
+        if self._pulled is not None:
+            body, before, written = self._pulled
+            # What differs, the task has set anew meanwhile.
+            is_ours = forces[body] == written
+            forces[body] = np.where(is_ours, before, forces[body])
+            self._pulled = None
+        if perturb is None or not perturb.active or perturb.select <= 0:
+            return
+        body, before = perturb.select, forces[perturb.select].copy()
+        forces[body] += self._force(perturb)
+        self._pulled = body, before, forces[body].copy()
+
+    def _force(self, perturb: mujoco.MjvPerturb) -> np.ndarray:
+        """Return force and torque on the pulled body, (6,) in N and N m."""
+        model, data = self._model, self._data
+        data.qpos[:], data.qvel[:] = self._sim.qpos[0], self._sim.qvel[0]
+        mujoco.mj_forward(model, data)
+        if perturb.localmass == 0:
+            target = perturb.refselpos.copy()
+            # MuJoCo looks at the scene's camera, which an update sets.
+            options, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+            category = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+            mujoco.mjv_updateScene(
+                model, data, options, None, camera, category, self._scene
+            )
+            mujoco.mjv_initPerturb(model, data, self._scene, perturb)
+            perturb.refselpos[:] = target
+        data.xfrc_applied[:] = 0.0
+        mujoco.mjv_applyPerturbForce(model, data, perturb)
+        return data.xfrc_applied[perturb.select]

@@ -1,0 +1,239 @@
+"""The page in a real browser, which draws it and whose mouse and buttons are used."""
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+pytest.importorskip("playwright", reason="no playwright to drive a browser with")
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from collaborative_gym.envs.vector_env import make_vec
+from collaborative_gym.policies import load_policy
+from collaborative_gym.rendering import CAMERA
+from collaborative_gym.viewer.session import FASTEST, Session
+from collaborative_gym.viewer.web import Page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+WIDTH, HEIGHT = 1000, 520
+PATIENCE = 120.0  # s; without a graphics card a picture may take seconds
+ENVS = (
+    "LiftTaskSawyers-v0",
+    "PokeTaskPandaSawyer-v0",
+)
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no Chromium; 'apt-get install chromium' brings it"
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Return a browser that draws without a graphics card."""
+    arguments = [
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=arguments, timeout=60_000
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def serve(start):
+    """Return a function that plays an environment and serves it."""
+    served = []
+
+    def serve(env_id, policy="expert"):
+        env = make_vec(env_id, 1, num_threads=1)
+        session = Session(env, load_policy(policy, env))
+        session.pause()
+        page = Page(session, env_id, "127.0.0.1", 0)
+        served.append((start(session, page.show), page))
+        return session, page
+
+    yield serve
+    for end, page in served:
+        end()
+        page.close()
+
+
+@pytest.fixture
+def open_tab(browser):
+    """Return a function that opens a page in a tab, and waits until it is drawn."""
+    tabs = []
+
+    def open_tab(page):
+        tab = browser.new_page(
+            viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=0.5
+        )
+        tab.set_default_timeout(PATIENCE * 1000)
+        tabs.append(tab)
+        tab.asked, tab.errors = [], []
+        tab.on("request", lambda request: tab.asked.append(request.url))
+        tab.on("pageerror", lambda error: tab.errors.append(str(error)))
+        tab.goto(page.url)
+        tab.get_by_text("episode of seed 0").wait_for()
+        tab.get_by_role("checkbox").uncheck()  # Shadows, which take seconds each.
+        # Where there is no graphics card the page says so, in front of the scene.
+        notice = tab.locator(".mantine-Notification-closeButton")
+        notice.first.click()
+        notice.first.wait_for(state="detached")
+        return tab
+
+    yield open_tab
+    for tab in tabs:
+        tab.close()
+
+
+def press(tab, name):
+    tab.get_by_role("button", name=name, exact=True).click()
+
+
+def canvas(tab):
+    """Return where the scene is in the tab: left, top, width and height."""
+    box = tab.locator("canvas").first.bounding_box()
+    return [round(box[side]) for side in ("x", "y", "width", "height")]
+
+
+def drawn(tab):
+    left, top, width, height = canvas(tab)
+    clip = {"x": left, "y": top, "width": width, "height": height}
+    picture = Image.open(io.BytesIO(tab.screenshot(clip=clip)))
+    return np.asarray(picture.convert("RGB"))
+
+
+def likeness(one, other):
+    """Return how alike two pictures are: 1 for the same, 0 for unrelated ones.
+
+    It is the correlation of small versions, so that what counts is where things are
+    and what colour they have, not how bright the light is.
+    """
+    flat = []
+    for picture in (one, other):
+        small = Image.fromarray(picture).resize((96, 64), Image.Resampling.BOX)
+        colors = np.asarray(small, float)
+        flat.append((colors - colors.mean(axis=(0, 1))).ravel())
+    return float(np.dot(*flat) / np.prod([np.linalg.norm(each) for each in flat]))
+
+
+def pixel_of(tab, page, body):
+    """Return where the middle of a body is in the tab."""
+    data, model = page._data, page._model
+    left, top, width, height = canvas(tab)
+    camera = data.camera(CAMERA)
+    seen = camera.xmat.reshape(3, 3).T @ (data.body(body).xpos - camera.xpos)
+    scale = height / 2 / np.tan(np.radians(model.camera(CAMERA).fovy[0]) / 2)
+    column, row = scale * seen[:2] / -seen[2] * (1, -1)
+    return left + width / 2 + column, top + height / 2 + row
+
+
+@pytest.mark.parametrize("env_id", ENVS)
+def test_the_scene_is_drawn_as_off_screen(serve, open_tab, wait_until, env_id):
+    session, page = serve(env_id)
+    tab = open_tab(page)
+    _, _, *size = canvas(tab)
+    at_start = session.env.render(0, *size)
+    wait_until(lambda: likeness(drawn(tab), at_start) > 0.9, timeout=PATIENCE)
+    for _ in range(12):
+        session.step()
+    session.speed = FASTEST
+    wait_until(lambda: session.reading.time > 1.15)
+    now = session.env.render(0, *size)
+    assert likeness(now, at_start) < 0.99
+    wait_until(lambda: likeness(drawn(tab), now) > 0.9, timeout=PATIENCE)
+    wait_until(
+        lambda: likeness(drawn(tab), now) > likeness(drawn(tab), at_start) + 0.005
+    )
+    assert tab.errors == []
+    # Nothing comes from anywhere else: it works without the internet.
+    assert {url.split(":")[0] for url in tab.asked if page.url not in url} <= {"data"}
+
+
+def test_the_buttons_work(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0], "baseline")
+    tab = open_tab(page)
+    press(tab, "Step")
+    wait_until(lambda: session.reading.time == pytest.approx(0.1))
+    tab.get_by_text("0.1 s").wait_for()
+    for agent, terms in session.reading.rewards.items():
+        tab.get_by_text(f"reward of {agent}").wait_for()
+        for name, term in terms.items():
+            row = tab.locator("tr", has_text=name).filter(has_text=f"{term:.3f}")
+            assert row.count() >= 1
+    press(tab, "Play")
+    wait_until(lambda: session.reading.time > 0.5)
+    assert not session.is_paused
+    press(tab, "Pause")
+    wait_until(lambda: session.is_paused)
+    press(tab, "Reset")
+    wait_until(lambda: session.reading.time == 0)
+    assert session.reading.episode == 0
+    press(tab, "Next episode")
+    wait_until(lambda: session.reading.episode == 1)
+    speed = tab.get_by_role("textbox").first
+    speed.fill("2.5")
+    speed.press("Enter")
+    wait_until(lambda: session.speed == 2.5)
+
+
+def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    tab = open_tab(page)
+    pot = session.env.model.body("pot/pot").id
+    x, y = pixel_of(tab, page, "pot/pot")
+    height = session.env.facts.pot[0][0, 2]
+    tab.keyboard.down("Control")
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    for step in range(1, 9):
+        tab.mouse.move(x, y - 12 * step)
+    wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
+    assert session.perturb.select == pot
+    wait_until(lambda: session.perturb.refselpos[2] > height + 0.2, timeout=PATIENCE)
+    for _ in range(5):
+        session.step()
+    wait_until(lambda: session.reading.time == pytest.approx(0.5))
+    assert session.env.facts.pot[0][0, 2] > height + 0.1
+    tab.mouse.up()
+    tab.keyboard.up("Control")
+    wait_until(lambda: session.perturb is None, timeout=PATIENCE)
+
+
+def test_a_tab_that_closes_lets_go_and_another_goes_on(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    tab, other = open_tab(page), open_tab(page)
+    x, y = pixel_of(tab, page, "pot/pot")
+    tab.bring_to_front()
+    tab.keyboard.down("Control")
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    for step in range(1, 9):
+        tab.mouse.move(x, y - 5 * step)
+    wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
+    tab.close()
+    wait_until(lambda: session.perturb is None, timeout=PATIENCE)
+    press(other, "Play")
+    wait_until(lambda: session.reading.time > 0.5)
+    press(other, "Pause")
+    wait_until(lambda: session.is_paused)
+    wait_until(lambda: f"{session.reading.time:.1f} s" in other.inner_text("table"))
+
+
+def test_shadows_can_be_had(serve, open_tab, wait_until):
+    _, page = serve(ENVS[0])
+    tab = open_tab(page)
+    assert [light.cast_shadow for light in page._lights] == [False]
+    tab.get_by_role("checkbox").check()
+    wait_until(lambda: page._lights[0].cast_shadow)

@@ -1,0 +1,100 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from collaborative_gym.viewer import reading
+
+
+@dataclass
+class Facts:
+    """Facts of every kind."""
+
+    joints: dict
+    pose: tuple
+    to_cube: dict
+    to_target: np.ndarray
+    is_held: np.ndarray
+
+
+@pytest.fixture
+def played(make_env):
+    """Return a function that plays an episode's first steps and reads the last."""
+
+    def played(steps, **settings):
+        env = make_env(**settings)
+        _, infos = env.reset()
+        for _ in range(steps):
+            _, _, _, _, infos = env.step(env.expert())
+        return env, infos, reading.read(env, infos, "so")
+
+    return played
+
+
+def test_a_start_has_measures_and_no_rewards(played):
+    env, _, start = played(0)
+    assert (start.episode, start.seed, start.time) == (0, 0, 0.0)
+    assert (start.success, start.rewards, start.previous) == (False, {}, "so")
+    names = ["distance robot_1", "distance robot_2", "height", "highest"]
+    assert list(start.measures) == names
+    assert start.measures["height"] == env.facts.height[0]
+
+
+def test_a_step_has_every_named_term_of_the_reward(played):
+    env, infos, after = played(5, seed=3)
+    assert (after.episode, after.seed) == (0, 3)
+    assert after.time == pytest.approx(0.5)
+    for agent in env.agents:
+        assert tuple(after.rewards[agent]) == env.reward_terms[agent]
+        for name, term in infos["reward_terms"][agent].items():
+            assert after.rewards[agent][name] == term[0]
+
+
+def test_success_is_said(played):
+    _, infos, after = played(11)
+    assert infos["success"][0] and after.success is True
+    assert ("success", "yes") in after.rows
+
+
+def test_rows_show_it_all_with_sums(played):
+    _, _, after = played(4)
+    rows = dict(after.rows)
+    for agent, terms in after.rewards.items():
+        assert rows[f"reward of {agent}"] == f"{sum(terms.values()):.3f}"
+    assert rows["  height"] == f"{after.measures['height']:.3f}"
+    assert (rows["episode of seed 0"], rows["time"]) == ("0", "0.4 s")
+    assert list(rows)[-2:] == ["previous", "  so"]
+
+
+def test_measures_are_the_facts_that_are_one_number_each(make_env):
+    env = make_env()
+    _, infos = env.reset()
+    env.facts = Facts(
+        joints={"robot_1": np.zeros((1, 7))},
+        pose=(np.zeros((1, 3)), np.zeros((1, 4))),
+        to_cube={"robot_1": np.array([0.5]), "robot_2": np.array([0.25])},
+        to_target=np.array([2.0]),
+        is_held=np.array([True]),
+    )
+    measures = reading.read(env, infos, "").measures
+    assert measures == {
+        "to cube robot_1": 0.5,
+        "to cube robot_2": 0.25,
+        "to target": 2.0,
+        "is held": True,
+    }
+    assert measures["is held"] is True
+    env.facts = {"of": "another kind"}
+    assert reading.read(env, infos, "").measures == {}
+
+
+def test_an_episode_is_summed_up(played):
+    _, infos, _ = played(12)
+    assert infos["ended"][0]
+    seconds, earned = infos["metrics"]["time_to_success"], infos["metrics"]["return"]
+    expected = f"episode 0: success after {seconds[0]:.1f} s, return {earned[0]:.1f}"
+    assert reading.sum_up(infos) == expected
+    infos["metrics"]["time_to_success"][0] = np.nan
+    assert "no success" in reading.sum_up(infos)
+    infos["diverged"][0] = True
+    assert "the physics diverged" in reading.sum_up(infos)

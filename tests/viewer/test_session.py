@@ -1,0 +1,175 @@
+import threading
+import time
+
+import mujoco
+import numpy as np
+import pytest
+
+from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
+
+
+def positions(session):
+    return session.env.sim.qpos[0].copy()
+
+
+def steps_done(session):
+    return session.env.progress["step"][0]
+
+
+def test_it_plays_what_is_played_without_a_viewer(
+    make_session, start, unwatched, wait_until
+):
+    session = make_session(max_episode_steps=100)
+    expected = unwatched(6, max_episode_steps=100)
+    session.pause()
+    start(session)
+    for step in range(1, 7):
+        session.step()
+        wait_until(lambda step=step: session.reading.time > 0.1 * step - 0.05)
+        np.testing.assert_array_equal(positions(session), expected[step])
+
+
+def test_paused_it_stands_still_and_is_still_drawn(make_session, start, wait_until):
+    session, drawn = make_session(max_episode_steps=1000), []
+    start(session, lambda: drawn.append(positions(session)))
+    wait_until(lambda: session.reading.time > 0.1)
+    session.pause()
+    time.sleep(0.2)
+    before, pictures = positions(session), len(drawn)
+    wait_until(lambda: len(drawn) > pictures + 3)
+    np.testing.assert_array_equal(positions(session), before)
+    time_then = session.reading.time
+    session.play()
+    wait_until(lambda: session.reading.time > time_then)
+
+
+def test_a_step_is_one_and_pauses(make_session, start, wait_until):
+    session = make_session()
+    start(session)
+    session.step()
+    wait_until(lambda: session.is_paused)
+    time.sleep(0.2)
+    before = steps_done(session)
+    session.step()
+    session.step()
+    wait_until(lambda: steps_done(session) == before + 2)
+    time.sleep(0.2)
+    assert steps_done(session) == before + 2
+
+
+def test_reset_starts_the_same_episode_with_the_same_bits(
+    make_session, start, wait_until
+):
+    session = make_session("random")
+    session.pause()
+    start(session)
+    session.next()
+    wait_until(lambda: session.reading.episode == 1)
+    rows = {}
+    for turn in range(2):
+        rows[turn] = [positions(session)]
+        for step in range(1, 4):
+            session.step()
+            wait_until(lambda step=step: steps_done(session) == step)
+            rows[turn].append(positions(session))
+        session.reset()
+        wait_until(lambda: session.reading.time == 0)
+        assert session.reading.episode == 1
+    np.testing.assert_array_equal(rows[0], rows[1])
+    assert not np.array_equal(rows[0][0], rows[0][3])
+
+
+def test_next_starts_the_episode_that_would_follow(
+    make_session, make_env, start, wait_until
+):
+    session, env = make_session(), make_env()
+    start(session)
+    session.pause()
+    session.reset()
+    session.next()
+    wait_until(lambda: session.reading.episode == 1)
+    env.reset(seed=0, episodes=[1])
+    np.testing.assert_array_equal(positions(session), env.sim.qpos[0])
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_it_keeps_the_speed(make_session, start, wait_until, speed):
+    session = make_session(max_episode_steps=1000)
+    session.speed = speed
+    start(session)
+    wait_until(lambda: session.reading.time > 0)
+    started, before = time.perf_counter(), session.reading.time
+    time.sleep(1.5)
+    passed = session.reading.time - before
+    # Above what is asked it never goes; below it may, where others use the processor.
+    assert 0.3 * speed < passed / (time.perf_counter() - started) < 1.15 * speed
+
+
+@pytest.mark.parametrize("speed", [0.0, SLOWEST / 2, 2 * FASTEST, float("nan")])
+def test_a_speed_out_of_bounds_is_refused(make_session, speed):
+    with pytest.raises(ValueError, match=r"between 0.1 and 4.0, got"):
+        make_session().speed = speed
+
+
+def test_a_request_does_not_wait_for_a_slow_step(make_session, start, wait_until):
+    session = make_session()
+    session.speed = SLOWEST
+    start(session)
+    time.sleep(0.1)
+    started = time.perf_counter()
+    session.next()
+    wait_until(lambda: session.reading.episode == 1)
+    assert time.perf_counter() - started < 0.5  # A step takes a second.
+
+
+def test_a_pull_moves_what_is_pulled_until_it_is_let_go(
+    make_session, start, wait_until
+):
+    session = make_session("random", max_episode_steps=1000)
+    session.pause()
+    cube = session.env.model.body("cube/cube").id
+    height = session.reading.measures["height"]
+    perturb = mujoco.MjvPerturb()
+    perturb.select, perturb.active = cube, mujoco.mjtPertBit.mjPERT_TRANSLATE.value
+    perturb.refselpos = session.env.facts.cube[0][0] + [0.0, 0.0, 0.5]
+    start(session)
+    session.perturb = perturb
+    for _ in range(15):
+        session.step()
+    wait_until(lambda: steps_done(session) == 15)
+    assert session.reading.measures["height"] > height + 0.3
+    assert perturb.localmass == pytest.approx(1.0, rel=1e-3)
+    session.perturb = None
+    session.step()
+    wait_until(lambda: steps_done(session) == 16)
+    assert not session.env.sim.xfrc_applied.any()
+
+
+def test_let_go_leaves_no_bit_of_the_pull(make_session, unwatched):
+    session = make_session()
+    expected = unwatched(1)
+    perturb = mujoco.MjvPerturb()
+    perturb.select = session.env.model.body("cube/cube").id
+    session.perturb = perturb  # It is not active.
+    session.pause()
+    session.step()
+    threading.Timer(0.5, session.end).start()
+    session.run(lambda: None)
+    np.testing.assert_array_equal(positions(session), expected[1])
+
+
+def test_a_policy_that_fails_ends_it(make_env):
+    def fail(observations):
+        raise ValueError("no idea")
+
+    env, shown = make_env(), []
+    session = Session(env, fail)
+    with pytest.raises(ValueError, match="no idea"):
+        session.run(lambda: shown.append(1))
+    env.step(env.expert())  # It is nobody's any more.
+    assert shown == []
+
+
+def test_it_plays_one_world(make_env):
+    with pytest.raises(ValueError, match="plays 1 world, got 2"):
+        Session(make_env(2), lambda observations: {})

@@ -1,0 +1,161 @@
+import socket
+import sys
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from collaborative_gym.viewer.web import Page
+
+only_linux = pytest.mark.skipif(
+    sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address of the machine"
+)
+
+
+@pytest.fixture
+def make_page():
+    """Return a function that serves a session on a free port, and stop it after."""
+    pages = []
+
+    def make(session, host="127.0.0.1", port=0):
+        page = Page(session, "a title", host, port)
+        pages.append(page)
+        return page
+
+    yield make
+    for page in pages:
+        page.close()
+
+
+@pytest.fixture
+def watch():
+    """Return a function that connects to a page as a browser's tab does."""
+
+    def watch(page):
+        return connect(
+            page.url.replace("http", "ws"),
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        )
+
+    return watch
+
+
+def port_of(page):
+    return int(page.url.rsplit(":", 1)[1])
+
+
+def receives(tab, count):
+    """Return how many bytes come in that many messages."""
+    return sum(len(tab.recv(timeout=10)) for _ in range(count))
+
+
+@only_linux
+def test_it_listens_on_this_machine_alone(make_session, make_page):
+    page = make_page(make_session())
+    assert page.url == f"http://127.0.0.1:{port_of(page)}"
+    assert not page.is_public
+    socket.create_connection(("127.0.0.1", port_of(page))).close()
+    with pytest.raises(ConnectionRefusedError):  # Also this machine, by another name.
+        socket.create_connection(("127.0.0.2", port_of(page)))
+
+
+@only_linux
+def test_it_listens_for_others_where_told_so(make_session, make_page):
+    page = make_page(make_session(), host="0.0.0.0")
+    assert page.url == f"http://localhost:{port_of(page)}"
+    assert page.is_public
+    socket.create_connection(("127.0.0.2", port_of(page))).close()
+
+
+def test_two_pages_beside_each_other_have_two_ports(make_session, make_page):
+    first = make_page(make_session())
+    second = make_page(make_session(), port=port_of(first))
+    assert port_of(second) > port_of(first)
+
+
+def test_it_says_nothing_by_itself(make_session, make_page, capfd):
+    make_page(make_session()).close()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_two_tabs_watch_and_a_closed_one_stops_nothing(
+    make_session, make_page, start, watch, wait_until
+):
+    session = make_session(max_episode_steps=1000)
+    page = make_page(session)
+    end = start(session, page.show)
+    with closing(watch(page)) as one, closing(watch(page)) as other:
+        assert receives(one, 5) > 100_000  # The scene, and what moves.
+        assert receives(other, 5) > 100_000
+        one.close()
+        before = session.reading.time
+        assert receives(other, 50) > 0
+        wait_until(lambda: session.reading.time > before + 0.2)
+    before = session.reading.time
+    wait_until(lambda: session.reading.time > before + 0.2)
+    with closing(watch(page)) as late:
+        assert receives(late, 5) > 100_000
+    end()
+
+
+def test_closed_it_leaves_its_tabs_and_its_port(
+    make_session, make_page, watch, wait_until
+):
+    page = make_page(make_session())
+    with closing(watch(page)) as tab:
+        receives(tab, 1)
+        page.close()
+        with pytest.raises(ConnectionClosed):
+            receives(tab, 1000)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port_of(page)))
+
+
+def test_nothing_opens_it_to_the_internet(make_session, make_page, monkeypatch):
+    page = make_page(make_session())
+    asked = []
+    monkeypatch.setattr(viser._viser, "ViserTunnel", asked.append)
+    assert page._server.request_share_url() is None
+    assert asked == []
+
+
+def test_every_body_is_where_the_world_has_it(make_session, make_page):
+    session = make_session("random")
+    page = make_page(session)
+    for _ in range(3):
+        session.env.step(session.env.expert())
+    page.show()
+    data = session.env.sim.data(0)
+    assert len(page._frames) > 15
+    for body, frame in page._frames.items():
+        np.testing.assert_allclose(frame.position, data.xpos[body], atol=1e-4)
+        np.testing.assert_allclose(frame.wxyz, data.xquat[body], atol=1e-4)
+
+
+def test_the_panel_says_what_the_reading_says(make_session, make_page):
+    session = make_session()
+    page = make_page(session)
+    page.show()
+    for name, value in session.reading.rows:
+        assert f">{name}<" in page._panel.content and value in page._panel.content
+
+
+def test_a_world_that_cannot_be_drawn_leaves_no_server(make_session):
+    session = make_session()
+    session.env.scene.spec.add_hfield(
+        name="hill", nrow=2, ncol=2, size=[1, 1, 1, 1], userdata=[0.0] * 4
+    )
+    session.env.scene.spec.worldbody.add_geom(type=1, hfieldname="hill")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(ValueError, match="is a HFIELD"):
+        Page(session, "a title", "127.0.0.1", port)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
