@@ -190,39 +190,3 @@ def carry_id(monkeypatch):
     cg.register_env(cg.EnvSpec(env_id, Carry, ("panda", "panda")))
     yield env_id
     del gymnasium.registry[env_id]
-
-
-@pytest.fixture
-def play():
-    """Return a function that plays worlds with actions that the episode decides."""
-
-    def play(env, steps):
-        """Return the bytes of all that each episode gave, by seed and episode."""
-        seen = {}
-        for _ in range(steps):
-            played = env.progress
-            _, rewards, _, _, infos = env.step(episode_actions(env))
-            for i in range(env.num_envs):
-                rows = [infos["final_observation"][agent][i] for agent in env.agents]
-                rows += [rewards[agent][i] for agent in env.agents]
-                rows += [infos["success"][i]]
-                key = int(played["seed"][i]), int(played["episode"][i])
-                seen[key] = seen.get(key, b"") + b"".join(
-                    np.asarray(row).tobytes() for row in rows
-                )
-        return seen
-
-    return play
-
-
-def episode_actions(env):
-    """Return random actions that depend on each world's episode and step alone."""
-    progress = env.progress
-    rngs = [
-        np.random.default_rng([int(episode), int(step)])
-        for episode, step in zip(progress["episode"], progress["step"], strict=True)
-    ]
-    return {
-        agent: np.stack([rng.uniform(-1, 1, space.shape) for rng in rngs])
-        for agent, space in env.single_action_spaces.items()
-    }

@@ -7,6 +7,7 @@ from PIL import Image, ImageSequence
 from collaborative_gym import recording
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
+from collaborative_gym.testing import play
 
 imageio = pytest.importorskip("imageio.v2")
 
@@ -14,7 +15,7 @@ SIZE = (64, 48)
 
 
 @pytest.mark.parametrize("shots", [2, 5, 10])
-def test_filming_changes_no_bit(make_env, play, shots):
+def test_filming_changes_no_bit(make_env, shots):
     plain, filmed = make_env(2), make_env(2)
     seen = []
     filmed.watch(lambda: seen.append(filmed.sim.qpos.copy()), shots)

@@ -5,6 +5,7 @@ import pytest
 from collaborative_gym.objects.table import table
 from collaborative_gym.robots import get_robot
 from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.cpu import CpuSim
 
 
 def ball():
@@ -116,3 +117,41 @@ def _geom(model, name):
     found = [i for i in range(model.ngeom) if model.geom(i).name.startswith(name)]
     assert found, [model.geom(i).name for i in range(model.ngeom)]
     return found[0]
+
+
+def test_things_are_placed_by_name(scene):
+    sim = CpuSim(scene.compile(), 3, 1)
+    places = np.array([[0.5, 0.0, 1.0], [0.6, 0.0, 1.0]])
+    scene.place(sim, [0, 2], "ball", places, [0.0, 0.0, 0.0, 1.0])
+    scene.place(sim, [0, 2], "goal", [0.1, 0.2, 0.3])
+    sim.forward()
+    np.testing.assert_allclose(sim.pose("ball/centre")[0][[0, 2]], places)
+    np.testing.assert_allclose(sim.pose("ball/centre")[1][0], [0, 0, 0, 1])
+    np.testing.assert_allclose(sim.pose("ball/centre")[0][1], [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(scene.targets(sim)["goal"][2], [0.1, 0.2, 0.3])
+    with pytest.raises(ValueError, match=r"no object 'bal'.*did you mean 'ball'"):
+        scene.place(sim, [0], "bal", [0.0, 0.0, 0.0])
+
+
+def test_a_grip_tells_where_it_holds(scene):
+    sim = CpuSim(scene.compile(), 3, 1)
+    assert scene.holds(sim, "robot_1").tolist() == [False] * 3
+    sim.eq_active[1] = 1
+    assert scene.holds(sim, "robot_1").tolist() == [False, True, False]
+    with pytest.raises(ValueError, match="robot_2 has no grip; give it one by add_gr"):
+        scene.holds(sim, "robot_2")
+
+
+def test_a_name_that_names_nothing_fails_where_it_is_given(scene):
+    with pytest.raises(ValueError, match=r"no site 'ball/center'.*'ball/centre'"):
+        scene.add_grip("robot_1", "ball/center", 0.03, 0.04)
+    with pytest.raises(ValueError, match=r"no arm 'robot_3'.*add_robot comes first"):
+        scene.add_grip("robot_3", "ball/centre", 0.03, 0.04)
+    with pytest.raises(ValueError, match="no site 'bal'"):
+        scene.add_pose_sensor("ball", "bal")
+
+
+def test_a_world_without_a_camera_gets_one(scene):
+    assert scene.compile_to_draw().ncam == 0
+    scene.compile()
+    assert scene.compile_to_draw().camera("overview").id == 0

@@ -9,13 +9,15 @@ choose_backend()  # MuJoCo decides how to draw when it is imported.
 
 from collaborative_gym.envs.pettingzoo import make  # noqa: E402
 from collaborative_gym.envs.vector_env import VectorEnv, make_vec  # noqa: E402
+from collaborative_gym.modules import load_entry_points, load_module  # noqa: E402
 from collaborative_gym.robots import (  # noqa: E402
     Gripper,
     Robot,
     get_robot,
     list_robots,
+    register_robot,
 )
-from collaborative_gym.scene import Placement  # noqa: E402
+from collaborative_gym.scene import Placement, Scene  # noqa: E402
 from collaborative_gym.tasks.registry import (  # noqa: E402
     EnvSpec,
     list_envs,
@@ -24,6 +26,7 @@ from collaborative_gym.tasks.registry import (  # noqa: E402
     register_task,
 )
 from collaborative_gym.tasks.task import (  # noqa: E402
+    LEVEL,
     Randomization,
     Task,
     TaskConfig,
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from collaborative_gym.policies import load_policy
 
 __all__ = [
+    "LEVEL",
     "EnvSpec",
     "Gripper",
     "Hyperparameters",
@@ -43,6 +47,7 @@ __all__ = [
     "Randomization",
     "Report",
     "Robot",
+    "Scene",
     "Task",
     "TaskConfig",
     "VectorEnv",
@@ -51,10 +56,12 @@ __all__ = [
     "list_envs",
     "list_robots",
     "list_tasks",
+    "load_module",
     "load_policy",
     "make",
     "make_vec",
     "register_env",
+    "register_robot",
     "register_task",
     "train",
 ]
@@ -77,3 +84,6 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+load_entry_points()  # At last, when what their modules import is here.

@@ -18,6 +18,7 @@ from mujoco import batch
 from collaborative_gym.control import CONTROL_DT
 from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.modules import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
 
 _ROUNDS = 11
@@ -243,7 +244,9 @@ def _resident_kb() -> float:
 
 def _in_fresh_process(function: Callable[[str], float], argument: str) -> float:
     # A process that has made environments before reuses their memory and start poses.
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        1, get_context("spawn"), initializer=load_modules, initargs=(loaded_files(),)
+    ) as pool:
         return pool.submit(function, argument).result()
 
 

@@ -68,3 +68,7 @@ class EpisodeRandom:
         unit = np.stack([generator.random(shape) for generator in self._generators])
         low, high = np.asarray(low, float), np.asarray(high, float)
         return low + (high - low) * unit
+
+    def within(self, bound, size: int | tuple[int, ...] = ()) -> np.ndarray:
+        """Return uniform draws between minus and plus the bound, (episodes, *size)."""
+        return self.uniform(np.negative(bound), bound, size)

@@ -13,9 +13,19 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from collaborative_gym.errors import unknown
+from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
+from collaborative_gym.rendering import CAMERA
+from collaborative_gym.robots.model_file import (
+    finger_bodies,
+    follows,
+    kinematics,
+    relative_pose,
+)
 from collaborative_gym.robots.robot import Robot
+from collaborative_gym.sim.sim import EnvIds, Sim
 
 SIM_DT = 0.01
 """Physics time step in s, stable with the stiff servos of all arms."""
@@ -65,6 +75,11 @@ class Arm:
     tcp: int
     hand: int
 
+    @property
+    def num_joints(self) -> int:
+        """How many joints it has."""
+        return len(self.robot.joints)
+
 
 @dataclass(frozen=True)
 class Grip:
@@ -104,6 +119,8 @@ class Scene:
         self.robots: dict[str, Robot] = {}
         self.grips: list[Grip] = []
         self.arms: dict[str, Arm] = {}
+        self._objects: list[str] = []
+        self._targets: list[str] = []
         self._finger_bodies: set[str] = set()
         option = self.spec.option
         option.timestep = SIM_DT
@@ -134,8 +151,9 @@ class Scene:
         child = robot.spec()
         gripper = robot.gripper
         if holds is None:
-            bodies = [child.joint(name).parent.name for name in gripper.joints]
-            self._finger_bodies |= {f"{agent}/{body}" for body in bodies}
+            self._finger_bodies |= {
+                f"{agent}/{body.name}" for body in finger_bodies(child, robot.joints)
+            }
         else:
             _fix_joints(child, dict.fromkeys(gripper.joints, gripper.position(holds)))
         frame = self.spec.worldbody.add_frame(
@@ -162,14 +180,17 @@ class Scene:
         """Put an object into the world under the prefix `name/`."""
         frame = self.spec.worldbody.add_frame(pos=position, quat=quat)
         self.spec.attach(child, frame=frame, prefix=f"{name}/")
+        self._objects.append(name)
 
     def add_tool(self, agent: str, name: str, child: mujoco.MjSpec) -> None:
         """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
         tcp = self.spec.site(f"{agent}/{self.robots[agent].tcp}")
         self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
 
-    def add_target(self, name: str, radius: float, rgba: Sequence[float]) -> None:
-        """Add a marker whose place is each world's `mocap_pos`; `Sim.pose` reads it."""
+    def add_target(
+        self, name: str, radius: float, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)
+    ) -> None:
+        """Add a marker of a goal; `place` moves it and `Sim.pose` reads it."""
         body = self.spec.worldbody.add_body(name=name, mocap=True)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -181,9 +202,18 @@ class Scene:
         )
         body.add_site(name=name)
         self.add_pose_sensor(name, name)
+        self._targets.append(name)
 
     def add_grip(self, agent: str, site: str, threshold: float, width: float) -> None:
-        """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it."""
+        """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it.
+
+        Raises:
+          ValueError: if there is no such arm or site.
+        """
+        if agent not in self.robots:
+            raise ValueError(
+                f"a grip: {unknown('arm', agent, self.robots)}; add_robot comes first"
+            )
         grip = Grip(agent, site, threshold, width)
         if not any(site == other.site for other in self.grips):
             self.add_pose_sensor(site, site)
@@ -237,22 +267,91 @@ class Scene:
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
         self._set_collision_bits()
+        if not any(camera.name == CAMERA for camera in self.spec.cameras):
+            _add_overview(self.spec)
         physics = self.spec.copy()
         for geom in list(physics.geoms):
             if _is_decoration(geom):
                 physics.delete(geom)
         model = physics.compile()
-        self.arms = {
-            agent: _find_arm(model, agent, robot)
-            for agent, robot in self.robots.items()
-        }
+        self._resolve(model)
         return model
 
     def compile_to_draw(self) -> mujoco.MjModel:
         """Compile the world with all its geoms; its `qpos` and mocap are the same."""
         return self.spec.compile()
 
+    def place(
+        self,
+        sim: Sim,
+        env_ids: EnvIds,
+        name: str,
+        position: Array,
+        quat: Array | None = None,
+    ) -> None:
+        """Put an object that moves freely, or a target, somewhere in these worlds.
+
+        Args:
+          sim: the worlds.
+          env_ids: which of them.
+          name: the object's, as `add` or `add_target` got it.
+          position: of its body's origin, (worlds, 3) or (3,), in m.
+          quat: (worlds, 4) or (4,), w x y z; None leaves it as it is. Targets have
+            none.
+
+        Raises:
+          ValueError: if nothing of that name can be put elsewhere.
+        """
+        if name in self._mocap:
+            sim.mocap_pos[env_ids, self._mocap[name]] = position
+            return
+        if name not in self._free:
+            names = [*self._mocap, *self._free]
+            raise ValueError(f"{unknown('object', name, names)} move freely")
+        start = self._free[name]
+        sim.qpos[env_ids, start : start + 3] = position
+        if quat is not None:
+            sim.qpos[env_ids, start + 3 : start + 7] = quat
+
+    def holds(self, sim: Sim, agent: str) -> Array:
+        """Return in which worlds a grip of the agent holds, (num_envs,) booleans.
+
+        Raises:
+          ValueError: if the agent has no grip.
+        """
+        if agent not in self._grip_ids:
+            raise ValueError(
+                f"{agent} has no grip; give it one by add_grip when the world is built"
+            )
+        return (sim.eq_active[:, self._grip_ids[agent]] > 0).any(axis=1)
+
+    def targets(self, sim: Sim) -> dict[str, Array]:
+        """Return the places of the targets by name, (num_envs, 3) each, in m."""
+        return {name: sim.mocap_pos[:, i] for name, i in self._mocap.items()}
+
+    def _resolve(self, model: mujoco.MjModel) -> None:
+        """Find everything in the compiled world that is reached by name."""
+        self.arms = {
+            agent: _find_arm(model, agent, robot)
+            for agent, robot in self.robots.items()
+        }
+        self._grip_ids: dict[str, list[int]] = {}
+        for grip in self.grips:
+            ids = self._grip_ids.setdefault(grip.agent, [])
+            ids.append(int(model.equality(grip.name).id))
+        self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
+        self._free = _find_free(model, self._objects)
+
+    def _check_site(self, site: str) -> None:
+        names = [element.name for element in self.spec.sites if element.name]
+        if site not in names:
+            raise ValueError(
+                f"{unknown('site', site, names)}; a site has the name of what it was"
+                " added as before it, as in 'pot/handle_1'"
+            )
+
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
+        self._check_site(site)
         self.spec.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )
@@ -367,27 +466,53 @@ def _as_slice(ids: list[int]) -> slice:
     return slice(ids[0], ids[0] + len(ids))
 
 
+def _find_free(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, int]:
+    """Return where in `qpos` the pose of each object with one free joint begins."""
+    found: dict[str, int] = {}
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+    for joint in np.flatnonzero(free):
+        name = model.body(int(model.jnt_bodyid[joint])).name.split("/")[0]
+        if name in names:
+            if name in found:
+                raise ValueError(
+                    f"{name} has more than one free joint; add each of its parts by"
+                    " itself"
+                )
+            found[name] = int(model.jnt_qposadr[joint])
+    return found
+
+
+def _add_overview(spec: mujoco.MjSpec) -> None:
+    """Add the camera of worlds that bring none: in front, and above the tables."""
+    spec.worldbody.add_camera(
+        name=CAMERA, pos=(3.6, 0.0, 2.1), xyaxes=(0, 1, 0, -0.35, 0, 1)
+    )
+
+
 def _yaw_quat(yaw: float) -> list[float]:
     return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
 
 
 def _fix_joints(spec: mujoco.MjSpec, positions: dict[str, float]) -> None:
-    """Put joints at positions (m or rad) and remove them, fixing their bodies there."""
-    model = spec.copy().compile()
-    data = mujoco.MjData(model)
-    for name, position in positions.items():
-        data.joint(name).qpos = position
-    mujoco.mj_kinematics(model, data)
+    """Put joints at positions (m or rad) and remove them, fixing their bodies there.
+
+    Joints that follow one of them are fixed where it puts them.
+    """
+    positions = dict(positions)
+    for equality in list(spec.equalities):
+        if follows(equality, positions):
+            leader = positions[equality.name2]
+            positions[equality.name1] = float(
+                np.polynomial.polynomial.polyval(leader, equality.data[:5])
+            )
+            spec.delete(equality)
+    data = kinematics(spec, positions)
     for name in positions:
         joint = spec.joint(name)
         body = joint.parent
-        here, parent = data.body(body.name), data.body(body.parent.name)
-        inverse = np.zeros(4)
-        mujoco.mju_negQuat(inverse, parent.xquat)
-        position, quat = np.zeros(3), np.zeros(4)
-        mujoco.mju_rotVecQuat(position, here.xpos - parent.xpos, inverse)
-        mujoco.mju_mulQuat(quat, inverse, here.xquat)
-        body.pos, body.quat = position, quat
+        body.pos, body.quat = relative_pose(data, body.name, body.parent.name)
+        # An orientation in other words, such as Euler angles, would go before quat.
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         spec.delete(joint)
 
 

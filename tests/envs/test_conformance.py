@@ -10,6 +10,9 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 import collaborative_gym as cg
+from collaborative_gym import testing
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.testing import leaves, play
 
 PAIRS = (("panda", "jaco"), ("jaco", "panda"))
 CASES = [(env_id, None) for env_id in cg.list_envs()]
@@ -21,26 +24,26 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space")
 @pytest.fixture(
     scope="module", params=CASES, ids=lambda case: "-".join((case[0], *(case[1] or ())))
 )
-def case(request):
-    """Return a function that makes batches of an environment, each size once."""
+def trial(request):
+    """Return an environment's task, with batches of its worlds."""
     name, robots = request.param
-    made = {}
-
-    def make(num_envs, num_threads=1, copy=0):
-        key = num_envs, num_threads, copy
-        if key not in made:
-            made[key] = cg.make_vec(
-                name, num_envs, num_threads=num_threads, robots=robots
-            )
-        made[key].reset(seed=0)
-        return made[key]
-
-    yield make
-    for env in made.values():
-        env.close()
+    trial = testing.Trial(make_task(name, robots), episodes=7)
+    yield trial
+    trial.close()
 
 
-def test_spaces_hold_what_is_returned(case, play):
+@pytest.fixture
+def case(trial):
+    """Return a function that makes batches of an environment, each size once."""
+    return trial.worlds
+
+
+@pytest.mark.parametrize("check", testing.CHECKS, ids=lambda check: check.__name__)
+def test_the_task_keeps_its_promises(trial, check):
+    check(trial)
+
+
+def test_spaces_hold_what_is_returned(case):
     env = case(7)
     observations, _ = env.reset(seed=0)
     play(env, 3)
@@ -71,59 +74,7 @@ def test_values_are_finite_and_rewards_are_sums_of_their_terms(case):
             np.testing.assert_allclose(rewards[agent], sum(terms.values()), rtol=1e-5)
 
 
-def test_starts_are_sound(case):
-    env = case(7)
-    for i in range(7):
-        data = env.sim.data(i)
-        # Resting on a table means a depth of less than a tenth of a millimetre.
-        depth = min((contact.dist for contact in data.contact), default=0.0)
-        assert depth > -1e-4, contact_names(env.model, data)
-        assert np.abs(data.qvel).max() == 0.0
-    for arm in env.scene.arms.values():
-        low, high = arm.joint_range
-        angle = env.sim.qpos[:, arm.qpos]
-        assert (angle > low).all()
-        assert (angle < high).all()
-    rows = env.reset(seed=0)[0]["robot_1"]
-    assert len(np.unique(rows, axis=0)) == 7
-
-
-def contact_names(model, data):
-    return [
-        (model.geom(contact.geom1).name, model.geom(contact.geom2).name)
-        for contact in data.contact
-    ]
-
-
-def test_an_episode_has_the_same_bits_in_any_batch(case, play):
-    expected = play(case(64), 4)
-    for env in (case(1), case(7), case(7, num_threads=4)):
-        for key, data in play(env, 4).items():
-            assert data == expected[key]
-
-
-def test_an_expert_does_the_same_in_any_batch(case):
-    small, large = case(1), case(7)
-    for _ in range(4):
-        one, seven = small.expert(), large.expert()
-        for agent in small.agents:
-            np.testing.assert_array_equal(one[agent][0], seven[agent][0])
-        small.step(one)
-        large.step(seven)
-
-
-def test_worlds_that_restart_leave_the_others_alone(case, play):
-    env, other = case(7), case(7, copy=1)
-    late = other.get_state([1, 3])
-    late.progress["step"][:] = env.task.config.max_episode_steps - 2
-    other.set_state(late, [1, 3])
-    expected, seen = play(env, 4), play(other, 4)
-    assert set(seen) - set(expected) == {(0, 8), (0, 10)}
-    for episode in (0, 2, 4, 5, 6):
-        assert seen[0, episode] == expected[0, episode]
-
-
-def test_a_world_that_diverges_ends_alone(case, play, monkeypatch, tmp_path):
+def test_a_world_that_diverges_ends_alone(case, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     env, other = case(7), case(7, copy=1)
     other.sim.qpos[2, -1] = np.nan
@@ -145,20 +96,6 @@ def test_a_world_that_diverges_ends_alone(case, play, monkeypatch, tmp_path):
     assert play(env, 3)[0, 9] == seen[0, 9]
 
 
-def test_a_saved_episode_continues_anywhere(case, play):
-    env, other = case(7), case(7, copy=1)
-    for _ in range(3):
-        env.step(env.expert())
-    state = env.get_state([0, 5])
-    expected = play(env, 4)
-    other.reset(seed=1)
-    play(other, 2)
-    other.set_state(state, [4, 2])
-    seen = play(other, 4)
-    for episode in (0, 5):
-        assert seen[0, episode] == expected[0, episode]
-
-
 def test_observations_describe_the_state_after_the_step(case):
     env = case(7)
     for _ in range(3):
@@ -168,33 +105,6 @@ def test_observations_describe_the_state_after_the_step(case):
     again = env.set_state(env.get_state())
     for agent in env.agents:
         np.testing.assert_array_equal(again[agent], observations[agent])
-
-
-def test_measuring_again_changes_nothing(case):
-    env = case(7)
-    for _ in range(3):
-        env.step(env.expert())
-    task = env.task
-    memory = {name: array.copy() for name, array in task.memory.items()}
-    first, second = leaves(env.facts), leaves(task.measure(env.sim))
-    assert len(first) == len(second) > 2
-    for one, two in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, two)
-    for name, array in memory.items():
-        np.testing.assert_array_equal(array, task.memory[name])
-
-
-def leaves(value):
-    """Return the arrays in nested facts."""
-    if is_dataclass(value):
-        parts = [getattr(value, field.name) for field in fields(value)]
-    elif isinstance(value, Mapping):
-        parts = list(value.values())
-    elif isinstance(value, (tuple, list)):
-        parts = list(value)
-    else:
-        return [value]
-    return [leaf for part in parts for leaf in leaves(part)]
 
 
 def converted(value, convert):

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from collaborative_gym.testing import play
+
 CARRY_STEPS = 12
 
 
-def test_an_episode_has_the_same_bits_in_any_batch(make_env, play):
+def test_an_episode_has_the_same_bits_in_any_batch(make_env):
     alone = make_env(1)
     alone.reset(seed=3)
     expected = play(alone, 14 * CARRY_STEPS)
@@ -19,9 +21,7 @@ def test_an_episode_has_the_same_bits_in_any_batch(make_env, play):
 
 
 @pytest.mark.parametrize("num_threads", [2, 4])
-def test_an_episode_has_the_same_bits_with_any_number_of_threads(
-    make_env, play, num_threads
-):
+def test_an_episode_has_the_same_bits_with_any_number_of_threads(make_env, num_threads):
     runs = []
     for threads in (1, num_threads):
         env = make_env(5, num_threads=threads)
@@ -30,7 +30,7 @@ def test_an_episode_has_the_same_bits_with_any_number_of_threads(
     assert runs[0] == runs[1]
 
 
-def test_an_episode_does_not_depend_on_what_was_played_before(make_env, play):
+def test_an_episode_does_not_depend_on_what_was_played_before(make_env):
     fresh, used = make_env(2), make_env(2, seed=9)
     used.reset()
     play(used, 17)
@@ -53,7 +53,7 @@ def test_chosen_episodes_are_those_that_a_batch_plays(make_env):
     np.testing.assert_array_equal(chosen, expected[[3, 1, 1, 0]])
 
 
-def test_worlds_that_restart_leave_the_others_alone(make_env, play):
+def test_worlds_that_restart_leave_the_others_alone(make_env):
     env, other = make_env(5), make_env(5)
     env.reset(seed=0)
     other.reset(seed=0)
@@ -83,7 +83,7 @@ def elsewhere(monkeypatch, tmp_path):
         ("act", np.nan),
     ],
 )
-def test_a_world_that_diverges_ends_alone(make_env, play, elsewhere, field, value):
+def test_a_world_that_diverges_ends_alone(make_env, elsewhere, field, value):
     env, broken = make_env(4), make_env(4)
     for each in (env, broken):
         each.reset(seed=0)
@@ -98,7 +98,7 @@ def test_a_world_that_diverges_ends_alone(make_env, play, elsewhere, field, valu
         assert seen[0, episode] == expected[0, episode]
 
 
-def test_a_world_that_diverges_reports_it_and_goes_on(make_env, play, elsewhere):
+def test_a_world_that_diverges_reports_it_and_goes_on(make_env, elsewhere):
     env = make_env(3, height=-1.0)
     env.reset(seed=0)
     play(env, 4)
@@ -130,7 +130,7 @@ def test_a_world_that_diverges_reports_it_and_goes_on(make_env, play, elsewhere)
     assert after[0, 4] == play(fresh, CARRY_STEPS)[0, 4]
 
 
-def test_a_saved_episode_continues_bit_for_bit(make_env, play):
+def test_a_saved_episode_continues_bit_for_bit(make_env):
     env = make_env(3)
     env.reset(seed=5)
     play(env, 2)  # a push that is remembered comes in step 3
@@ -140,7 +140,7 @@ def test_a_saved_episode_continues_bit_for_bit(make_env, play):
     assert play(env, 20) == expected
 
 
-def test_a_saved_episode_continues_in_another_environment(make_env, play):
+def test_a_saved_episode_continues_in_another_environment(make_env):
     env, other = make_env(3), make_env(6)
     env.reset(seed=5)
     play(env, 2)  # a push that is remembered comes in step 3
@@ -155,7 +155,7 @@ def test_a_saved_episode_continues_in_another_environment(make_env, play):
         assert seen[5, episode] == expected[5, episode]
 
 
-def test_observations_describe_the_state_after_the_step(make_env, play):
+def test_observations_describe_the_state_after_the_step(make_env):
     env = make_env(2)
     env.reset(seed=0)
     play(env, 3)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 
 from collaborative_gym.control import CONTROL_DT, SUBSTEPS, Controller
+from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress
 from collaborative_gym.errors import SimulationDiverged
 from collaborative_gym.math import Array
@@ -101,7 +101,6 @@ class VectorEnv:
         self.sim = CpuSim(self.model, num_envs, num_threads)
         self._controller = Controller(self.scene, self.model, task.gripping)
         task.setup(self.scene, self.model, self._controller)
-        task.memory = task.remember(num_envs)
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
@@ -109,31 +108,12 @@ class VectorEnv:
         self._is_started = False
         self._is_over = False
         self._is_closed = False
-        self._describe_spaces()
+        definition = try_out(task, self.scene, self.sim, self._controller)
+        self.observation_blocks = definition.observation_blocks
+        self.single_observation_spaces = definition.observation_spaces
+        self.single_action_spaces = definition.action_spaces
+        self.reward_terms = definition.reward_terms
         self._progress = Progress(task, num_envs, seed, self.reward_terms)
-
-    def _describe_spaces(self) -> None:
-        self.sim.forward()
-        facts = self.task.measure(self.sim)
-        blocks = self.task.observe(facts)
-        self.observation_blocks = {
-            agent: {name: block.shape[1] for name, block in blocks[agent].items()}
-            for agent in self.agents
-        }
-        self.single_observation_spaces = {
-            agent: Box(-np.inf, np.inf, (sum(sizes.values()),), np.float32)
-            for agent, sizes in self.observation_blocks.items()
-        }
-        self.single_action_spaces = {
-            agent: Box(-1.0, 1.0, (self._controller.action_size(agent),), np.float32)
-            for agent in self.agents
-        }
-        idle = {
-            agent: np.zeros((self.num_envs, *space.shape))
-            for agent, space in self.single_action_spaces.items()
-        }
-        terms = self.task.reward(facts, idle)
-        self.reward_terms = {agent: tuple(terms[agent]) for agent in self.agents}
 
     def reset(
         self,
@@ -295,7 +275,7 @@ class VectorEnv:
         The physics is the same to the bit with and without.
 
         Args:
-          watcher: what to call, or None to stop. It must change nothing.
+          watcher: what to call, or None to stop. It may write `xfrc_applied` alone.
           shots: how often per control step, evenly spread and the last at its end;
             must divide `substeps`.
         """

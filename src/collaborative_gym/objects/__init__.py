@@ -1,1 +1,12 @@
 """The things in the worlds: functions that return a model of one."""
+
+from collaborative_gym.objects.ball import ball
+from collaborative_gym.objects.board import board
+from collaborative_gym.objects.cube import cube
+from collaborative_gym.objects.donut import donut
+from collaborative_gym.objects.pedestal import pedestal
+from collaborative_gym.objects.pot import pot
+from collaborative_gym.objects.stick import stick
+from collaborative_gym.objects.table import table
+
+__all__ = ["ball", "board", "cube", "donut", "pedestal", "pot", "stick", "table"]

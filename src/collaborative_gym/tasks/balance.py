@@ -148,8 +148,6 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         self._data = mujoco.MjData(model)
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
-        ball_start = int(model.joint("ball/free").qposadr[0])
-        self._ball_qpos = slice(ball_start, ball_start + 7)
         self._centre = np.array([0.0, 0.0, self.config.board_height])
         self._handle = {}
         self._posture = {}
@@ -171,21 +169,21 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
         moves = np.array([bounds.object_position] * 3 + [bounds.object_yaw])
-        moved = rng.uniform(-moves, moves, 4)
+        moved = rng.within(moves, 4)
         noise = {
-            agent: rng.uniform(-bounds.joint_noise, bounds.joint_noise, len(posture))
+            agent: rng.within(bounds.joint_noise, len(posture))
             for agent, posture in self._posture.items()
         }
-        rolled = rng.uniform(-_BALL_START, _BALL_START, 2)
+        rolled = rng.within(_BALL_START, 2)
         for i, world in enumerate(env_ids):
             near = {agent: self._posture[agent] + noise[agent][i] for agent in noise}
             place, quat = self._take_hold(sim.qpos[world], moved[i], near)
             on_board = math.rotate(quat, np.array([*rolled[i], _REST_HEIGHT]))
-            sim.qpos[world, self._ball_qpos] = *(place + on_board), *quat
+            self.scene.place(sim, world, "ball", place + on_board, quat)
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
-            self.memory["pushes"][env_ids] = rng.uniform(-span, span, size)
+            self.memory["pushes"][env_ids] = rng.within(span, size)
 
     def _take_hold(
         self, qpos: np.ndarray, moved: np.ndarray, near: dict[str, np.ndarray]

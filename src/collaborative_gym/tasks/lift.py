@@ -33,7 +33,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.statics import carry, greatest_load, turn_fingers
 from collaborative_gym.tasks.lift_mass import weigh
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
 
 _TABLE_HEIGHT = 0.64
 _START = np.array([0.0, 0.0, 0.7])
@@ -78,7 +78,7 @@ class LiftFacts:
 
     Attributes:
       joints: arm joint angles by agent, in rad.
-      gripping: 1 where the agent's grip holds, else 0.
+      gripping: whether the agent's grip holds.
       handles: pose of each agent's own handle.
       tcps: pose of each agent's tcp.
       pot: pose of the pot.
@@ -177,10 +177,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self, scene: Scene, model: mujoco.MjModel, controller: Controller
     ) -> None:
         super().setup(scene, model, controller)
-        self._eq = {
-            grip.agent: int(model.equality(grip.name).id) for grip in scene.grips
-        }
-        self._pot = int(model.jnt_qposadr[model.body("pot/pot").jntadr[0]])
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
             arm, way = scene.arms[agent], self._ways[agent]
@@ -191,18 +187,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        for agent, arm in self.scene.arms.items():
-            count = len(arm.robot.joints)
-            noise = rng.uniform(-bounds.joint_noise, bounds.joint_noise, count)
-            angle = np.clip(self._start[agent] + noise, *arm.joint_range)
-            sim.qpos[env_ids, arm.qpos] = angle
-        reach_xy = np.array([1.0, 1.0, 0.0]) * bounds.object_position
-        yaw = rng.uniform(-bounds.object_yaw, bounds.object_yaw)
-        place = _START + rng.uniform(-reach_xy, reach_xy, 3)
-        pose = np.concatenate([place, math.from_yaw(yaw)], axis=1)
-        sim.qpos[env_ids, self._pot : self._pot + 7] = pose
-        shift = rng.uniform(-bounds.target_position, bounds.target_position, 3)
-        sim.mocap_pos[env_ids, 0] = self.target + shift
+        self.start_arms(sim, env_ids, rng, self._start)
+        yaw = rng.within(bounds.object_yaw)
+        place = _START + rng.within(bounds.object_position * LEVEL, 3)
+        self.scene.place(sim, env_ids, "pot", place, math.from_yaw(yaw))
+        shift = rng.within(bounds.target_position, 3)
+        self.scene.place(sim, env_ids, "target", self.target + shift)
 
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}
@@ -212,7 +202,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         xp = array_namespace(roll)
         return LiftFacts(
             joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
-            gripping={a: sim.eq_active[:, i] for a, i in self._eq.items()},
+            gripping={agent: self.scene.holds(sim, agent) for agent in self.agents},
             handles=handles,
             tcps=tcps,
             pot=pose,
@@ -226,9 +216,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
         )
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
+        xp = array_namespace(facts.target)
         blocks = {f"{agent} joints": facts.joints[agent] for agent in self.agents}
         for agent in self.agents:
-            blocks[f"{agent} gripping"] = facts.gripping[agent][:, None]
+            holds = xp.astype(facts.gripping[agent], facts.target.dtype)
+            blocks[f"{agent} gripping"] = holds[:, None]
         for agent in self.agents:
             blocks[f"{agent} handle"] = math.pose(*facts.handles[agent])
         for agent in self.agents:
@@ -254,12 +246,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return terms
 
     def success(self, facts: LiftFacts) -> Array:
-        first, second = (facts.gripping[agent] > 0 for agent in self.agents)
+        first, second = (facts.gripping[agent] for agent in self.agents)
         return (facts.to_target < self.config.success_radius) & first & second
 
     def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, np.ndarray]:
         """Return actions of arms that grip, wait for each other and lift together."""
-        holds = {agent: facts.gripping[agent] > 0 for agent in self.agents}
+        holds = facts.gripping
         lifting = np.logical_and(*holds.values())
         goals = self._lifted_handles(facts)
         actions = {}

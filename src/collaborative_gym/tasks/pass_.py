@@ -34,7 +34,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
 
 _CUBE = "cube/centre"
 _CUBE_SIZE = 0.04  # m
@@ -128,7 +128,7 @@ class Pass(Task[PassConfig, PassFacts]):
         self._cube_start = np.array([x, bases[giver][1] + 0.1, z])
         self._target = np.array([1.2, bases[taker][1], 1.3])
         scene.add("cube", cube(_CUBE_SIZE), self._cube_start)
-        scene.add_target("target", self.config.success_radius, (0.2, 0.75, 0.3, 0.3))
+        scene.add_target("target", self.config.success_radius)
         scene.add_grip(giver, _CUBE, self.config.picking_threshold, _GRIP_WIDTH)
         scene.add_grip(taker, _CUBE, self.config.handover_threshold, _GRIP_WIDTH)
         scene.spec.worldbody.add_camera(
@@ -139,9 +139,6 @@ class Pass(Task[PassConfig, PassFacts]):
         self, scene: Scene, model: mujoco.MjModel, controller: Controller
     ) -> None:
         super().setup(scene, model, controller)
-        self._cube_qpos = int(model.joint("cube/free").qposadr[0])
-        self._target_id = int(model.body("target").mocapid[0])
-        self._grip_ids = {g.agent: model.equality(g.name).id for g in scene.grips}
         self._meeting = meeting = self._find_meeting()
         giver, taker = self.agents
         above = self._cube_start - 0.25 * _DOWN
@@ -175,18 +172,13 @@ class Pass(Task[PassConfig, PassFacts]):
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         spread = self.config.randomization
-        for agent, arm in self.scene.arms.items():
-            noise, start = spread.joint_noise, self._angles[agent][0]
-            angles = start + rng.uniform(-noise, noise, len(start))
-            sim.qpos[env_ids, arm.qpos] = np.clip(angles, *arm.joint_range)
-        moved = spread.object_position * np.array([1.0, 1.0, 0.0])
-        place = self._cube_start + rng.uniform(-moved, moved, 3)
-        yaw = rng.uniform(-spread.object_yaw, spread.object_yaw)
-        pose = np.concatenate([place, math.from_yaw(yaw)], axis=1)
-        sim.qpos[env_ids, self._cube_qpos : self._cube_qpos + 7] = pose
-        moved = spread.target_position
-        place = self._target + rng.uniform(-moved, moved, 3)
-        sim.mocap_pos[env_ids, self._target_id] = place
+        starts = {agent: angles[0] for agent, angles in self._angles.items()}
+        self.start_arms(sim, env_ids, rng, starts)
+        place = self._cube_start + rng.within(spread.object_position * LEVEL, 3)
+        yaw = rng.within(spread.object_yaw)
+        self.scene.place(sim, env_ids, "cube", place, math.from_yaw(yaw))
+        place = self._target + rng.within(spread.target_position, 3)
+        self.scene.place(sim, env_ids, "target", place)
 
     def measure(self, sim: Sim) -> PassFacts:
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
@@ -194,7 +186,7 @@ class Pass(Task[PassConfig, PassFacts]):
         return PassFacts(
             joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
             tcp=tcp,
-            holds={a: sim.eq_active[:, i] > 0.0 for a, i in self._grip_ids.items()},
+            holds={agent: self.scene.holds(sim, agent) for agent in self.agents},
             to_cube={a: math.distance(tcp[a][0], cube_pose[0]) for a in self.agents},
             cube=cube_pose,
             target=target,

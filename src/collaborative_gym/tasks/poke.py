@@ -127,10 +127,9 @@ class Poke(Task[TaskConfig, PokeFacts]):
         moves = [bounds.object_position] * 3 + [bounds.object_yaw]
         for agent, arm in self.scene.arms.items():
             # To first order, which will do for a start drawn at random.
-            moved = rng.uniform(np.negative(moves), moves, len(moves))
+            moved = rng.within(moves, len(moves))
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
-            noise = bounds.joint_noise
-            angles = angles + rng.uniform(-noise, noise, angles.shape[1])
+            angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
             sim.qpos[env_ids, arm.qpos] = np.clip(angles, *arm.joint_range)
 
     def measure(self, sim: Sim) -> PokeFacts:

@@ -53,6 +53,9 @@ class Randomization:
         _check_amounts(self, least=0.0)
 
 
+LEVEL = np.array([1.0, 1.0, 0.0])
+"""Axes along which what stands on a table may be moved."""
+
 RANDOMIZATIONS = {
     "default": Randomization(),
     "paper": Randomization(0.0, 0.0, 0.0, 0.0),
@@ -137,10 +140,19 @@ class Task(Generic[ConfigT, FactsT]):
     def place(self) -> tuple[Placement, ...]:
         """Return where arms of this reach and base height go.
 
+        Unless a task says otherwise they stand in a row, facing +x and 1.4 m apart,
+        so that each is at ease with what is 0.8 m in front of the row.
+
         Raises:
           ValueError: if no placement lets these arms do the task.
         """
-        raise NotImplementedError
+        last = len(self.agents) - 1
+        return tuple(
+            Placement(
+                (0.8 - 0.635 * robot.reach, 1.4 * i - 0.7 * last, robot.base_height)
+            )
+            for i, robot in enumerate(self.robots.values())
+        )
 
     def build(self, scene: Scene) -> None:
         """Fill the scene with arms and objects."""
@@ -167,6 +179,27 @@ class Task(Generic[ConfigT, FactsT]):
           rng: their generators, in the same order.
         """
         raise NotImplementedError
+
+    def start_arms(
+        self,
+        sim: Sim,
+        env_ids: np.ndarray,
+        rng: EpisodeRandom,
+        angles: Mapping[str, Array] | None = None,
+    ) -> None:
+        """Put the arms near these angles, as far off as the randomization says.
+
+        Args:
+          sim: the worlds.
+          env_ids: which worlds start an episode.
+          rng: their generators.
+          angles: by agent, (joints,) or (worlds, joints), in rad; None for the arms'
+            home poses.
+        """
+        for agent, arm in self.scene.arms.items():
+            start = np.array(arm.robot.home) if angles is None else angles[agent]
+            noise = rng.within(self.config.randomization.joint_noise, arm.num_joints)
+            sim.qpos[env_ids, arm.qpos] = np.clip(start + noise, *arm.joint_range)
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         """Write what pushes the worlds during the coming control step.

@@ -1,0 +1,186 @@
+"""A task's definition, tried out once before anything is built on it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from collaborative_gym.control import Controller
+from collaborative_gym.errors import unknown
+from collaborative_gym.math import Array
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.task import Blocks, Task, Terms
+
+_SHOULDER = np.array([0.0, 0.0, 0.3])  # m from an arm's base, about right for all
+_HAND = 0.3
+"""What a hand, and what it holds, add to an arm's rated reach, in m."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What follows from a task and its world.
+
+    Attributes:
+      observation_blocks: names and sizes of an observation's parts, by agent.
+      observation_spaces: of one world, by agent.
+      action_spaces: of one world, by agent.
+      reward_terms: names of a reward's parts, by agent.
+    """
+
+    observation_blocks: dict[str, dict[str, int]]
+    observation_spaces: dict[str, Box]
+    action_spaces: dict[str, Box]
+    reward_terms: dict[str, tuple[str, ...]]
+
+
+def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Definition:
+    """Return what a task's definition comes to, from the start of an episode.
+
+    The worlds are as new afterwards.
+
+    Raises:
+      ValueError: if the task's methods return something that cannot be used, or a
+        target is out of every arm's reach; says what to change.
+    """
+    name = type(task).__name__
+    tried = np.arange(min(sim.num_envs, 2))
+    task.memory = task.remember(sim.num_envs)
+    task.reset(sim, tried, EpisodeRandom(0 * tried, tried))
+    controller.start(sim, tried)
+    sim.forward()
+    _check_targets(name, task, scene, sim)
+    facts = task.measure(sim)
+    blocks = task.observe(facts)
+    _check_blocks(name, task, blocks, tried, sim.num_envs)
+    action_spaces = {
+        agent: Box(-1.0, 1.0, (controller.action_size(agent),), np.float32)
+        for agent in task.agents
+    }
+    idle = {
+        agent: np.zeros((sim.num_envs, *space.shape))
+        for agent, space in action_spaces.items()
+    }
+    terms = task.reward(facts, idle)
+    _check_terms(name, task, terms, tried, sim.num_envs)
+    _check_mask(f"{name}.success()", task.success(facts), sim.num_envs)
+    _check_mask(f"{name}.performing()", task.performing(facts), sim.num_envs)
+    sim.reset()
+    task.memory = task.remember(sim.num_envs)
+    sizes = {
+        agent: {block: rows.shape[1] for block, rows in blocks[agent].items()}
+        for agent in task.agents
+    }
+    return Definition(
+        observation_blocks=sizes,
+        observation_spaces={
+            agent: Box(-np.inf, np.inf, (sum(own.values()),), np.float32)
+            for agent, own in sizes.items()
+        },
+        action_spaces=action_spaces,
+        reward_terms={agent: tuple(terms[agent]) for agent in task.agents},
+    )
+
+
+def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
+    """Raise where a target is so far off that no arm can bring anything there."""
+    bases = {a: np.array(p.position) for a, p in task.placements.items()}
+    for target, places in scene.targets(sim).items():
+        place = np.asarray(places[0])
+        room = {
+            agent: task.robots[agent].reach
+            + _HAND
+            - float(np.linalg.norm(place - bases[agent] - _SHOULDER))
+            for agent in task.agents
+        }
+        if max(room.values()) < 0.0:
+            listed = ", ".join(
+                f"{agent}'s by {-missing:.2f} m" for agent, missing in room.items()
+            )
+            raise ValueError(
+                f"{name}: {target!r} at {np.round(place, 2).tolist()} is out of every"
+                f" arm's reach ({listed}); put it nearer to an arm, or mount an arm"
+                " nearer to it"
+            )
+
+
+def _check_blocks(
+    name: str,
+    task: Task,
+    blocks: Mapping[str, Blocks],
+    tried: np.ndarray,
+    num_envs: int,
+) -> None:
+    _check_agents(f"{name}.observe()", task, blocks)
+    for agent in task.agents:
+        for block, rows in _parts(f"{name}.observe()", agent, blocks[agent]).items():
+            what = f"{name}.observe(): block {block!r} of {agent}"
+            shape = np.shape(rows)
+            if len(shape) != 2 or shape[0] != num_envs:
+                raise ValueError(
+                    f"{what} has shape {shape}; it needs a row for each world,"
+                    f" ({num_envs}, k): index one number per world as [:, None]"
+                )
+            _check_finite(what, np.asarray(rows)[tried])
+
+
+def _check_terms(
+    name: str,
+    task: Task,
+    terms: Mapping[str, Terms],
+    tried: np.ndarray,
+    num_envs: int,
+) -> None:
+    _check_agents(f"{name}.reward()", task, terms)
+    for agent in task.agents:
+        for term, values in _parts(f"{name}.reward()", agent, terms[agent]).items():
+            what = f"{name}.reward(): term {term!r} of {agent}"
+            if np.shape(values) != (num_envs,):
+                raise ValueError(
+                    f"{what} has shape {np.shape(values)}; it needs one number for"
+                    f" each world, ({num_envs},)"
+                )
+            _check_finite(what, np.asarray(values)[tried])
+
+
+def _check_agents(what: str, task: Task, given: Any) -> None:
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"{what} returns a {type(given).__name__}; it must return a dictionary"
+            f" with an entry for each of {', '.join(task.agents)}"
+        )
+    for agent in given:
+        if agent not in task.agents:
+            raise ValueError(f"{what}: {unknown('agent', agent, task.agents)}")
+    for agent in task.agents:
+        if agent not in given:
+            raise ValueError(f"{what} has no entry for {agent}; add one")
+
+
+def _parts(what: str, agent: str, given: Any) -> Mapping[str, Array]:
+    if not isinstance(given, Mapping) or not given:
+        raise ValueError(
+            f"{what}: the entry of {agent} is {given!r}; it must be a dictionary of"
+            " named arrays"
+        )
+    return given
+
+
+def _check_mask(what: str, mask: Any, num_envs: int) -> None:
+    kind = getattr(mask, "dtype", type(mask).__name__)
+    if np.shape(mask) != (num_envs,) or np.asarray(mask).dtype != bool:
+        raise ValueError(
+            f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for each"
+            f" world, ({num_envs},), as a comparison gives"
+        )
+
+
+def _check_finite(what: str, values: np.ndarray) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"{what} is not finite at the start of an episode; look for a division by"
+            " zero, or for a place that reset() does not write"
+        )

@@ -1,0 +1,93 @@
+"""Tasks and arms from elsewhere: a user's file, or an installed package."""
+
+import importlib
+import importlib.util
+import sys
+import warnings
+from collections.abc import Iterable
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from collaborative_gym.errors import UnknownName
+
+GROUP = "collaborative_gym.tasks"
+"""Entry points of this group name modules that register tasks, ids and arms."""
+
+_loaded: dict[Path, ModuleType] = {}
+"""The files that were imported."""
+
+
+def load_modules(names: Iterable[str]) -> None:
+    """Import each of the modules, as `load_module` does."""
+    for name in names:
+        load_module(name)
+
+
+def load_module(name: str) -> ModuleType:
+    """Import a module that registers tasks, environment ids or arms.
+
+    A file is imported once, under its own name; modules beside it can be imported as if
+    it were run as a script.
+
+    Args:
+      name: a path that ends in .py, or the dotted name of an installed module.
+
+    Raises:
+      FileNotFoundError: if there is no such file.
+      KeyError: if there is no such module.
+      ValueError: if another module of that name is loaded already.
+    """
+    if not name.endswith(".py"):
+        return _import(name)
+    path = Path(name).resolve()
+    if path in _loaded:
+        return _loaded[path]
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no module {name}")
+    if path.stem in sys.modules or path.stem in sys.stdlib_module_names:
+        raise ValueError(
+            f"{name}: there is another module named {path.stem!r}; rename the file"
+        )
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[path.stem]
+        raise
+    _loaded[path] = module
+    return module
+
+
+def loaded_files() -> tuple[str, ...]:
+    """Return the files that were imported, for another process to import them too."""
+    return tuple(map(str, _loaded))
+
+
+def load_entry_points() -> None:
+    """Import what installed packages offer under `GROUP`; warn where that fails."""
+    for entry in entry_points(group=GROUP):
+        try:
+            entry.load()
+        except Exception as error:
+            package = entry.dist.name if entry.dist else "a package"
+            warnings.warn(
+                f"the tasks of {package} ({entry.value}) cannot be loaded: {error!r}",
+                stacklevel=2,
+            )
+
+
+def _import(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if not name.startswith(error.name or "?"):
+            raise
+        raise UnknownName(
+            f"no module {name!r} is installed; give a file as a path that ends in .py"
+        ) from None

@@ -1,0 +1,324 @@
+"""Checks of a task's promises, for the tests of whoever writes one."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.robots import Robot, get_robot
+from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Task
+
+_DEEPEST = 1e-4  # m; what rests on a table is in it by less than that
+
+
+def check_task(
+    task: str | Task | type[Task],
+    robots: Sequence[str | Robot] | None = None,
+    episodes: int = 20,
+) -> None:
+    """Check that a task keeps every promise that environments make.
+
+    That its definition makes a world is checked wherever it is used; here it is played
+    too: same bits in any batch, worlds that do not touch one another, saved episodes
+    that go on, sound starts, a goal that is not reached by doing nothing, and an expert
+    that always reaches it.
+
+    Args:
+      task: an environment id, a task's name, a task, or a task's class.
+      robots: its arms, in the order of the agents; None for the environment's own, and
+        for Pandas where a class is given. Only beside a name or a class.
+      episodes: how many the expert plays, and how many nobody.
+
+    Raises:
+      AssertionError: lists every promise that is broken and what to do about it.
+      KeyError: if a name is unknown.
+      RuntimeError: if the task itself fails while it is played.
+      ValueError: if the definition makes no world.
+    """
+    if isinstance(task, type):
+        arms = [get_robot(name) for name in robots or ("panda",) * task.num_robots]
+        task, robots = task(arms, task.config_class()), None
+    trial = Trial(as_task(task, robots), episodes)
+    faults = []
+    try:
+        for check in CHECKS:
+            try:
+                check(trial)
+            except AssertionError as fault:
+                faults.append(str(fault))
+            except Exception as error:
+                promise = str(check.__doc__).splitlines()[0]
+                raise RuntimeError(f"it failed in checking: {promise}") from error
+    finally:
+        trial.close()
+    if faults:
+        name = type(trial.task).__name__
+        listed = "\n".join(f"- {fault}" for fault in faults)
+        raise AssertionError(f"{name} breaks {len(faults)} of its promises:\n{listed}")
+
+
+class Trial:
+    """A task under test, and batches of its worlds.
+
+    Args:
+      task: the task.
+      episodes: how many an expert is to play.
+    """
+
+    def __init__(self, task: Task, episodes: int = 20):
+        self.task = task
+        self.episodes = episodes
+        self._made: dict[tuple[int, ...], VectorEnv] = {}
+
+    def worlds(self, num_envs: int, num_threads: int = 1, copy: int = 0) -> VectorEnv:
+        """Return a batch at the start of seed 0, made once for each set of numbers."""
+        key = num_envs, num_threads, copy
+        if key not in self._made:
+            self._made[key] = VectorEnv(self.task, num_envs, num_threads=num_threads)
+        self._made[key].reset(seed=0)
+        return self._made[key]
+
+    def close(self) -> None:
+        """Free the worlds."""
+        for env in self._made.values():
+            env.close()
+
+
+def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
+    """Return the bytes of all that each episode gave, by seed and episode.
+
+    The actions are random, and depend on the episode and its step alone.
+    """
+    seen: dict[tuple[int, int], bytes] = {}
+    for _ in range(steps):
+        played = env.progress
+        _, rewards, _, _, infos = env.step(_episode_actions(env))
+        for i in range(env.num_envs):
+            rows = [infos["final_observation"][agent][i] for agent in env.agents]
+            rows += [rewards[agent][i] for agent in env.agents]
+            rows += [infos["success"][i]]
+            key = int(played["seed"][i]), int(played["episode"][i])
+            given = b"".join(np.asarray(row).tobytes() for row in rows)
+            seen[key] = seen.get(key, b"") + given
+    return seen
+
+
+def leaves(value: Any) -> list[Any]:
+    """Return the arrays in nested dataclasses, namespaces, dictionaries and tuples."""
+    if is_dataclass(value) or isinstance(value, SimpleNamespace):
+        parts = list(vars(value).values())
+    elif isinstance(value, Mapping):
+        parts = list(value.values())
+    elif isinstance(value, (tuple, list)):
+        parts = list(value)
+    else:
+        return [value]
+    return [leaf for part in parts for leaf in leaves(part)]
+
+
+def check_values(trial: Trial) -> None:
+    """Observations fit their spaces and are finite, rewards keep their terms."""
+    env = trial.worlds(7)
+    for step in range(20):
+        actions = _episode_actions(env)
+        terms = env.task.reward(env.facts, actions)
+        for agent in env.agents:
+            assert tuple(terms[agent]) == env.reward_terms[agent], (
+                f"reward() has the terms {tuple(terms[agent])} for {agent} in step"
+                f" {step + 1}, but {env.reward_terms[agent]} at first; return every"
+                " term at every step, zero where it does not count"
+            )
+            for name, term in terms[agent].items():
+                assert np.isfinite(np.asarray(term)).all(), (
+                    f"reward term {name!r} of {agent} is not finite after {step}"
+                    " random steps; look for a division or a root in reward()"
+                )
+        observations = env.step(actions)[0]
+        for agent in env.agents:
+            assert np.isfinite(observations[agent]).all(), (
+                f"the observation of {agent} is not finite after {step + 1} random"
+                " steps; look for a division or a root in observe() and measure()"
+            )
+
+
+def check_starts(trial: Trial) -> None:
+    """Episodes start at rest, apart, within the joints' ranges, and differ."""
+    env = trial.worlds(7)
+    for i in range(env.num_envs):
+        data = env.sim.data(i)
+        for contact in data.contact:
+            names = [env.model.geom(geom).name or "?" for geom in contact.geom]
+            bodies = [
+                env.model.body(int(env.model.geom_bodyid[geom])).name
+                for geom in contact.geom
+            ]
+            assert contact.dist > -_DEEPEST, (
+                f"{bodies[0]} (geom {names[0]}) and {bodies[1]} (geom {names[1]}) are"
+                f" {-1000 * contact.dist:.1f} mm deep in one another at the start of"
+                f" episode {i}; place them apart in build() or reset()"
+            )
+        assert not data.qvel.any(), (
+            f"something moves at the start of episode {i}; write no qvel in reset()"
+        )
+    for agent, arm in env.scene.arms.items():
+        low, high = arm.joint_range
+        angle = env.sim.qpos[:, arm.qpos]
+        assert (angle >= low).all() and (angle <= high).all(), (
+            f"{agent} starts beyond its joints' ranges; clip the start angles in"
+            " reset(): np.clip(angles, *arm.joint_range)"
+        )
+    rows = np.concatenate(list(env.reset(seed=0)[0].values()), axis=1)
+    assert len(np.unique(rows, axis=0)) == env.num_envs, (
+        "episodes start alike under the randomization 'default'; draw places and joint"
+        " angles in reset() from rng, within self.config.randomization"
+    )
+
+
+def check_batches(trial: Trial) -> None:
+    """An episode has the same bits in any batch and with any number of threads."""
+    expected = play(trial.worlds(16), 4)
+    for env in (trial.worlds(1), trial.worlds(7), trial.worlds(7, num_threads=4)):
+        for key, given in play(env, 4).items():
+            assert given == expected[key], (
+                f"episode {key[1]} of seed {key[0]} depends on the {env.num_envs}"
+                " worlds beside it; draw only from rng in reset(), treat rows alike,"
+                " and keep nothing on the task but what remember() returns"
+            )
+
+
+def check_isolation(trial: Trial) -> None:
+    """Worlds that start an episode leave the others alone."""
+    env, other = trial.worlds(7), trial.worlds(7, copy=1)
+    late = other.get_state([1, 3])
+    late.progress["step"][:] = trial.task.config.max_episode_steps - 2
+    other.set_state(late, [1, 3])
+    expected, seen = play(env, 4), play(other, 4)
+    for episode in (0, 2, 4, 5, 6):
+        assert seen[0, episode] == expected[0, episode], (
+            f"episode {episode} changes when worlds 1 and 3 start another; write only"
+            " the rows env_ids in reset(), of sim and of self.memory"
+        )
+
+
+def check_saving(trial: Trial) -> None:
+    """A saved episode continues bit for bit in other worlds."""
+    env, other = trial.worlds(7), trial.worlds(7, copy=1)
+    play(env, 3)
+    state = env.get_state([0, 5])
+    expected = play(env, 4)
+    other.reset(seed=1)
+    play(other, 2)
+    other.set_state(state, [4, 2])
+    seen = play(other, 4)
+    for episode in (0, 5):
+        assert seen[0, episode] == expected[0, episode], (
+            f"episode {episode} does not continue from its saved state; what must be"
+            " remembered between steps belongs in self.memory, from remember()"
+        )
+
+
+def check_measuring(trial: Trial) -> None:
+    """Measuring again in the same state changes nothing, nor does what follows it."""
+    env = trial.worlds(7)
+    play(env, 3)
+    task = env.task
+    memory = {name: array.copy() for name, array in task.memory.items()}
+    first = [np.array(leaf) for leaf in leaves(env.facts)]
+    second = leaves(task.measure(env.sim))
+    same = len(first) == len(second) and all(map(_equal, first, second))
+    kept = all(_equal(array, task.memory[name]) for name, array in memory.items())
+    assert same and kept, (
+        "measure() gives something else when it is called again in the same state;"
+        " update self.memory so that a second time changes nothing, as"
+        " maximum(old, new) does"
+    )
+    actions = _episode_actions(env)
+    for name, ask in (
+        ("observe", lambda: task.observe(env.facts)),
+        ("reward", lambda: task.reward(env.facts, actions)),
+        ("success", lambda: task.success(env.facts)),
+    ):
+        once, twice = leaves(ask()), leaves(ask())
+        assert all(map(_equal, once, twice)), (
+            f"{name}() gives something else when it is called again; it must depend on"
+            " its arguments alone"
+        )
+
+
+def check_goal(trial: Trial) -> None:
+    """Doing nothing does not reach the goal in every episode."""
+    env = trial.worlds(min(trial.episodes, 8))
+    reached = np.zeros(env.num_envs, bool)
+    for _ in range(trial.task.config.max_episode_steps):
+        *_, infos = env.step(_idle(env))
+        reached |= infos["success"]
+    assert not reached.all(), (
+        f"robots that hold still reach the goal in all of {env.num_envs} episodes; ask"
+        " more in success(), or start farther from the goal"
+    )
+
+
+def check_expert(trial: Trial) -> None:
+    """The expert, where there is one, reaches the goal from every start."""
+    if type(trial.task).expert is Task.expert:
+        return
+    small, large = trial.worlds(1), trial.worlds(trial.episodes)
+    reached = np.zeros(large.num_envs, bool)
+    for _ in range(trial.task.config.max_episode_steps):
+        one, many = small.expert(), large.expert()
+        assert all(_equal(one[agent][0], many[agent][0]) for agent in one), (
+            "the expert does something else in another batch; treat rows alike, and"
+            " keep nothing on the task"
+        )
+        small.step(one)
+        *_, infos = large.step(many)
+        reached |= infos["success"]
+    failed = np.flatnonzero(~reached).tolist()
+    assert not failed, (
+        f"the expert does not reach the goal in the episodes {failed} of seed 0;"
+        " watch one by `collaborative-gym record`, and mend the expert, or narrow what"
+        " reset() draws if that start cannot be solved"
+    )
+
+
+CHECKS: tuple[Callable[[Trial], None], ...] = (
+    check_values,
+    check_starts,
+    check_batches,
+    check_isolation,
+    check_saving,
+    check_measuring,
+    check_goal,
+    check_expert,
+)
+"""What `check_task` checks; each raises AssertionError with a remedy."""
+
+
+def _episode_actions(env: VectorEnv) -> dict[str, np.ndarray]:
+    progress = env.progress
+    rngs = [
+        np.random.default_rng([int(episode), int(step)])
+        for episode, step in zip(progress["episode"], progress["step"], strict=True)
+    ]
+    return {
+        agent: np.stack([rng.uniform(-1.0, 1.0, space.shape) for rng in rngs])
+        for agent, space in env.single_action_spaces.items()
+    }
+
+
+def _idle(env: VectorEnv) -> dict[str, np.ndarray]:
+    actions = {
+        agent: np.zeros((env.num_envs, *space.shape))
+        for agent, space in env.single_action_spaces.items()
+    }
+    for action in actions.values():
+        action[:, -1] = -1.0 if env.task.gripping else 0.0
+    return actions
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return np.array_equal(np.asarray(one), np.asarray(other))

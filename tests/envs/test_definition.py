@@ -1,0 +1,104 @@
+"""A wrong definition fails when the worlds are made, and says what to change."""
+
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+
+
+@pytest.fixture
+def broken(carry, monkeypatch):
+    """Return a function that makes worlds of the small task with a method replaced."""
+
+    def broken(name, method, num_envs=3):
+        task = carry()
+        own = getattr(task, name)
+        monkeypatch.setattr(
+            task, name, lambda *given: method(task, own, *given), raising=True
+        )
+        return cg.VectorEnv(task, num_envs, num_threads=1)
+
+    return broken
+
+
+def every(change):
+    """Return a method that changes what the task's own returns for each agent."""
+
+    def method(task, own, *given):
+        return {agent: change(dict(each)) for agent, each in own(*given).items()}
+
+    return method
+
+
+def test_a_reward_of_the_wrong_shape(broken):
+    wrong = every(lambda terms: terms | {"height": terms["height"][:, None]})
+    with pytest.raises(ValueError, match=r"Carry.reward.*'height' of robot_1 .*\(3,\)"):
+        broken("reward", wrong)
+
+
+def test_a_reward_that_is_no_number(broken):
+    wrong = every(lambda terms: terms | {"height": 0.0 * terms["height"] / 0.0})
+    with (
+        np.errstate(invalid="ignore"),
+        pytest.raises(ValueError, match="term 'height' of robot_1 is not finite"),
+    ):
+        broken("reward", wrong)
+
+
+def test_an_observation_that_is_not_finite(broken):
+    wrong = every(lambda blocks: blocks | {"cube": np.log(0.0 * blocks["cube"])})
+    with (
+        np.errstate(divide="ignore"),
+        pytest.raises(ValueError, match="block 'cube' of robot_1 is not finite at"),
+    ):
+        broken("observe", wrong)
+
+
+def test_an_observation_without_rows(broken):
+    wrong = every(lambda blocks: blocks | {"highest": blocks["highest"][:, 0]})
+    with pytest.raises(ValueError, match=r"block 'highest' .*\(3, k\).*\[:, None\]"):
+        broken("observe", wrong)
+
+
+def test_an_agent_that_is_forgotten_or_unknown(broken):
+    def without(task, own, *given):
+        return {"robot_1": own(*given)["robot_1"]}
+
+    def misspelt(task, own, *given):
+        return own(*given) | {"robot_3": {}}
+
+    with pytest.raises(ValueError, match=r"reward\(\) has no entry for robot_2"):
+        broken("reward", without)
+    with pytest.raises(ValueError, match=r"observe\(\): no agent 'robot_3'; agents"):
+        broken("observe", misspelt)
+    with pytest.raises(ValueError, match="returns a list"):
+        broken("observe", lambda task, own, *given: [own(*given)])
+    with pytest.raises(ValueError, match=r"entry of robot_1 is \{\}"):
+        broken("reward", every(lambda terms: {}))
+
+
+def test_a_goal_that_is_no_bool(broken):
+    with pytest.raises(ValueError, match=r"Carry.success\(\) is float64"):
+        broken("success", lambda task, own, facts: facts.height)
+
+
+@pytest.mark.parametrize("y", [-1.2, -2.5])
+def test_a_target_out_of_reach(broken, y):
+    def build(task, own, scene):
+        own(scene)
+        scene.add_target("goal", 0.05)
+        scene.spec.body("goal").pos = 0.0, y, 0.5
+
+    if y > -2.0:
+        broken("build", build).close()
+        return
+    message = r"'goal' at \[.*\] is out of every arm's reach \(robot_1's by 0\.\d+ m"
+    with pytest.raises(ValueError, match=message):
+        broken("build", build)
+
+
+def test_trying_out_leaves_the_worlds_as_new(make_env):
+    env = make_env(4)
+    assert not env.task.memory["push"].any()
+    np.testing.assert_array_equal(env.sim.qpos[0], env.sim.qpos[3])
+    assert not env.sim.xfrc_applied.any()

@@ -1,0 +1,92 @@
+"""Tasks and arms of a user's own, from files and from installed packages."""
+
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym import modules
+
+TASK = """
+from my_settings import REACH
+import collaborative_gym as cg
+
+class Wave(cg.Task):
+    reach = REACH
+
+cg.register_task("Wave", Wave)
+"""
+
+
+@pytest.fixture
+def wave(tmp_path, monkeypatch, carry_id):
+    """Return the path of a file that registers a task; it is forgotten afterwards."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(modules, "_loaded", {})
+    (tmp_path / "my_settings.py").write_text("REACH = 0.5\n")
+    path = tmp_path / "my_wave.py"
+    path.write_text(TASK)
+    yield path
+    for name in ("my_wave", "my_settings"):
+        sys.modules.pop(name, None)
+
+
+def test_a_file_registers_its_tasks_once(wave, tmp_path, monkeypatch):
+    module = cg.load_module(str(wave))
+    assert "Wave" in cg.list_tasks()
+    assert module.Wave.reach == 0.5
+    assert module.Wave.__module__ == "my_wave"
+    monkeypatch.chdir(tmp_path)
+    assert cg.load_module("my_wave.py") is module
+
+
+def test_an_installed_module_is_loaded_by_name(wave, monkeypatch):
+    monkeypatch.syspath_prepend(wave.parent)
+    assert cg.load_module("my_wave").Wave.reach == 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("nowhere.py", FileNotFoundError, "there is no module nowhere.py"),
+        ("no_such.module", KeyError, "no module 'no_such.module' is installed"),
+    ],
+)
+def test_a_module_that_is_missing(name, error, message):
+    with pytest.raises(error, match=message):
+        cg.load_module(name)
+
+
+def test_a_file_named_as_a_library(wave):
+    other = wave.with_name("numpy.py")
+    other.write_text("")
+    with pytest.raises(ValueError, match="another module named 'numpy'; rename"):
+        cg.load_module(str(other))
+
+
+def test_a_file_that_fails_can_be_mended(wave):
+    wave.write_text("import nothing_of_this_name\n")
+    with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
+        cg.load_module(str(wave))
+    wave.write_text(TASK)
+    assert cg.load_module(str(wave)).Wave.reach == 0.5
+
+
+def test_packages_bring_tasks_and_a_broken_one_is_named(wave, monkeypatch):
+    monkeypatch.syspath_prepend(wave.parent)
+    entries = [
+        EntryPoint("broken", "no_such_module", modules.GROUP),
+        EntryPoint("wave", "my_wave", modules.GROUP),
+    ]
+    asked = []
+
+    def found(*, group):
+        asked.append(group)
+        return entries
+
+    monkeypatch.setattr(modules, "entry_points", found)
+    with pytest.warns(UserWarning, match=r"\(no_such_module\) cannot be loaded"):
+        modules.load_entry_points()
+    assert asked == ["collaborative_gym.tasks"]
+    assert "Wave" in cg.list_tasks()

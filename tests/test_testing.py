@@ -1,0 +1,145 @@
+"""A task that breaks a promise is told which, and what to do about it."""
+
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.testing import check_task
+
+
+@pytest.fixture
+def faults(carry):
+    """Return a function that checks the small task with methods replaced."""
+
+    def faults(config=None, **methods):
+        base = type(carry())
+
+        def wrapped(own, method):
+            return lambda self, *given: method(self, own, *given)
+
+        changed = {
+            name: wrapped(getattr(base, name), method)
+            for name, method in methods.items()
+        }
+        task = type("Broken", (base,), changed)
+        arms = [cg.get_robot("panda")] * 2
+        try:
+            check_task(task(arms, config or task.config_class()), episodes=4)
+        except AssertionError as error:
+            return str(error).splitlines()
+        return []
+
+    return faults
+
+
+@pytest.fixture
+def hard(carry):
+    """Return settings with which nobody succeeds."""
+    return type(carry().config)(height=5.0)
+
+
+def test_a_sound_task_has_no_faults(faults):
+    assert faults() == []
+
+
+def test_a_class_and_an_id_are_checked_too(carry, carry_id):
+    for task in (type(carry()), carry_id):
+        check_task(task, episodes=2)
+    with pytest.raises(KeyError, match="did you mean 'Carry'"):
+        check_task("Cary")
+
+
+def test_a_goal_that_nobody_reaches(faults, hard):
+    found = faults(hard)
+    assert found[0] == "Broken breaks 1 of its promises:"
+    assert "the expert does not reach the goal in the episodes [0, 1, 2, 3]" in found[1]
+
+
+def test_a_goal_that_is_reached_by_doing_nothing(faults):
+    found = faults(success=lambda self, own, facts: facts.height > -1.0)
+    assert any("robots that hold still reach the goal in all" in each for each in found)
+
+
+def test_a_reset_of_other_worlds(faults):
+    def reset(self, own, sim, env_ids, rng):
+        own(self, sim, env_ids, rng)
+        self.memory["push"][:] = self.memory["push"][env_ids[0]]
+
+    found = faults(reset=reset)
+    assert any("write only the rows env_ids in reset()" in each for each in found)
+
+
+def test_numbers_that_are_drawn_elsewhere(faults):
+    shared = np.random.default_rng(0)
+
+    def reset(self, own, sim, env_ids, rng):
+        own(self, sim, env_ids, rng)
+        self.memory["push"][env_ids] = shared.uniform(-20.0, 20.0, (len(env_ids), 3))
+
+    found = faults(reset=reset)
+    assert any("draw only from rng in reset()" in each for each in found)
+
+
+def test_starts_that_are_alike(faults):
+    def reset(self, own, sim, env_ids, rng):
+        for arm in self.scene.arms.values():
+            sim.qpos[env_ids, arm.qpos] = arm.robot.home
+
+    found = faults(reset=reset)
+    assert any("episodes start alike under the randomization" in each for each in found)
+
+
+def test_a_start_inside_a_thing(faults):
+    def reset(self, own, sim, env_ids, rng):
+        own(self, sim, env_ids, rng)
+        place = sim.qpos[env_ids, :7].copy()
+        place[:, :3] = 0.0, 0.0, 0.01
+        self.scene.place(sim, env_ids, "cube", place[:, :3])
+
+    found = faults(reset=reset)
+    assert any("20.0 mm deep in one another at the start" in each for each in found)
+
+
+def test_a_memory_that_is_kept_elsewhere(faults):
+    def measure(self, own, sim):
+        self.count = getattr(self, "count", 0) + 1
+        facts = own(self, sim)
+        object.__setattr__(facts, "highest", facts.highest + self.count)
+        return facts
+
+    found = faults(measure=measure)
+    assert any("belongs in self.memory, from remember()" in each for each in found)
+    assert any("measure() gives something else when it" in each for each in found)
+
+
+def test_an_observation_that_blows_up(faults):
+    def observe(self, own, facts):
+        blocks = own(self, facts)
+        late = np.where(facts.highest > facts.height + 1e-3, np.nan, 0.0)
+        return {
+            agent: {**own_blocks, "late": late[:, None]}
+            for agent, own_blocks in blocks.items()
+        }
+
+    found = faults(observe=observe)
+    assert any("observation of robot_1 is not finite after" in each for each in found)
+
+
+def test_a_reward_whose_terms_change(faults):
+    def reward(self, own, facts, actions):
+        terms = own(self, facts, actions)
+        if np.any(actions["robot_1"]):
+            terms["robot_1"] = {"all": sum(terms["robot_1"].values())}
+        return terms
+
+    with pytest.raises(RuntimeError, match="it failed in checking"):
+        faults(reward=reward)
+
+
+def test_an_expert_that_acts_otherwise_in_another_batch(faults):
+    def expert(self, own, sim, facts):
+        actions = own(self, sim, facts)
+        return {agent: each * 0.9**sim.num_envs for agent, each in actions.items()}
+
+    found = faults(expert=expert)
+    assert any("the expert does something else in another batch" in x for x in found)
