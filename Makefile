@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test check format clean
+.PHONY: demo test check format docs serve-docs clean
 
 # Evaluate the expert on all eight environments: a table, videos and a contact sheet.
 demo: .venv/demo
@@ -21,8 +21,15 @@ format: .venv/dev
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
+# The documentation, into site/.
+docs: .venv/dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+serve-docs: .venv/dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
+
 clean:
-	rm -rf .venv out
+	rm -rf .venv out site
 
 .venv/bin/pip:
 	$(PYTHON) -m venv .venv

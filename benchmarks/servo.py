@@ -1,6 +1,8 @@
 """How the joint servos follow commands and hold a load, a table per arm.
 
     python benchmarks/servo.py [panda sawyer jaco]
+    python benchmarks/servo.py --module examples/own_arm.py own
+    python benchmarks/servo.py --computed
 
 Every number is the worst over both directions of a full command to one joint, from
 rest at home in free motion, the other joints holding. "first" and "second" are the
@@ -10,17 +12,21 @@ shares of the asked change that the joint turned in the first and second control
 steps in which a joint is above 1.1 times its limit while all joints are commanded at
 random. The sag is that of the tcp in a control step with the rated payload, at poses
 where no joint needs more than 70 % of its torque, once the arm has taken the load.
+
+With `--computed`, rotors and gains are those that an arm gets whose value gives none.
 """
 
-import sys
+import argparse
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from collaborative_gym import load_module
 from collaborative_gym.control import SUBSTEPS, Controller
-from collaborative_gym.robots import get_robot, list_robots
+from collaborative_gym.robots import Robot, get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 
@@ -30,9 +36,8 @@ AGENT = "robot_1"
 class Bench:
     """One arm high above the floor, in several worlds."""
 
-    def __init__(self, name: str, num_envs: int, payload: float = 0.0):
+    def __init__(self, robot: Robot, num_envs: int, payload: float = 0.0):
         scene = Scene()
-        robot = get_robot(name)
         scene.add_robot(AGENT, robot, Placement((0.0, 0.0, 3.0)))
         if payload:
             load = mujoco.MjSpec()
@@ -68,11 +73,10 @@ class Bench:
         return speeds
 
 
-def follow(name: str) -> dict[str, np.ndarray]:
+def follow(robot: Robot) -> dict[str, np.ndarray]:
     """Return what full commands to single joints do, (joints,) by measure."""
-    robot = get_robot(name)
     count = len(robot.joints)
-    bench = Bench(name, 2 * count)
+    bench = Bench(robot, 2 * count)
     bench.start(np.tile(robot.home, (2 * count, 1)))
     commands = np.concatenate([np.eye(count), -np.eye(count)])
     own = np.tile(np.arange(count), 2)
@@ -93,10 +97,9 @@ def follow(name: str) -> dict[str, np.ndarray]:
     return {**shares, "peak": peak.reshape(2, count).max(axis=0)}
 
 
-def inertia_time(name: str) -> np.ndarray:
+def inertia_time(robot: Robot) -> np.ndarray:
     """Return the time in s that each joint alone needs to full speed at its limit."""
-    robot = get_robot(name)
-    bench = Bench(name, 1)
+    bench = Bench(robot, 1)
     bench.start(np.array([robot.home]))
     data = bench.sim.data(0)
     full = np.zeros((bench.model.nv, bench.model.nv))
@@ -105,10 +108,9 @@ def inertia_time(name: str) -> np.ndarray:
     return np.diag(full)[bench.arm.dof] * speed / np.array(robot.torque_limits)
 
 
-def overspeed(name: str, steps: int = 100, worlds: int = 16) -> np.ndarray:
+def overspeed(robot: Robot, steps: int = 100, worlds: int = 16) -> np.ndarray:
     """Return how much of the time each joint is above 1.1 times its speed limit."""
-    robot = get_robot(name)
-    bench = Bench(name, worlds)
+    bench = Bench(robot, worlds)
     bench.start(np.tile(robot.home, (worlds, 1)))
     rng = np.random.default_rng(0)
     over = [
@@ -119,10 +121,9 @@ def overspeed(name: str, steps: int = 100, worlds: int = 16) -> np.ndarray:
     return np.mean(over, axis=(0, 1, 2))
 
 
-def sag(name: str, worlds: int = 100, steps: int = 20) -> np.ndarray:
+def sag(robot: Robot, worlds: int = 100, steps: int = 20) -> np.ndarray:
     """Return the sink of a held payload per control step in mm, one row a world."""
-    robot = get_robot(name)
-    bench = Bench(name, worlds, robot.payload)
+    bench = Bench(robot, worlds, robot.payload)
     bench.start(_loadable_poses(bench, worlds))
     idle = np.zeros((worlds, len(robot.joints)))
     for _ in range(5):
@@ -155,28 +156,42 @@ def _loadable_poses(bench: Bench, count: int) -> np.ndarray:
 
 def main() -> None:
     """Print a table for each arm named on the command line, or for all."""
-    console = Console(width=100)
-    for name in sys.argv[1:] or list_robots():
-        followed = follow(name)
-        rows = {
-            "first, %": 100 * followed["first"],
-            "second, %": 100 * followed["second"],
-            "peak, of limit": followed["peak"],
-            "torque, ms": 1e3 * inertia_time(name),
-            "random, %": 100 * overspeed(name),
-        }
-        table = Table(title=get_robot(name).title)
-        table.add_column("joint")
-        for i in range(len(followed["first"])):
-            table.add_column(str(i + 1), justify="right")
-        for label, values in rows.items():
-            digits = 2 if "limit" in label else 1
-            table.add_row(label, *(f"{value:.{digits}f}" for value in values))
-        console.print(table)
-        sink = sag(name)
-        console.print(
-            f"sag: {np.median(sink):.2f} mm median, {sink.max():.2f} mm most\n"
-        )
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help="arms; none means all")
+    parser.add_argument("--module", help="a file that registers arms of your own")
+    parser.add_argument("--computed", action="store_true", help="leave out their gains")
+    options = parser.parse_args()
+    if options.module:
+        load_module(options.module)
+    for name in options.names or list_robots():
+        robot = get_robot(name)
+        if options.computed:
+            robot = replace(robot, armature=(), damping=(), stiffness=())
+        show(robot, Console(width=100))
+
+
+def show(robot: Robot, console: Console) -> None:
+    """Measure an arm and print its table."""
+    followed = follow(robot)
+    rows = {
+        "first, %": 100 * followed["first"],
+        "second, %": 100 * followed["second"],
+        "peak, of limit": followed["peak"],
+        "torque, ms": 1e3 * inertia_time(robot),
+        "random, %": 100 * overspeed(robot),
+        "damping, N m s/rad": np.array(robot.damping),
+        "rotor, kg m2": np.array(robot.armature),
+    }
+    table = Table(title=robot.title)
+    table.add_column("joint")
+    for i in range(len(robot.joints)):
+        table.add_column(str(i + 1), justify="right")
+    for label, values in rows.items():
+        digits = 2 if "limit" in label or "rotor" in label else 1
+        table.add_row(label, *(f"{value:.{digits}f}" for value in values))
+    console.print(table)
+    sink = sag(robot)
+    console.print(f"sag: {np.median(sink):.2f} mm median, {sink.max():.2f} mm most\n")
 
 
 if __name__ == "__main__":

@@ -76,6 +76,24 @@ def joint_change(
     return change
 
 
+def aim(rotation: Array, quat: Array, direction: Array) -> tuple[Array, Array]:
+    """Return rows and error that aim a tcp's z axis, its spin about it left free.
+
+    Args:
+      rotation: (n, 3, joints) Jacobian of the tcp's orientation.
+      quat: (n, 4) its orientation.
+      direction: (n, 3) unit vectors for its z axis.
+
+    Returns:
+      (n, 3, joints) and (n, 3), in rad, for `joint_change`.
+    """
+    axis, zero = math.axis_z(quat), np.zeros_like(direction)
+    turn = rotation_error(quat, direction)
+    rows = np.concatenate([np.zeros_like(rotation), rotation], axis=1)
+    rows, turn = _without_spin(rows, np.concatenate([zero, turn], axis=1), axis)
+    return rows[:, 3:], turn[:, 3:]
+
+
 def shortened(vector: Array, longest: float) -> Array:
     """Return vectors no longer than `longest`, their directions kept."""
     length = math.norm(vector)[..., None]

@@ -273,6 +273,10 @@ class Scene:
         for geom in list(physics.geoms):
             if _is_decoration(geom):
                 physics.delete(geom)
+        shapes = {geom.meshname for geom in physics.geoms}
+        for mesh in list(physics.meshes):
+            if mesh.name not in shapes:
+                physics.delete(mesh)
         model = physics.compile()
         self._resolve(model)
         return model

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.kinematics import as_action, joint_change
+from collaborative_gym.kinematics import aim, as_action, joint_change
 from collaborative_gym.math import Array
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
@@ -36,6 +36,15 @@ _TOLERANCE = 0.005
 
 _WAYPOINTS, _TRIES = 5, 128
 """Points of a way, and from how many postures it is searched."""
+
+_REDUNDANT = 7
+"""Joints from which on an arm can turn its elbow while the hand stays as it is."""
+
+_DIPS = np.radians([25.0, 40.0, 60.0, 80.0])
+"""How far down the gripper points where it is held to a direction, in rad."""
+
+_CLEARANCE = 0.08
+"""Least height in m of an arm's elbow above what the arm stands on."""
 
 _YIELD = 0.5
 """Share of an unneeded torque that `carry` lets go in a step."""
@@ -120,17 +129,18 @@ def greatest_load(
 
 
 def strong_paths(
-    robot: Robot, positions: Array
+    robot: Robot, positions: Array, approaches: Array | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 
     Each path is searched once, from a random posture: repeat a path to search it more
-    thoroughly. The postures along a path follow one another without a jump, and the
-    orientation of the tcp is free.
+    thoroughly. The postures along a path follow one another without a jump.
 
     Args:
       robot: the arm.
       positions: (n, points, 3) of the tcp, in the frame of the arm's base, in m.
+      approaches: (n, 3) directions to which the tcp's z axis keeps along each path, in
+        the same frame; None leaves the orientation free.
 
     Returns:
       The loads (n,) in kg at the weakest point of each path, 0 where the arm misses a
@@ -148,7 +158,8 @@ def strong_paths(
     loads, angles, quats = np.full(len(positions), np.inf), [], []
     for i in range(positions.shape[1]):
         moves = _FIRST_MOVES if i == 0 else _MOVES
-        loads = np.minimum(loads, _strengthen(sim, arm, positions[:, i], moves))
+        held = _strengthen(sim, arm, positions[:, i], moves, approaches)
+        loads = np.minimum(loads, held)
         angles.append(np.array(sim.qpos[:, arm.qpos]))
         quats.append(np.array(sim.pose("arm/tcp")[1]))
     return loads, np.stack(angles, axis=1), np.stack(quats, axis=1)
@@ -174,12 +185,17 @@ def strongest_way(
     """
     share = np.linspace(0.0, 1.0, _WAYPOINTS)[:, None]
     path = (1 - share) * np.array(start) + share * np.array(end)
-    loads, angles, quats = strong_paths(robot, np.tile(path, (_TRIES, 1, 1)))
-    x, y, z = np.moveaxis(math.axis_z(quats), -1, 0)
-    ahead = np.array(start[:2]) / np.hypot(*start[:2])
-    along, aside = x * ahead[0] + y * ahead[1], x * ahead[1] - y * ahead[0]
-    fit = (along > -0.1) & (np.abs(aside) < 0.5) & (z < 0.3)
-    loads = np.where(fit.all(axis=1) & (z[:, 0] < -0.3), loads, 0.0)
+    paths = np.tile(path, (_TRIES, 1, 1))
+    ahead = np.array([*start[:2], 0.0]) / np.hypot(*start[:2])
+    if len(robot.joints) < _REDUNDANT:
+        # Left free, the hand would turn aside to where it is nearer to the load.
+        dip = np.resize(_DIPS, _TRIES)[:, None]
+        directions = np.cos(dip) * ahead - np.sin(dip) * (0.0, 0.0, 1.0)
+        loads, angles, quats = strong_paths(robot, paths, directions)
+        loads = np.where(_stays_above(robot, angles, path), loads, 0.0)
+    else:
+        loads, angles, quats = strong_paths(robot, paths)
+    loads = np.where(_points_ahead(quats, ahead), loads, 0.0)
     if not loads.any():
         raise ValueError(
             f"{robot.name} cannot carry a load from {start} to {end} as seen from its"
@@ -187,8 +203,33 @@ def strongest_way(
         )
     motion = np.abs(np.diff(angles, axis=1)).max(axis=(1, 2))
     best = np.where(loads >= 0.95 * loads.max(), motion, np.inf).argmin()
-    approach = np.array([x[best, 0], y[best, 0], z[best, 0]])
-    return Way(float(loads[best]), angles[best], approach)
+    return Way(float(loads[best]), angles[best], math.axis_z(quats[best, 0]))
+
+
+def _stays_above(robot: Robot, angles: np.ndarray, path: Array) -> np.ndarray:
+    """Return on which ways no elbow is lower than both the load and the arm's table."""
+    scene = Scene()
+    scene.add_robot("arm", robot, Placement((0.0, 0.0, 0.0)), stand=False)
+    model = scene.compile()
+    arm, data = scene.arms["arm"], mujoco.MjData(model)
+    # The first joint that carries another one stays where it is.
+    elbows = model.dof_jntid[arm.dof][2:]
+    stays = np.ones(len(angles), bool)
+    for i, way in enumerate(angles):
+        for posture, point in zip(way, path, strict=True):
+            data.qpos[arm.qpos] = posture
+            mujoco.mj_kinematics(model, data)
+            lowest = data.xanchor[elbows, 2].min()
+            stays[i] &= lowest > min(_CLEARANCE, point[2])
+    return stays
+
+
+def _points_ahead(quats: Array, ahead: Array) -> np.ndarray:
+    """Return on which ways the gripper points ahead, and at first down."""
+    x, y, z = np.moveaxis(math.axis_z(quats), -1, 0)
+    along, aside = x * ahead[0] + y * ahead[1], x * ahead[1] - y * ahead[0]
+    fit = (along > -0.1) & (np.abs(aside) < 0.5) & (z < 0.3)
+    return fit.all(axis=1) & (z[:, 0] < -0.3)
 
 
 def turn_fingers(
@@ -268,7 +309,9 @@ def carry(
     return as_action(change, scale)
 
 
-def _strengthen(sim: CpuSim, arm: Arm, position: Array, moves: int) -> np.ndarray:
+def _strengthen(
+    sim: CpuSim, arm: Arm, position: Array, moves: int, approach: Array | None
+) -> np.ndarray:
     """Bring an arm's tcp to positions, in strong postures; return what it holds."""
     low, high = _range(arm)
     for i in range(moves):
@@ -277,12 +320,14 @@ def _strengthen(sim: CpuSim, arm: Arm, position: Array, moves: int) -> np.ndarra
         stride = 0.3 * max(0.0, 1 - i / (moves - 6))
         lean = stride * relief(arm, translation, rotation)
         angle = np.asarray(sim.qpos[:, arm.qpos])
-        sim.qpos[:, arm.qpos] = angle + joint_change(
-            translation[:, :, arm.dof],
-            np.clip(missing, -0.3, 0.3),
-            lean,
-            (low - angle, high - angle),
-        )
+        rows, error = translation[:, :, arm.dof], np.clip(missing, -0.3, 0.3)
+        if approach is not None:
+            quat = sim.pose("arm/tcp")[1]
+            aimed, turn = aim(rotation[:, :, arm.dof], quat, approach)
+            rows = np.concatenate([rows, aimed], axis=1)
+            error = np.concatenate([error, np.clip(turn, -0.6, 0.6)], axis=1)
+        room = low - angle, high - angle
+        sim.qpos[:, arm.qpos] = angle + joint_change(rows, error, lean, room)
     missing, translation, _ = _missing(sim, arm, position)
     shares = np.abs(torque_shares(arm, translation)).max(axis=1)
     return np.where(math.norm(missing) < _TOLERANCE, 1 / shares, 0.0)

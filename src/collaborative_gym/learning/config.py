@@ -34,7 +34,7 @@ class Hyperparameters:
 
     Attributes:
       total_steps: environment steps in all, counted over all worlds. Some environments
-        have a recipe of their own: Poke and Balance take half of it, Lift more.
+        have a recipe of their own: Poke and Balance take half of it, Lift and Pass more.
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
@@ -181,6 +181,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     # light pot is lifted in postures in which the arms come to the ends of their joints.
     "LiftTaskSawyers-v0": {"total_steps": 4_000_000},
     "LiftTaskJacos-v0": {"total_steps": 4_000_000, "assistance": 0.75},
+    "PassTaskSawyers-v0": {"total_steps": 5_000_000},
 }
 """Hyperparameters with which an environment is best learned, where they are others than
 the defaults."""

@@ -6,13 +6,35 @@ from collaborative_gym.robots.panda import PANDA
 from collaborative_gym.robots.robot import Gripper, Robot
 from collaborative_gym.robots.sawyer import SAWYER
 
-__all__ = ["JACO", "PANDA", "SAWYER", "Gripper", "Robot", "get_robot", "list_robots"]
+__all__ = [
+    "JACO",
+    "PANDA",
+    "SAWYER",
+    "Gripper",
+    "Robot",
+    "get_robot",
+    "list_robots",
+    "register_robot",
+]
 
 _ROBOTS = {robot.name: robot for robot in (SAWYER, PANDA, JACO)}
 
 
+def register_robot(robot: Robot) -> None:
+    """Let tasks and the command line ask for an arm by its name.
+
+    Raises:
+      ValueError: if the name is taken.
+    """
+    if robot.name in _ROBOTS:
+        raise ValueError(
+            f"robot {robot.name!r} is registered already; give yours another name"
+        )
+    _ROBOTS[robot.name] = robot
+
+
 def list_robots() -> tuple[str, ...]:
-    """Return the names of the arms that come with the package."""
+    """Return the names of the arms: the package's, and those registered since."""
     return tuple(_ROBOTS)
 
 

@@ -1,17 +1,40 @@
 """A robot arm as a value: its model file, limits, home pose and gripper."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 
-from collaborative_gym.errors import unknown
+from collaborative_gym.robots.checks import (
+    check_gripper,
+    check_values,
+    compile_alone,
+    overlaps,
+)
+from collaborative_gym.robots.model_file import load_model
+from collaborative_gym.robots.servos import armatures, dampings, torque_limits
+
+_PER_JOINT = (
+    "home",
+    "velocity_limits",
+    "torque_limits",
+    "armature",
+    "damping",
+    "stiffness",
+)
+
+_STIFFNESS = 8.0
+"""Stiffness over damping of the joint servos where none is given, in 1/s."""
 
 
 @dataclass(frozen=True)
 class Gripper:
-    """Fingers that move together, each on its own joint.
+    """Fingers that move together, each on its own joint; without joints, no fingers.
+
+    Joints that mimic one of these in URDF, or follow it by a joint equality in MJCF,
+    move with it.
 
     Attributes:
       joints: finger joint names in the model file.
@@ -20,17 +43,26 @@ class Gripper:
       open_gap: clear width between the fingers when open, in m.
       closed_gap: clear width between the fingers when closed, in m.
       force: limit of one finger's actuator, in N or N m.
+
+    Raises:
+      ValueError: if the numbers make no gripper; says which to change.
     """
 
-    joints: tuple[str, ...]
-    open_position: float
-    closed_position: float
-    open_gap: float
-    closed_gap: float
-    force: float
+    joints: tuple[str, ...] = ()
+    open_position: float = 0.0
+    closed_position: float = 0.0
+    open_gap: float = 0.0
+    closed_gap: float = 0.0
+    force: float = 0.0
+
+    def __post_init__(self) -> None:
+        _freeze(self, joints=_names(self.joints))
+        check_gripper(self)
 
     def position(self, gap: float) -> float:
         """Return the joint position at which the fingers are `gap` metres apart."""
+        if not self.joints:
+            return self.open_position
         gap = min(max(gap, self.closed_gap), self.open_gap)
         fraction = (gap - self.closed_gap) / (self.open_gap - self.closed_gap)
         return self.closed_position + fraction * (
@@ -40,61 +72,88 @@ class Gripper:
 
 @dataclass(frozen=True)
 class Robot:
-    """A commercial arm, ready to be put into any task.
+    """An arm, ready to be put into any task.
 
     The model file holds kinematics, joint ranges, inertias and geoms; this value adds
-    what a controller must know. The tuples have one entry per arm joint.
+    what a controller must know. The tuples have one entry per arm joint; those that are
+    left empty are filled in when the value is made.
+
+    Of the model file, actuators, keyframes, sensors, lights and settings of the physics
+    are left out. The arm's links are gravity compensated. Links at most two joints
+    apart that touch at home are taken to do so by the look of their shapes, and never
+    collide.
 
     Attributes:
       name: the name under which tasks ask for the arm.
-      title: maker and model.
-      model_file: MJCF or URDF file with the base at the origin, x forward and z up.
+      model_file: MJCF (.xml) or URDF (.urdf) file with the base at the origin, x
+        forward and z up.
       joints: arm joint names in the model file, from the base to the tool.
       home: arm joint angles of the maker's ready pose, in rad.
       velocity_limits: greatest joint speeds, in rad/s.
-      torque_limits: greatest joint torques, in N m.
-      stiffness: position gains of the joint servos, in N m/rad.
-      damping: velocity gains of the joint servos, in N m s/rad.
-      armature: inertias of the rotors as the joints feel them, in kg m2.
       payload: rated load at the tool, in kg.
       reach: rated reach from the shoulder, in m.
-      stand: what the arm stands on.
       gripper: its fingers.
-      tcp: site of the tool centre point, z along the approach direction and y along
-        the closing direction of the fingers.
+      title: maker and model; empty, the name.
+      torque_limits: greatest joint torques, in N m; empty, those of the model file
+        (`effort` in URDF, `actuatorfrcrange` in MJCF).
+      armature: inertias of the rotors as the joints feel them, in kg m2; empty, those
+        of the model file, and where that has none, such that the joint needs at least
+        20 ms to full speed, and 10 ms for its rotor alone.
+      damping: velocity gains of the joint servos, in N m s/rad; empty, half of what
+        would chatter, from the joints' inertias at home.
+      stiffness: position gains of the joint servos, in N m/rad; empty, 8 times the
+        damping.
+      stand: what the arm stands on.
+      tcp: site, or else body, of the tool centre point, z along the approach direction
+        and y along the closing direction of the fingers.
+
+    Raises:
+      FileNotFoundError: if the model file or one of its meshes is missing.
+      ValueError: if a definition is wrong; says what to change.
     """
 
     name: str
-    title: str
     model_file: Path
     joints: tuple[str, ...]
     home: tuple[float, ...]
     velocity_limits: tuple[float, ...]
-    torque_limits: tuple[float, ...]
-    stiffness: tuple[float, ...]
-    damping: tuple[float, ...]
-    armature: tuple[float, ...]
     payload: float
     reach: float
-    stand: Literal["pedestal", "table", "none"]
-    gripper: Gripper
+    gripper: Gripper = field(default_factory=Gripper)
+    title: str = ""
+    torque_limits: tuple[float, ...] = ()
+    armature: tuple[float, ...] = ()
+    damping: tuple[float, ...] = ()
+    stiffness: tuple[float, ...] = ()
+    stand: Literal["pedestal", "table", "none"] = "table"
     tcp: str = "tcp"
+    _overlaps: tuple[tuple[str, str], ...] = field(
+        init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
-        for field in (
-            "home",
-            "velocity_limits",
-            "torque_limits",
-            "stiffness",
-            "damping",
-            "armature",
-        ):
-            count = len(getattr(self, field))
-            if count != len(self.joints):
-                raise ValueError(
-                    f"robot {self.name!r} has {len(self.joints)} joints but {count}"
-                    f" values in {field}; give one per joint"
-                )
+        _freeze(
+            self,
+            model_file=Path(self.model_file).absolute(),
+            joints=_names(self.joints),
+            title=self.title or self.name,
+            _overlaps=(),
+        )
+        for field_name in _PER_JOINT:
+            values = getattr(self, field_name)
+            _freeze(self, **{field_name: tuple(float(value) for value in values)})
+        check_values(self)
+        spec = self.spec()
+        if not self.torque_limits:
+            _freeze(self, torque_limits=torque_limits(self, spec))
+        model = compile_alone(self, spec)
+        _freeze(self, _overlaps=overlaps(self, model))
+        if not self.armature:
+            _freeze(self, armature=armatures(self, model))
+        if not self.damping:
+            _freeze(self, damping=dampings(self, model))
+        if not self.stiffness:
+            _freeze(self, stiffness=tuple(_STIFFNESS * d for d in self.damping))
 
     @property
     def base_height(self) -> float:
@@ -103,21 +162,20 @@ class Robot:
         return {"pedestal": 1.0, "table": 0.65, "none": 0.0}[self.stand]
 
     def spec(self) -> mujoco.MjSpec:
-        """Return the arm's model, fresh for every caller to edit.
-
-        Raises:
-          ValueError: if the model file lacks a joint or the tcp's site.
-        """
-        spec = mujoco.MjSpec.from_file(str(self.model_file))
-        for kind, wanted, elements in (
-            ("joint", (*self.joints, *self.gripper.joints), spec.joints),
-            ("site", (self.tcp,), spec.sites),
-        ):
-            names = [element.name for element in elements]
-            for name in wanted:
-                if name not in names:
-                    raise ValueError(
-                        f"robot {self.name!r}: its model file {self.model_file.name}"
-                        f" has {unknown(kind, name, names)}"
-                    )
+        """Return the arm's model, fresh for every caller to edit."""
+        spec = load_model(self)
+        for first, second in self._overlaps:
+            spec.add_exclude(bodyname1=first, bodyname2=second)
         return spec
+
+
+def _freeze(value: Any, **fields: Any) -> None:
+    """Set fields of a frozen value that is being made."""
+    for name, content in fields.items():
+        object.__setattr__(value, name, content)
+
+
+def _names(given: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(given, str):
+        raise TypeError(f"joints must be a sequence of names, got {given!r}")
+    return tuple(given)

@@ -1,0 +1,371 @@
+"""Pages of the documentation that are made from the code.
+
+A page for each task from its module's docstring, its spaces and its baselines' cards;
+one for the command line, from what it says itself; and parts of others. Nothing is
+typed twice, so nothing goes out of date.
+"""
+
+import contextlib
+import dataclasses
+import inspect
+import io
+import os
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import griffe
+import numpy as np
+
+import collaborative_gym as cg
+from collaborative_gym.cli.main import main
+from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.tasks.registry import EnvSpec, get_env
+
+ROOT = Path(__file__).parents[1]
+COMMANDS = (
+    "list",
+    "view",
+    "record",
+    "train",
+    "evaluate",
+    "reproduce",
+    "benchmark",
+    "demo",
+)
+"""The verbs of the command line, in the order of its own help."""
+
+_TASKS = ("Poke", "Lift", "Balance", "Pass")
+_LABELS = ("Agents", "Randomised", "Reward of each agent", "Success")
+"""Words that begin a paragraph of a task's docstring, to stand out in its page."""
+
+_WIDTH = 78
+"""Columns of the command line's help."""
+
+
+def made_pages() -> dict[str, str]:
+    """Return the Markdown of each page that is made, by its path in `docs/`."""
+    pages = {
+        "tasks/index.md": _tasks_page(),
+        "reference/command_line.md": _command_line_page(),
+    }
+    for name in _TASKS:
+        pages[f"tasks/{name.lower()}.md"] = _task_page(name)
+    return pages
+
+
+def expanded(markdown: str) -> str:
+    """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
+
+    That is `arms`; a file of the repository, such as `CHANGELOG.md`; a section of one,
+    such as `README.md, Speed`; or lines of Python, such as `examples/it.py:1:11`. Links
+    in it are made to be from `docs/`.
+
+    Raises:
+      FileNotFoundError: if there is no such file.
+      KeyError: if the file has no such section.
+    """
+    return re.sub(r"<!-- put: (.+) -->", lambda comment: _put(comment[1]), markdown)
+
+
+def python_lines(what: str) -> str:
+    """Return lines of a Python file, both ends included, such as `it.py:1:11`."""
+    name, first, last = what.split(":")
+    lines = (ROOT / name).read_text().splitlines()
+    return "\n".join(lines[int(first) - 1 : int(last)])
+
+
+def _put(what: str) -> str:
+    if what == "arms":
+        return _arms()
+    if ":" in what:
+        return f"```python\n{python_lines(what)}\n```"
+    name, _, title = what.partition(", ")
+    text = (ROOT / name).read_text()
+    if title:
+        sections = re.split(r"^## (.+)\n", text, flags=re.M)
+        text = dict(zip(sections[1::2], sections[2::2], strict=True))[title]
+    return text.strip().replace("](docs/", "](")
+
+
+def _tasks_page() -> str:
+    rows = []
+    for name in _TASKS:
+        link = f"[{name}]({name.lower()}.md)"
+        for env_id, spec in _envs(name):
+            env = cg.make_vec(env_id, 1, num_threads=1)
+            rows.append(
+                (
+                    f"[`{env_id}`]({name.lower()}.md#{env_id.lower()})",
+                    link,
+                    ", ".join(spec.robots),
+                    _sizes(env.single_observation_spaces),
+                    _sizes(env.single_action_spaces),
+                )
+            )
+    columns = "environment", "task", "robot_1, robot_2", "observations", "actions"
+    return "\n\n".join(
+        (
+            "# Tasks",
+            "![The eight environments](../media/contact_sheet.png)",
+            _put("README.md, The tasks"),
+            "## The environments",
+            "Sizes are those of robot_1 and robot_2. Any arms go into any task:"
+            ' `cg.make("Lift", robots=("panda", "jaco"))`.',
+            _table(columns, rows),
+        )
+    )
+
+
+def _task_page(name: str) -> str:
+    envs = _envs(name)
+    task = envs[0][1].task
+    head, _, body = inspect.getdoc(inspect.getmodule(task)).partition("\n\n")
+    _, _, subject = head.partition(": ")
+    paragraphs = [
+        f"# {name}",
+        subject[0].upper() + subject[1:],
+        *map(_labelled, body.split("\n\n")),
+    ]
+    for env_id, spec in envs:
+        paragraphs += _environment(env_id, spec)
+    paragraphs += ["## Settings", _settings(task.config_class)]
+    paragraphs += ["## Reward and success, as the code has them"]
+    for method in (task.reward, task.success):
+        source = textwrap.dedent(inspect.getsource(method))
+        paragraphs.append(_folded(f"{method.__name__}()", source))
+    return "\n\n".join(paragraphs)
+
+
+def _environment(env_id: str, spec: EnvSpec) -> list[str]:
+    """Return the paragraphs about one environment of a task."""
+    env = cg.make_vec(env_id, 1, num_threads=1)
+    arms = [
+        f"- `{agent}`: [{robot.title}](../robots.md#{robot.name}) at"
+        f" {_place(env.task.placements[agent])}"
+        for agent, robot in env.task.robots.items()
+    ]
+    own = {name: value for name, value in spec.settings.items() if name != "placements"}
+    if own:
+        listed = ", ".join(f"`{name}` {value!r}" for name, value in own.items())
+        arms.append(f"- settings that differ from the defaults: {listed}")
+    paragraphs = [f"## {env_id}"]
+    film = f"media/baselines/{env_id}.gif"
+    if (ROOT / "docs" / film).exists():
+        paragraphs.append(
+            f"![Random actions, and the baseline, in {env_id}](../{film})"
+        )
+    paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
+    card = BASELINES / f"{env_id}.md"
+    if card.exists():
+        paragraphs += ["### Baseline", card.read_text().partition("\n\n")[2].strip()]
+        curve = f"media/baselines/{env_id}.png"
+        if (ROOT / "docs" / curve).exists():
+            paragraphs.append(f'![Learning curve](../{curve}){{ width="600" }}')
+    return paragraphs
+
+
+def _observations(env: cg.VectorEnv) -> str:
+    """Return what the robots observe, one table where all observe the same blocks."""
+    by_agent = env.observation_blocks
+    alike = len({tuple(blocks.items()) for blocks in by_agent.values()}) == 1
+    tables = []
+    for agent, blocks in by_agent.items():
+        who = "Each robot" if alike else f"`{agent}`"
+        ends = np.cumsum(list(blocks.values()))
+        rows = [
+            (f"{end - size} to {end - 1}" if size > 1 else f"{end - 1}", block, size)
+            for (block, size), end in zip(blocks.items(), ends, strict=True)
+        ]
+        tables.append(
+            f"{who} observes {ends[-1]} numbers, float32:\n\n"
+            + _table(("index", "what", "numbers"), rows)
+        )
+        if alike:
+            break
+    tables.append(
+        "Joints are angles in rad. A pose of 7 numbers is a position in m and a"
+        " quaternion x, y, z, w, both in the world's frame."
+    )
+    return "\n\n".join(tables)
+
+
+def _actions(env: cg.VectorEnv) -> str:
+    """Return what an action is, and what the reward is made of."""
+    sizes = {space.shape[0] for space in env.single_action_spaces.values()}
+    listed = " or ".join(map(str, sorted(sizes)))
+    grip = ", and the last one grips above 0" if env.task.gripping else ""
+    terms = "\n".join(
+        f"- `{agent}`: " + ", ".join(f"`{term}`" for term in terms)
+        for agent, terms in env.reward_terms.items()
+    )
+    return (
+        f"An action is {listed} numbers in [-1, 1]: one for each joint, in the order"
+        f" of the arm's joints{grip}.\n\nThe reward is the sum of these terms:"
+        f"\n\n{terms}"
+    )
+
+
+def _settings(config: type[cg.TaskConfig]) -> str:
+    """Return a table of a task's settings, from its config's fields and docstring."""
+    meanings: dict[str, str] = {}
+    for base in reversed(config.__mro__):
+        meanings |= _attributes(base)
+    rows = []
+    for field in dataclasses.fields(config):
+        made = field.default is dataclasses.MISSING
+        default = '"default"' if made else repr(field.default)
+        rows.append((f"`{field.name}`", meanings[field.name], f"`{default}`"))
+    return (
+        "Options of `cg.make`, `cg.make_vec` and `gymnasium.make`. The randomization is"
+        ' the name of a preset, `"default"` or `"paper"`, or a [`Randomization`]'
+        "(../reference/python.md#collaborative_gym.Randomization).\n\n"
+        + _table(("setting", "meaning", "default"), rows)
+    )
+
+
+def _attributes(owner: type) -> dict[str, str]:
+    """Return what the docstring of a class says of its attributes, by name."""
+    sections = griffe.Docstring(inspect.getdoc(owner) or "").parse(
+        "google", warnings=False
+    )
+    return {
+        attribute.name: attribute.description.replace("\n", " ")
+        for section in sections
+        if section.kind is griffe.DocstringSectionKind.attributes
+        for attribute in section.value
+    }
+
+
+def _arms() -> str:
+    """Return the sections about the arms."""
+    robots = [cg.get_robot(name) for name in ("sawyer", "panda", "jaco")]
+    rows = [
+        (
+            f"[`{robot.name}`](#{robot.name})",
+            robot.title,
+            len(robot.joints),
+            f"{robot.payload:g} kg",
+            f"{robot.reach:g} m",
+            f"{robot.stand}, {robot.base_height:g} m",
+            f"{len(robot.gripper.joints)}, {1000 * robot.gripper.open_gap:.0f} mm",
+        )
+        for robot in robots
+    ]
+    columns = "name", "arm", "joints", "payload", "reach", "stands on", "fingers, open"
+    return "\n\n".join((_table(columns, rows), *map(_arm, robots)))
+
+
+def _arm(robot: cg.Robot) -> str:
+    """Return the section about one arm."""
+    model = robot.spec().compile()
+    columns = (
+        "joint",
+        "range, rad",
+        "home, rad",
+        "speed, rad/s",
+        "torque, N m",
+        "rotor, kg m2",
+        "servo, N m/rad",
+    )
+    rows = [
+        (
+            joint.removeprefix("joint"),
+            "{:.2f} to {:.2f}".format(*model.joint(joint).range),
+            f"{robot.home[i]:.4g}",
+            f"{robot.velocity_limits[i]:.4g}",
+            f"{robot.torque_limits[i]:g}",
+            f"{robot.armature[i]:g}",
+            f"{robot.stiffness[i]:g}",
+        )
+        for i, joint in enumerate(robot.joints)
+    ]
+    definition = robot.model_file.with_suffix(".py").read_text()
+    return "\n\n".join(
+        (
+            f"### {robot.title} {{ #{robot.name} }}",
+            f'![{robot.title}](media/robots/{robot.name}.jpg){{ width="360" }}',
+            _first_comment(robot.model_file),
+            _table(columns, rows),
+            _folded(f"{robot.name}.py, with the source of each number", definition),
+        )
+    )
+
+
+def _first_comment(path: Path) -> str:
+    """Return what a model file says of itself and of its sources."""
+    comment = re.search(r"<!--(.*?)-->", path.read_text(), re.S)
+    assert comment is not None, f"{path} does not say where its numbers are from"
+    return "\n".join(line.strip() for line in comment[1].strip().splitlines())
+
+
+def _folded(title: str, source: str) -> str:
+    """Return Python code under a title that opens it."""
+    block = f"```python\n{source.rstrip()}\n```"
+    return f'??? info "{title}"\n\n' + textwrap.indent(block, "    ")
+
+
+def _command_line_page() -> str:
+    paragraphs = [
+        "# Command line",
+        "What `collaborative-gym` says of itself. `python -m collaborative_gym` is the"
+        " same, and also finds it where the folder of scripts is not on the path. Its"
+        " exit status is 0 when done, 1 where the machine lacks something, 2 for bad"
+        " input, 130 after Ctrl-C and 143 after SIGTERM.",
+        _help(),
+    ]
+    for command in COMMANDS:
+        paragraphs += [f"## {command}", _help(command)]
+    return "\n\n".join(paragraphs)
+
+
+def _help(*command: str) -> str:
+    """Return a command's help as a block of text."""
+    text = io.StringIO()
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(_WIDTH)
+    try:
+        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+            main([*command, "--help"])
+    finally:
+        os.environ.pop("COLUMNS")
+        if before is not None:
+            os.environ["COLUMNS"] = before
+    lines = [
+        part.rstrip()
+        for line in text.getvalue().strip().splitlines()
+        for part in textwrap.wrap(line, _WIDTH, drop_whitespace=False) or [""]
+    ]
+    return "\n".join(("```text", *lines, "```"))
+
+
+def _envs(task: str) -> list[tuple[str, EnvSpec]]:
+    """Return the environments of a task, by id."""
+    found = [(env_id, get_env(env_id)) for env_id in cg.list_envs()]
+    return [(env_id, spec) for env_id, spec in found if spec.task.__name__ == task]
+
+
+def _labelled(paragraph: str) -> str:
+    """Return a paragraph of a docstring with its first word standing out."""
+    label, colon, rest = paragraph.partition(":")
+    return f"**{label}:**{rest}" if colon and label in _LABELS else paragraph
+
+
+def _place(placement: cg.Placement) -> str:
+    x, y, z = (f"{value:.3g}" for value in placement.position)
+    return f"({x}, {y}, {z}) m, turned by {np.degrees(placement.yaw):.0f} degrees"
+
+
+def _sizes(spaces) -> str:
+    return ", ".join(str(space.shape[0]) for space in spaces.values())
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a Markdown table."""
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+
+
+def _cell(value: object) -> str:
+    return str(value).replace("|", "\\|")

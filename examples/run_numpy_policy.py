@@ -1,0 +1,43 @@
+"""A trained policy on its own: a file of small networks that NumPy runs, without torch.
+
+    python examples/run_numpy_policy.py
+    python examples/run_numpy_policy.py --policy runs/poke
+
+That is all that a robot's controller needs: observations by robot go in, one row each,
+and actions in [-1, 1] come out. Prints what the file tells of the policy, what it does
+from a first observation, and how long it thinks. Fractions of a second.
+"""
+
+import sys
+import time
+
+import tyro
+
+import collaborative_gym as cg
+
+
+def main(policy: str = "PokeTaskSawyers-v0") -> None:
+    """Ask a policy what to do.
+
+    Args:
+      policy: an environment id, for the baseline that is shipped, or a path.
+    """
+    act = cg.load_policy(policy)
+    facts = act.facts
+    print(
+        f"{facts['environment']} with {' and '.join(facts['robots'])}, mode"
+        f" {facts['mode']}, {facts['steps']:,} steps of training"
+    )
+    env = cg.make_vec(facts["environment"], num_envs=1, robots=facts["robots"])
+    observations, _ = env.reset(seed=0)
+    for agent, rows in act(observations).items():
+        print(f"{agent} sees {observations[agent].shape}, does {rows[0].round(2)}")
+    started = time.perf_counter()
+    for _ in range(1000):
+        act(observations)
+    print(f"{time.perf_counter() - started:.2f} ms for all robots")
+    print(f"torch was {'' if 'torch' in sys.modules else 'not '}imported")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

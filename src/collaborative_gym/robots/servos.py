@@ -1,0 +1,77 @@
+"""Torque limits and servo gains of arms that come without, from their model files.
+
+A servo's damping is what holds a joint to its speed. At the physics time step, damping
+beyond twice the joint's inertia over the time step chatters; half of that follows
+commands well and leaves room for postures in which the inertia is less. A joint too
+light for its motor has next to no damping then, so rotors are made heavy enough. With
+these rules Sawyer, Panda and Jaco follow commands as well as with gains found by hand
+(`python benchmarks/servo.py --computed`).
+"""
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.robots.checks import at_home, wrong
+
+if TYPE_CHECKING:
+    from collaborative_gym.robots.robot import Robot
+
+_RISE = 0.02
+"""Least time in s that a joint takes from rest to full speed at its torque limit."""
+
+_ROTOR_RISE = 0.01
+"""Least time in s that its rotor alone takes."""
+
+
+def torque_limits(robot: "Robot", spec: mujoco.MjSpec) -> tuple[float, ...]:
+    """Return the torque limits of the model file, in N m.
+
+    Raises:
+      ValueError: if it has none for a joint.
+    """
+    limits = []
+    for name in robot.joints:
+        low, high = spec.joint(name).actfrcrange
+        limits.append(float(min(-low, high)))
+        if not limits[-1] > 0:
+            raise wrong(
+                robot,
+                f"its model file has no torque limit for joint {name!r}; pass"
+                ' torque_limits, or give it in the file (<limit effort="..."> in URDF,'
+                " actuatorfrcrange in MJCF)",
+            )
+    return tuple(limits)
+
+
+def armatures(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
+    """Return the rotor inertias of the model file, in kg m2, or sensible ones."""
+    # Imported late, for control needs robots. The arms of the package have all gains.
+    from collaborative_gym.control import CONTROL_DT, MAX_CHANGE
+
+    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
+    own = model.dof_armature[dofs]
+    links = inertias(robot, model) - own
+    speed = np.minimum(robot.velocity_limits, MAX_CHANGE / CONTROL_DT)
+    push = np.array(robot.torque_limits) / speed
+    rotors = np.maximum(_RISE * push - links, _ROTOR_RISE * push)
+    return tuple(np.where(own > 0, own, rotors).tolist())
+
+
+def dampings(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
+    """Return velocity gains for the joint servos, in N m s/rad."""
+    from collaborative_gym.scene import SIM_DT
+
+    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
+    links = inertias(robot, model) - model.dof_armature[dofs]
+    return tuple(((links + np.array(robot.armature)) / SIM_DT).tolist())
+
+
+def inertias(robot: "Robot", model: mujoco.MjModel) -> np.ndarray:
+    """Return the inertia that each joint moves at home, (joints,) in kg m2."""
+    data = at_home(robot, model, robot.gripper.open_position)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
+    return np.diag(full)[dofs]

@@ -1,0 +1,117 @@
+"""URDF files as they come from makers, read without editing them."""
+
+from math import tau
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+
+_MESHES = {".stl", ".obj", ".msh"}
+"""Formats that MuJoCo reads."""
+
+
+def read_urdf(path: Path) -> mujoco.MjSpec:
+    """Return the model of a URDF file.
+
+    MuJoCo alone would drop what is there to be seen, look for meshes of a ROS package
+    in a folder "package:", and leave continuous joints without a range; they get two
+    turns either way. A `mujoco` element of the file keeps its say.
+
+    Raises:
+      FileNotFoundError: if a mesh is missing.
+      ValueError: if the file is no URDF that MuJoCo can read.
+    """
+    root = _parse(path)
+    compiler = _compiler(root)
+    compiler.attrib.setdefault("discardvisual", "false")
+    for joint in root.iter("joint"):
+        if joint.get("type") == "continuous":
+            _limit(joint)
+    if not {"meshdir", "assetdir", "strippath"} & set(compiler.attrib):
+        for link in root.iter("link"):
+            _find_meshes(link, path)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.modelfiledir = str(path.parent)
+    for body in spec.bodies:
+        if any(_is_seen_only(geom) for geom in body.geoms):
+            for geom in body.geoms:
+                geom.group = 2 if _is_seen_only(geom) else 3
+    return spec
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"it is not XML: {error}") from error
+    if root.tag != "robot":
+        raise ValueError(f"a URDF file begins with <robot>, this one with <{root.tag}>")
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        raise ValueError(
+            f"it is a xacro file; expand it first: xacro {path.name} > arm.urdf"
+        )
+    return root
+
+
+def _compiler(root: ElementTree.Element) -> ElementTree.Element:
+    """Return the settings that the file has for MuJoCo; added where it has none."""
+    mujoco_element = root.find("mujoco")
+    if mujoco_element is None:
+        mujoco_element = ElementTree.SubElement(root, "mujoco")
+    compiler = mujoco_element.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(mujoco_element, "compiler")
+    return compiler
+
+
+def _limit(joint: ElementTree.Element) -> None:
+    joint.set("type", "revolute")
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ElementTree.SubElement(joint, "limit")
+    limit.attrib.setdefault("lower", str(-tau))
+    limit.attrib.setdefault("upper", str(tau))
+
+
+def _find_meshes(link: ElementTree.Element, path: Path) -> None:
+    """Let a link's meshes name their files in full."""
+    for kind in ("visual", "collision"):
+        for element in link.findall(kind):
+            mesh = element.find("geometry/mesh")
+            if mesh is None:
+                continue
+            name = mesh.get("filename", "")
+            if Path(name).suffix.lower() in _MESHES:
+                mesh.set("filename", str(_find(name, path)))
+            elif kind == "visual":
+                # The link's collision shapes are drawn in its place.
+                link.remove(element)
+            else:
+                raise ValueError(
+                    f"MuJoCo cannot read the collision mesh {name}; convert it to STL"
+                    " or OBJ"
+                )
+
+
+def _find(name: str, path: Path) -> Path:
+    """Return where the file of a mesh is.
+
+    Files of a package are searched beside the folders that the URDF file is in, as it
+    is in its package's folder or in that of another package beside it.
+    """
+    if name.startswith("package://"):
+        rest = name.removeprefix("package://")
+        tried = [folder / rest for folder in path.absolute().parents]
+    else:
+        tried = [path.absolute().parent / name.removeprefix("file://")]
+    for candidate in tried:
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(
+        f"its mesh {name} is missing: there is no {tried[0]}"
+        + (" nor a package of that name in a folder above" if tried[1:] else "")
+    )
+
+
+def _is_seen_only(geom: mujoco.MjsGeom) -> bool:
+    return not (geom.contype or geom.conaffinity)

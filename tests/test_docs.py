@@ -1,0 +1,292 @@
+"""The documentation builds, and every block of code in it runs."""
+
+import ast
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import textwrap
+import tomllib
+from pathlib import Path
+
+import pytest
+from markdown_it import MarkdownIt
+
+import collaborative_gym as cg
+
+ROOT = Path(__file__).parents[1]
+
+SHELL = r"""
+# What a reader does once, or what another test does, is only looked at.
+pip() { :; }
+ssh() { :; }
+sudo() { :; }
+source() { :; }
+python3() { [ "$*" = "-m venv .venv" ]; }
+ray() { [ "$1" = start ]; }
+make() { command make --dry-run --directory "$ROOT" "$@" > /dev/null; }
+.venv/bin/pytest() { [ -d "$ROOT/$1" ]; }
+python() {
+    case "$1" in
+    examples/* | benchmarks/*) [ -f "$1" ] ;;
+    -m) collaborative-gym "${@:3}" ;;
+    esac
+}
+# All else runs as it stands, but for less long.
+collaborative-gym() {
+    case "$1" in
+    train) set -- "$@" --total-steps 8 --num-envs 2 --rollout-steps 4 \
+        --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
+    evaluate) set -- "$@" --episodes 2 ;;
+    benchmark) set -- "$@" --num-envs 2; [ $# -gt 3 ] || set -- "$@" Poke ;;
+    view | --env) view "$@"; return ;;
+    esac
+    "$PYTHON" -c "$QUICK" "$@"
+}
+view() {
+    "$PYTHON" -c "$QUICK" "$@" --port 18080 > page &
+    for _ in $(seq 600); do grep -q "in a browser" page && break; sleep 0.1; done
+    grep "in a browser" page
+    kill -INT %1
+    wait %1 || [ $? = 130 ]
+}
+set -m  # So that what runs beside it heeds Ctrl-C.
+"""
+"""Functions that stand in for commands while a page is run; an unknown one fails."""
+
+QUICK = """
+import sys
+from collaborative_gym.__main__ import main
+from collaborative_gym.cli.commands import Reproduce
+from collaborative_gym.cli.train import Train
+from collaborative_gym.tasks import registry
+
+configure = registry._configure
+registry._configure = lambda task, settings: configure(
+    task, {"max_episode_steps": 4, **settings}
+)
+arguments = sys.argv[1:]
+# What takes long and is tested elsewhere is only parsed.
+Reproduce.run = lambda self: None
+if "rllib" in arguments or "--output" not in arguments:
+    Train.run = lambda self: None
+if arguments[0] == "--env":
+    arguments[0] = "view"
+sys.exit(main(arguments))
+"""
+"""The command line, with short episodes and without what would take long."""
+
+IN_PYTHON = """
+import subprocess as _subprocess
+import collaborative_gym as _cg
+
+def _shell(block):
+    _subprocess.run(["bash", "-euo", "pipefail", "-c", block], check=True)
+
+def _few(function, number):
+    def call(*given, **named):
+        if number in named:
+            named[number] = min(named[number], 8)
+        return function(*given, **named)
+    return call
+
+_cg.make_vec = _few(_cg.make_vec, "num_envs")
+_cg.evaluate = _few(_cg.evaluate, "episodes")
+"""
+"""What a page's script begins with; batches and evaluations are small."""
+
+
+def load(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+made_pages = load(ROOT / "docs" / "made_pages.py")
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+RUNNING = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
+
+
+def blocks(text):
+    """Return the language, first line and content of each block of code."""
+    return [
+        (token.info, token.map[0] + 1, token.content)
+        for token in MarkdownIt().parse(text)
+        if token.type == "fence"
+    ]
+
+
+def name(path):
+    return str(path.relative_to(ROOT))
+
+
+def as_script(text):
+    """Return a page's blocks as one script whose lines have the page's numbers."""
+    lines = [""] * (text.count("\n") + 1)
+    for language, first, content in blocks(text):
+        if language == "python":
+            code = content.splitlines()
+            lines[first : first + len(code)] = code
+        elif language == "sh":
+            lines[first] = f"_shell({SHELL + content!r})"
+    lines[0] = f"exec({IN_PYTHON!r})"
+    return "\n".join(lines)
+
+
+@pytest.fixture
+def reader(tmp_path):
+    """Return a function that does what a page says, in a folder of its own."""
+    for folder in ("examples", "benchmarks", "constraints.txt"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    variables = {
+        **os.environ,
+        "PATH": "/usr/bin:/bin",
+        "PYTHON": sys.executable,
+        "QUICK": QUICK,
+        "ROOT": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "COLUMNS": "100",
+    }
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        variables.pop(variable, None)
+
+    def read(text):
+        (tmp_path / "page.py").write_text(as_script(text))
+        finished = subprocess.run(
+            [sys.executable, "page.py"],
+            cwd=tmp_path,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )
+        assert finished.returncode == 0, finished.stdout + finished.stderr
+        return finished.stdout
+
+    read.folder = tmp_path
+    return read
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in RUNNING if blocks(p.read_text())], ids=name
+)
+def test_every_block_of_a_page_runs(path, reader):
+    if path.name == "own_task.md":
+        (reader.folder / "simple_pick.py").write_text(tutorial())
+    reader(path.read_text())
+
+
+def test_a_block_that_fails_is_found(reader):
+    page = "A page.\n\n```python\nx = 1\n```\n\n```sh\n{}\n```\n\n```python\n{}\n```\n"
+    reader(page.format("collaborative-gym --version", "assert x == 1"))
+    with pytest.raises(AssertionError, match=r"line 12, in <module>\n +assert x == 2"):
+        reader(page.format("true", "assert x == 2"))
+    for command in ("collaborative-gym lift", "false | true", "no-such-command"):
+        with pytest.raises(AssertionError, match="CalledProcessError"):
+            reader(page.format(command, ""))
+
+
+@pytest.mark.parametrize("path", RUNNING, ids=name)
+def test_no_block_escapes(path):
+    text = path.read_text()
+    found = blocks(text)
+    assert 2 * len(found) == len(re.findall(r"^ *```", text, re.M))
+    for language, _, content in found:
+        assert language in ("python", "sh", "text", "toml", "xml")
+        if language == "toml":
+            tomllib.loads(content)
+
+
+def pieces(page):
+    """Return what a page shows of Python files, such as `examples/it.py:1:11`."""
+    return re.findall(r"^<!-- put: (\S+\.py:\d+:\d+) -->$", page.read_text(), re.M)
+
+
+def tutorial():
+    """Return the file that a reader of the tutorial has written."""
+    shown = pieces(ROOT / "docs" / "own_task.md")
+    return "\n\n".join(made_pages.python_lines(piece) for piece in shown) + "\n"
+
+
+def test_the_tutorial_has_the_example_piece_by_piece():
+    whole = (ROOT / "examples" / "simple_pick.py").read_text().splitlines()
+    assert len(whole) <= 80
+    assert [line for line in tutorial().splitlines() if line] == [
+        line for line in whole if line
+    ]
+
+
+@pytest.mark.parametrize("piece", [p for page in PAGES for p in pieces(page)])
+def test_a_piece_of_a_file_is_whole(piece):
+    name, first, last = piece.split(":")
+    lines = ["", *(ROOT / name).read_text().splitlines(), ""]
+    assert not lines[int(first) - 1]
+    assert not lines[int(last) + 1]
+    shown = made_pages.python_lines(piece)
+    assert re.match(r'"""|\w|    def ', shown), shown
+    ast.parse(textwrap.dedent(shown))
+
+
+def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path):
+    finished = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", tmp_path],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert finished.returncode == 0, finished.stderr
+    pages = {path: path.read_text() for path in tmp_path.rglob("*.html")}
+    assert len(pages) > 20
+    for path, html in pages.items():
+        loaded = re.findall(
+            r'<(?:script|img|link|iframe)[^>]*(?:src|href)="(\w+:)', html
+        )
+        assert not loaded, f"{path.name} loads {loaded}"
+        assert "<!-- put" not in html
+    assert (tmp_path / "search" / "search_index.js").stat().st_size > 100_000
+    home = pages[tmp_path / "index.html"]
+    assert "javascripts/iframe-worker.js" in home
+
+
+def test_made_pages_say_what_the_code_is():
+    pages = made_pages.made_pages()
+    for env_id in cg.list_envs():
+        listed = [text for text in pages.values() if f"\n## {env_id}\n" in text]
+        assert len(listed) == 1
+        env = cg.make_vec(env_id, 1, num_threads=1)
+        for agent, blocks in env.observation_blocks.items():
+            assert f"observes {sum(blocks.values())} numbers" in listed[0]
+            for block, size in blocks.items():
+                assert f"| {block} | {size} |" in listed[0]
+            assert all(f"`{term}`" in listed[0] for term in env.reward_terms[agent])
+    lift = pages["tasks/lift.md"]
+    assert "**Success:** the pot's middle is within 0.15 m" in lift
+    assert "| `picking_threshold` | greatest distance at which a grip" in lift
+    assert "collaborative-gym train LiftTaskSawyers-v0 --seed" in lift
+    arms = made_pages.expanded("<!-- put: arms -->")
+    assert "| 1 | -3.05 to 3.05 | 0 | 1.74 | 80 |" in arms
+    assert "franka_ros c11f000" in arms
+    help_page = pages["reference/command_line.md"]
+    for command in made_pages.COMMANDS:
+        assert f"usage: collaborative-gym {command} " in help_page
+
+
+def test_what_is_put_into_a_page():
+    expanded = made_pages.expanded
+    assert expanded("a\n<!-- put: README.md, Licence -->\nb").startswith(
+        "a\nApache-2.0"
+    )
+    assert "](media/baselines/" in expanded("<!-- put: README.md, Results -->")
+    with pytest.raises(KeyError):
+        expanded("<!-- put: README.md, Nothing -->")
+    with pytest.raises(FileNotFoundError):
+        expanded("<!-- put: NOTHING.md -->")
+
+
+def test_the_reference_has_every_public_name():
+    text = (ROOT / "docs" / "reference" / "python.md").read_text()
+    listed = re.findall(r"^::: collaborative_gym\.(\w+)$", text, re.M)
+    assert sorted(listed) == sorted(cg.__all__)

@@ -1,0 +1,169 @@
+"""Every example runs as its user would run it, with small numbers."""
+
+import os
+import re
+import runpy
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@dataclass(frozen=True)
+class Run:
+    """How an example is run, and what it then prints.
+
+    Attributes:
+      prints: regular expressions that its output must match, in any order.
+      arguments: what follows the file on the command line.
+      program: what stands before it, where Python does not run it by itself.
+      writes: files that it must leave in its working directory.
+      needs: packages without which it is skipped.
+      is_slow: whether it takes more than a few seconds.
+    """
+
+    prints: tuple[str, ...]
+    arguments: str = ""
+    program: str = ""
+    writes: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    is_slow: bool = False
+
+
+RUNS = {
+    "evaluate_crossplay.py": Run(
+        (r"baseline\W+100%\W+0%", r"expert\W+\d+%\W+100%"),
+        "--policies baseline expert --episodes 4",
+    ),
+    "evaluate_policy.py": Run(
+        (r"completion \| 100 %", "wrote episodes.csv"),
+        "--episodes 4 --csv episodes.csv",
+        writes=("episodes.csv",),
+    ),
+    "own_arm.py": Run((r"Pass with own and panda: 100% completed",), "--episodes 2"),
+    "run_batched.py": Run(
+        (
+            r"robot_2 observes \(4, 54\)",
+            r"step 200: 4 episodes ended .* completion 100%",
+            r"step 400: 4 episodes ended",
+            r"[\d,]+ environment steps per second",
+        ),
+        "--num-envs 4",
+    ),
+    "run_numpy_policy.py": Run(
+        (
+            r"PokeTaskSawyers-v0 with sawyer and sawyer",
+            r"robot_2 sees \(1, 21\), does \[",
+            "torch was not imported",
+        ),
+    ),
+    "run_pettingzoo.py": Run(
+        (r"robot_1: [\d.]+ \(reach .*success", r"reached the goal after \d"),
+    ),
+    "simple_pick.py": Run(
+        (r"SimplePick-v0\W+-?[\d.]+\W+100 %",),
+        "--policy expert --episodes 2",
+        "-m collaborative_gym evaluate SimplePick-v0 --module",
+    ),
+    "train_modes.py": Run(
+        (r"(?s)collaborative\W+-.*independent\W+-.*shared\W+-.*centralized\W+-",),
+        "--total-steps 256 --num-envs 1 --episodes 1 --output runs",
+        writes=("runs/shared/policy.safetensors", "runs/modes.png"),
+        needs=("torch", "skrl"),
+        is_slow=True,
+    ),
+    "train_rllib.py": Run(
+        (r"2,000 steps: return -[\d.]+", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        "--total-steps 2000 --steps-per-iteration 2000 --episodes 2",
+        needs=("ray",),
+        is_slow=True,
+    ),
+    "train_stable_baselines3.py": Run(
+        (
+            r"one by one: [\d,]+ environment",
+            r"ep_rew_mean\W+-\d+",
+            r"\| PokeTaskSawyers-v0 \| return \| -",
+        ),
+        "--total-steps 2000 --num-envs 4 --episodes 2",
+        needs=("stable_baselines3",),
+        is_slow=True,
+    ),
+}
+"""By file name in `examples/`."""
+
+
+def cases():
+    for path in sorted(EXAMPLES.glob("*.py")):
+        is_slow = path.name in RUNS and RUNS[path.name].is_slow
+        marks = (pytest.mark.slow,) if is_slow else ()
+        yield pytest.param(path, id=path.stem, marks=marks)
+
+
+@pytest.mark.parametrize("path", list(cases()))
+def test_an_example_runs(path, tmp_path):
+    assert path.name in RUNS, (
+        f"{path.name} is not tested; add to RUNS how to run it and what it then prints"
+    )
+    run = RUNS[path.name]
+    for package in run.needs:
+        pytest.importorskip(package)
+    finished = subprocess.run(
+        [sys.executable, *run.program.split(), path, *run.arguments.split()],
+        cwd=tmp_path,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert finished.returncode == 0, finished.stderr
+    for pattern in run.prints:
+        assert re.search(pattern, finished.stdout), (
+            f"no {pattern!r} in what it printed:\n{finished.stdout}"
+        )
+    for file in run.writes:
+        assert (tmp_path / file).stat().st_size > 0
+
+
+def test_the_table_names_every_example():
+    names = re.findall(
+        r"^\| `(\w+\.py)` \|", (EXAMPLES / "README.md").read_text(), re.M
+    )
+    assert sorted(names) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+def test_stable_baselines3_is_told_of_worlds_as_of_its_own():
+    pytest.importorskip("stable_baselines3")
+    import gymnasium
+    from stable_baselines3.common.env_util import make_vec_env
+
+    example = runpy.run_path(str(EXAMPLES / "train_stable_baselines3.py"))
+    settings = {"max_episode_steps": 5}
+    batch = gymnasium.make_vec("PokeTaskSawyers-v0", num_envs=1, **settings)
+    worlds = example["Worlds"](batch)
+    own = make_vec_env("PokeTaskSawyers-v0", n_envs=1, env_kwargs=settings)
+    for envs in (worlds, own):
+        envs.seed(3)
+    np.testing.assert_array_equal(worlds.reset(), own.reset())
+    rng = np.random.default_rng(0)
+    for step in range(12):
+        actions = rng.uniform(-1, 1, (1, 14)).astype(np.float32)
+        found, expected = worlds.step(actions), own.step(actions)
+        for mine, theirs in zip(found[:3], expected[:3], strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=1e-6)
+        (info,), (other,) = found[3], expected[3]
+        is_last = step % 5 == 4
+        assert found[2].tolist() == [is_last]
+        assert info.get("TimeLimit.truncated", False) == is_last
+        assert other["TimeLimit.truncated"] == is_last
+        assert ("terminal_observation" in info) == is_last
+        if is_last:
+            np.testing.assert_array_equal(
+                info["terminal_observation"], other["terminal_observation"]
+            )
+    worlds.close()
+    own.close()
