@@ -143,3 +143,8 @@ def test_an_expert_that_acts_otherwise_in_another_batch(faults):
 
     found = faults(expert=expert)
     assert any("the expert does something else in another batch" in x for x in found)
+
+
+def test_a_definition_that_makes_no_world_says_so_itself(faults):
+    with pytest.raises(ValueError, match=r"Broken.success\(\) is float64"):
+        faults(success=lambda self, own, facts: facts.height)
