@@ -34,7 +34,7 @@ class Hyperparameters:
 
     Attributes:
       total_steps: environment steps in all, counted over all worlds. Some environments
-        have a recipe of their own: Poke and Balance take half of it, Lift and Pass more.
+        have a recipe of their own: Poke and Balance take half of it, Lift more.
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
@@ -177,8 +177,8 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000},
     "BalanceTaskSawyers-v0": {"total_steps": 1_500_000},
     "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
-    # Sawyers lift their pot by chance now and then, and better without assistance: a
-    # light pot is lifted in postures in which the arms come to the ends of their joints.
+    # Sawyers lift their pot by chance now and then, and better without assistance:
+    # arms that lift a light pot come to the ends of their joints.
     "LiftTaskSawyers-v0": {"total_steps": 4_000_000},
     "LiftTaskJacos-v0": {"total_steps": 4_000_000, "assistance": 0.75},
     "PassTaskSawyers-v0": {"total_steps": 5_000_000},
