@@ -173,7 +173,8 @@ def strongest_way(
 
     Left out are ways on which the gripper points up, back to the arm or far aside, and
     those that start with anything but a grasp from above. Of nearly equal ways the one
-    with the least joint motion is taken.
+    with the least joint motion is taken. An arm with fewer than seven joints, whose
+    hand follows from its elbow, keeps the hand's direction, and its elbow up.
 
     Args:
       robot: the arm.
@@ -219,7 +220,7 @@ def _stays_above(robot: Robot, angles: np.ndarray, path: Array) -> np.ndarray:
         for posture, point in zip(way, path, strict=True):
             data.qpos[arm.qpos] = posture
             mujoco.mj_kinematics(model, data)
-            lowest = data.xanchor[elbows, 2].min()
+            lowest = data.xanchor[elbows, 2].min(initial=np.inf)
             stays[i] &= lowest > min(_CLEARANCE, point[2])
     return stays
 

@@ -4,7 +4,6 @@ import ast
 import itertools
 import runpy
 import struct
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,11 +94,9 @@ def test_the_example_runs(example, capsys, tmp_path, model):
 
 
 @pytest.mark.parametrize("task", cg.list_tasks())
-@pytest.mark.parametrize(
-    "pair", [("own", "own"), ("own", "panda"), ("sawyer", "own"), ("jaco", "own")]
-)
+@pytest.mark.parametrize("pair", [("own", "own"), ("sawyer", "own"), ("own", "jaco")])
 def test_the_arm_goes_into_every_task(own, task, pair):
-    report = cg.evaluate(task, "expert", 4, robots=pair, num_threads=1)
+    report = cg.evaluate(task, "expert", 3, robots=pair, num_threads=1)
     assert report.completion.mean == 1.0
 
 
@@ -243,7 +240,8 @@ def test_links_float_and_fingers_do_not(from_urdf):
     assert model.body_gravcomp[model.body("left_finger").id] == 0
 
 
-def test_light_fingers_are_kept_stable(own):
+def test_light_fingers_are_kept_stable(edited):
+    own = edited(('mass="0.08"', 'mass="0.001"'))
     scene, model = in_a_world(own)
     arm, data = scene.arms["arm"], mujoco.MjData(model)
     data.qpos[arm.qpos] = data.act[arm.act] = own.home
@@ -256,7 +254,7 @@ def test_light_fingers_are_kept_stable(own):
             )
 
 
-def test_what_the_world_decides_is_left_out_of_the_file(edited):
+def test_what_the_world_decides_is_left_out_of_the_file(edited, monkeypatch, tmp_path):
     extra = """
       <option timestep="0.002" integrator="RK4" gravity="0 0 -5" cone="elliptic"/>
       <visual><map znear="0.5"/></visual>
@@ -267,9 +265,10 @@ def test_what_the_world_decides_is_left_out_of_the_file(edited):
       <worldbody><light pos="0 0 3"/></worldbody>
     </mujoco>"""
     arm = edited(("</mujoco>", extra))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        scene, model = in_a_world(arm)
+    # MuJoCo logs its warnings where it runs, such as those of settings in conflict.
+    monkeypatch.chdir(tmp_path)
+    scene, model = in_a_world(arm)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
     assert model.nu == 6 + 2
     assert model.nkey == 0
     assert model.opt.timestep == SIM_DT
@@ -291,16 +290,19 @@ def test_neighbours_may_overlap_at_home(own, from_urdf):
         assert len(cg.get_robot(name).spec().excludes) == count
 
 
-def test_a_fingers_euler_angles_do_not_turn_it_when_it_holds(edited):
+def test_a_finger_that_holds_is_turned_by_its_joint_alone(edited):
+    """Its body's orientation may be given in other ways too, such as Euler angles."""
     turned = (
         '<body name="right_finger" pos="0 0 0.06">',
         '<body name="right_finger" pos="0 0 0.06" euler="0 0 3.14159265">',
     )
-    arm = edited(turned, ('axis="0 -1 0"', 'axis="0 1 0"'))
-    _, model = in_a_world(arm, holds=0.05)
+    hinge = 'axis="0 -1 0"', 'axis="1 0 0" type="hinge"'
+    _, model = in_a_world(edited(turned, hinge), holds=0.05)
     held = model.body("arm/right_finger")
-    np.testing.assert_allclose(held.pos, (0, -0.025, 0.06), atol=1e-6)
-    np.testing.assert_allclose(np.abs(held.quat), (0, 0, 0, 1), atol=1e-6)
+    np.testing.assert_allclose(held.pos, (0, 0, 0.06), atol=1e-9)
+    half = 0.025 / 2
+    expected = (0, 0, np.sin(half), np.cos(half))
+    np.testing.assert_allclose(held.quat, expected, atol=1e-6)
 
 
 def test_a_finger_may_mimic_another(edited):

@@ -46,7 +46,7 @@ def facts(pot_pose=((0.0, 0.0, 1.0), LEVEL), far=0.3):
     agents = ("robot_1", "robot_2")
     return LiftFacts(
         joints=dict.fromkeys(agents, np.zeros((2, 7))),
-        gripping=dict.fromkeys(agents, np.zeros(2)),
+        gripping=dict.fromkeys(agents, np.zeros(2, bool)),
         handles=dict.fromkeys(agents, handle),
         tcps=dict.fromkeys(agents, tcp),
         pot=(place, quat),
@@ -151,7 +151,7 @@ def test_tilt_is_roll_and_pitch_and_costs_a_fifth(env):
 
 def test_success_is_within_the_radius_in_both_grips():
     task = Lift((get_robot("panda"), get_robot("panda")), LiftConfig())
-    gripping = {"robot_1": np.array([1.0, 1.0]), "robot_2": np.array([1.0, 0.0])}
+    gripping = {"robot_1": np.array([True, True]), "robot_2": np.array([True, False])}
     near = replace(facts(((0.0, 0.1, 1.29), LEVEL)), gripping=gripping)
     # The second world's pot was swung there by one arm.
     assert task.success(near).tolist() == [True, False]
