@@ -1,6 +1,6 @@
 """A task's definition, tried out once before anything is built on it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,17 +114,14 @@ def _check_blocks(
     tried: np.ndarray,
     num_envs: int,
 ) -> None:
-    _check_agents(f"{name}.observe()", task, blocks)
-    for agent in task.agents:
-        for block, rows in _parts(f"{name}.observe()", agent, blocks[agent]).items():
-            what = f"{name}.observe(): block {block!r} of {agent}"
-            shape = np.shape(rows)
-            if len(shape) != 2 or shape[0] != num_envs:
-                raise ValueError(
-                    f"{what} has shape {shape}; it needs a row for each world,"
-                    f" ({num_envs}, k): index one number per world as [:, None]"
-                )
-            _check_finite(what, np.asarray(rows)[tried])
+    for what, rows in _each(f"{name}.observe()", "block", task, blocks):
+        shape = np.shape(rows)
+        if len(shape) != 2 or shape[0] != num_envs:
+            raise ValueError(
+                f"{what} has shape {shape}; it needs a row for each world,"
+                f" ({num_envs}, k): index one number per world as [:, None]"
+            )
+        _check_finite(what, np.asarray(rows)[tried])
 
 
 def _check_terms(
@@ -134,16 +131,29 @@ def _check_terms(
     tried: np.ndarray,
     num_envs: int,
 ) -> None:
-    _check_agents(f"{name}.reward()", task, terms)
+    for what, values in _each(f"{name}.reward()", "term", task, terms):
+        if np.shape(values) != (num_envs,):
+            raise ValueError(
+                f"{what} has shape {np.shape(values)}; it needs one number for"
+                f" each world, ({num_envs},)"
+            )
+        _check_finite(what, np.asarray(values)[tried])
+
+
+def _each(
+    method: str, kind: str, task: Task, given: Any
+) -> Iterator[tuple[str, Array]]:
+    """Yield what to call each named array that a method returned, and the array."""
+    _check_agents(method, task, given)
     for agent in task.agents:
-        for term, values in _parts(f"{name}.reward()", agent, terms[agent]).items():
-            what = f"{name}.reward(): term {term!r} of {agent}"
-            if np.shape(values) != (num_envs,):
-                raise ValueError(
-                    f"{what} has shape {np.shape(values)}; it needs one number for"
-                    f" each world, ({num_envs},)"
-                )
-            _check_finite(what, np.asarray(values)[tried])
+        named = given[agent]
+        if not isinstance(named, Mapping) or not named:
+            raise ValueError(
+                f"{method}: the entry of {agent} is {named!r}; it must be a dictionary"
+                " of named arrays"
+            )
+        for name, array in named.items():
+            yield f"{method}: {kind} {name!r} of {agent}", array
 
 
 def _check_agents(what: str, task: Task, given: Any) -> None:
@@ -158,15 +168,6 @@ def _check_agents(what: str, task: Task, given: Any) -> None:
     for agent in task.agents:
         if agent not in given:
             raise ValueError(f"{what} has no entry for {agent}; add one")
-
-
-def _parts(what: str, agent: str, given: Any) -> Mapping[str, Array]:
-    if not isinstance(given, Mapping) or not given:
-        raise ValueError(
-            f"{what}: the entry of {agent} is {given!r}; it must be a dictionary of"
-            " named arrays"
-        )
-    return given
 
 
 def _check_mask(what: str, mask: Any, num_envs: int) -> None:
