@@ -1,0 +1,143 @@
+"""Wrong definitions of an arm say what to change."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+
+COMPUTED = {"armature": (), "damping": (), "stiffness": ()}
+
+
+def test_neighbours_may_overlap_at_home(own, from_urdf, in_a_world):
+    for robot in (own, from_urdf):
+        _, model = in_a_world(robot)
+        names = {model.body(name).id for name in ("arm/base", "arm/shoulder")}
+        pairs = [{int(s) >> 16, int(s) & 0xFFFF} for s in model.exclude_signature]
+        assert pairs == [names]
+    for name in ("sawyer", "panda", "jaco"):
+        count = len(
+            mujoco.MjSpec.from_file(str(cg.get_robot(name).model_file)).excludes
+        )
+        assert len(cg.get_robot(name).spec().excludes) == count
+
+
+WRONG_VALUES = [
+    ({"name": ""}, "robot '': give it a name"),
+    ({"stand": "desk"}, "no stand 'desk'; stands: none, pedestal, table"),
+    ({"joints": ()}, "joints must name each arm joint once"),
+    ({"joints": ("joint_1",) * 6}, "joints must name each arm joint once"),
+    ({"home": (0.0,) * 5}, "has 6 joints but 5 values in home; give one per joint"),
+    (
+        {"home": (0.0, 3.0, 0, 0, 0, 0)},
+        "home puts joint 'joint_2' at 3, outside of its",
+    ),
+    ({"home": (np.nan, 0, 0, 0, 0, 0)}, "home of joint 'joint_1' must be finite, got"),
+    (
+        {"home": (0, 0, 2.69, 0, -1.57, 0)},
+        "bodies 'upper_arm' and 'left_finger' touch at home; give a home where they do",
+    ),
+    ({"velocity_limits": ()}, "has 6 joints but 0 values in velocity_limits"),
+    ({"velocity_limits": (0.0,) + (1.0,) * 5}, "must be finite and above 0, got 0.0"),
+    ({"torque_limits": (-5.0,) + (1.0,) * 5}, "torque_limits of joint 'joint_1' must"),
+    ({"damping": (np.inf,) + (1.0,) * 5}, "damping of joint 'joint_1' must be finite"),
+    ({"armature": (-1.0,) + (1.0,) * 5}, "finite and at least 0, got -1.0"),
+    ({"payload": 0.0}, "payload must be above 0, got 0.0"),
+    ({"reach": -1.0}, "reach must be above 0, got -1.0"),
+    ({"reach": float("inf")}, "reach must be above 0, got inf"),
+    (
+        {"joints": tuple(f"joint{i}" for i in range(6))},
+        "no joint 'joint0'; joints: .*did",
+    ),
+    ({"tcp": "tpc"}, "own_arm.xml has no frame 'tpc'; frames: .*did you mean 'tcp'"),
+    ({"tcp": "forearm"}, "its body 'forearm' is not carried by 'wrist_3'; list joints"),
+    (
+        {"joints": tuple(f"joint_{i}" for i in (2, 1, 3, 4, 5, 6))},
+        "its body 'shoulder' is not carried by 'upper_arm'; list joints from the base",
+    ),
+    (
+        {"joints": tuple(f"joint_{i}" for i in range(1, 6)), "home": (0.0,) * 5}
+        | {"velocity_limits": (1.0,) * 5},
+        "a joint 'joint_6' that nothing would drive; name it in joints or in gripper",
+    ),
+    (
+        {"reach": 0.2},
+        r"first joint is at \[0.0, 0.0, 0.15\].*; move the base to the ori",
+    ),
+]
+
+
+@pytest.mark.parametrize(("fields", "message"), WRONG_VALUES)
+def test_wrong_values_are_refused(own, fields, message):
+    with pytest.raises(ValueError, match=message):
+        replace(own, **{"torque_limits": (), **COMPUTED, **fields})
+
+
+WRONG_FILES = [
+    ((' range="-2.2 2.2"', ""), "joint 'joint_2' has no range; give it one in the mod"),
+    (
+        ('<joint name="joint_4"', '<joint name="joint_4" type="slide"'),
+        "'joint_4' is a s",
+    ),
+    (
+        ('    actuatorfrcrange="-70 70"', ""),
+        "no torque limit for joint 'joint_3'; pass",
+    ),
+    (('<body name="base">', '<body name="base" pos="0 0 0.7">'), "first joint is at"),
+    (('<body name="base">', '<body name="base" pos="2 0 0">'), "first joint is at"),
+    (
+        ("<worldbody>", '<worldbody><geom name="floor" size="1 1 1"/>'),
+        "geom 'floor' ou",
+    ),
+    (
+        ('<site name="tcp"', '<site name="tcp" euler="0 1.57 0"'),
+        "where now its -x axis",
+    ),
+    (
+        ('<site name="tcp"', '<site name="tcp" euler="0 0 1.57"'),
+        "close along x of its t",
+    ),
+    (('mass="3.6"', 'mass="-3.6"'), "robot 'own': MuJoCo cannot compile arm.xml: "),
+    (("</worldbody>", ""), "robot 'own': arm.xml cannot be loaded: "),
+    (
+        ('<body name="base">', '<body name="base"><freejoint/>'),
+        "a joint '' that nothing",
+    ),
+]
+
+
+@pytest.mark.parametrize(("edit", "message"), WRONG_FILES)
+def test_wrong_model_files_are_refused(edited, edit, message):
+    with pytest.raises(ValueError, match=message):
+        edited(edit, torque_limits=())
+
+
+def test_a_missing_model_file_is_named(own, tmp_path):
+    with pytest.raises(
+        FileNotFoundError, match="robot 'own': there is no model file /"
+    ):
+        replace(own, model_file=tmp_path / "arm.xml")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"open_position": 0.0}, "open_position must differ from its closed_position"),
+        ({"open_gap": 0.0}, "closed_gap must be at least 0 and below its open_gap"),
+        ({"closed_gap": -0.1}, "closed_gap must be at least 0 and below its open_gap"),
+        ({"force": 0.0}, "force must be above 0, got 0.0"),
+        ({"force": np.nan}, "numbers of a gripper must be finite"),
+        ({"joints": "left_finger"}, "joints must be a sequence of names"),
+        (
+            {"open_position": 0.5},
+            "gripper.open_position puts joint 'left_finger' at 0.5",
+        ),
+        ({"open_position": 0.0, "closed_position": 0.039}, "swap the two"),
+        ({"joints": ("left_fingr",)}, "no joint 'left_fingr'; joints: .*did you mean"),
+    ],
+)
+def test_wrong_grippers_are_refused(own, fields, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        replace(own, gripper=replace(own.gripper, **fields))

@@ -1,0 +1,110 @@
+"""Any arm's model file is prepared for any world."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.scene import SIM_DT, Scene
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".urdf"])
+def test_the_tcp_may_be_a_body(edited, suffix, compiled):
+    link = '<link name="tcp"/>', '<link name="tip"/>'
+    edits = {
+        ".xml": [('<site name="tcp" pos="0 0 0.115"/>', '<body name="tip"/>')],
+        ".urdf": [link, ('<child link="tcp"/>', '<child link="tip"/>')],
+    }
+    arm = edited(*edits[suffix], suffix=suffix, tcp="tip")
+    model, data = compiled(arm)
+    assert model.body(model.site("tip").bodyid[0]).name == "hand"
+    np.testing.assert_allclose(data.site("tip").xpos, data.body("tip").xpos, atol=1e-12)
+    np.testing.assert_allclose(data.site("tip").xmat, data.body("tip").xmat, atol=1e-9)
+
+
+def test_links_float_and_fingers_do_not(from_urdf, compiled):
+    model, _ = compiled(from_urdf)
+    for name in ("shoulder", "wrist_3", "hand"):
+        assert model.body_gravcomp[model.body(name).id] == 1
+    assert model.body_gravcomp[model.body("left_finger").id] == 0
+
+
+def test_light_fingers_are_kept_stable(edited, in_a_world):
+    own = edited(('mass="0.08"', 'mass="0.001"'))
+    scene, model = in_a_world(own)
+    arm, data = scene.arms["arm"], mujoco.MjData(model)
+    data.qpos[arm.qpos] = data.act[arm.act] = own.home
+    for position in (0.039, 0.0, 0.039):
+        data.ctrl[arm.fingers] = position
+        mujoco.mj_step(model, data, nstep=100)
+        for finger in own.gripper.joints:
+            assert data.joint(f"arm/{finger}").qpos[0] == pytest.approx(
+                position, abs=2e-3
+            )
+
+
+def test_what_the_world_decides_is_left_out_of_the_file(
+    edited, monkeypatch, tmp_path, in_a_world
+):
+    extra = """
+      <option timestep="0.002" integrator="RK4" gravity="0 0 -5" cone="elliptic"/>
+      <visual><map znear="0.5"/></visual>
+      <size memory="1M"/>
+      <actuator><position name="own" joint="joint_1" kp="99"/></actuator>
+      <sensor><actuatorfrc actuator="own"/></sensor>
+      <keyframe><key qpos="0 0 0 0 0 0 0 0" ctrl="0"/></keyframe>
+      <worldbody><light pos="0 0 3"/></worldbody>
+    </mujoco>"""
+    arm = edited(("</mujoco>", extra))
+    # MuJoCo logs its warnings where it runs, such as those of settings in conflict.
+    monkeypatch.chdir(tmp_path)
+    scene, model = in_a_world(arm)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+    assert model.nu == 6 + 2
+    assert model.nkey == 0
+    assert model.opt.timestep == SIM_DT
+    assert model.opt.gravity[2] == pytest.approx(-9.81)
+    assert model.nlight == Scene().spec.compile().nlight
+    assert len(scene.arms) == 1
+
+
+def test_a_finger_that_holds_is_turned_by_its_joint_alone(edited, in_a_world):
+    """Its body's orientation may be given in other ways too, such as Euler angles."""
+    turned = (
+        '<body name="right_finger" pos="0 0 0.06">',
+        '<body name="right_finger" pos="0 0 0.06" euler="0 0 3.14159265">',
+    )
+    hinge = 'axis="0 -1 0"', 'axis="1 0 0" type="hinge"'
+    _, model = in_a_world(edited(turned, hinge), holds=0.05)
+    held = model.body("arm/right_finger")
+    np.testing.assert_allclose(held.pos, (0, 0, 0.06), atol=1e-9)
+    half = 0.025 / 2
+    expected = (0, 0, np.sin(half), np.cos(half))
+    np.testing.assert_allclose(held.quat, expected, atol=1e-6)
+
+
+def test_a_finger_may_mimic_another(edited, in_a_world):
+    mimic = 'joint="left_finger"/>', 'joint="left_finger" multiplier="0.5"/>'
+    gripper = cg.Gripper(("left_finger",), 0.039, 0.0, 0.078, 0.0, 60.0)
+    arm = edited(mimic, suffix=".urdf", gripper=gripper)
+    scene, model = in_a_world(arm)
+    assert model.nu == 7
+    data = mujoco.MjData(model)
+    data.ctrl[scene.arms["arm"].fingers] = 0.03
+    mujoco.mj_step(model, data, nstep=200)
+    driver, follower = (
+        data.joint(f"arm/{side}_finger").qpos for side in ("left", "right")
+    )
+    np.testing.assert_allclose(driver, 0.03, atol=3e-3)
+    np.testing.assert_allclose(follower, driver / 2, atol=1e-3)
+    _, held = in_a_world(arm, holds=0.05)
+    assert held.neq == 0
+    assert held.nv == 6
+    np.testing.assert_allclose(held.body("arm/left_finger").pos[1], 0.025)
+    np.testing.assert_allclose(held.body("arm/right_finger").pos[1], -0.0125)
+
+
+def test_fingers_that_mimic_and_have_servos_are_not_tied_besides(from_urdf, in_a_world):
+    _, model = in_a_world(from_urdf)
+    assert model.neq == 0
+    assert model.nu == 8
