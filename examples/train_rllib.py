@@ -69,16 +69,20 @@ def main(
         .env_runners(num_env_runners=runners, num_envs_per_env_runner=10)
         .multi_agent(policies=set(agents), policy_mapping_fn=lambda agent, *_: agent)
         .rl_module(
+            # In layers that they share, a critic's large errors drown out the policy.
             model_config=DefaultModelConfig(
-                fcnet_hiddens=[256, 256], fcnet_activation="relu"
+                fcnet_hiddens=[256, 256],
+                fcnet_activation="relu",
+                vf_share_layers=False,
             )
         )
         .training(
             gamma=0.95,
-            lr=3e-4,
+            lr=5e-4,
             train_batch_size_per_learner=steps_per_iteration,
             minibatch_size=steps_per_iteration // 4,
-            num_epochs=5,
+            num_epochs=10,
+            use_kl_loss=False,
             vf_clip_param=float("inf"),
         )
         .debugging(seed=0)
