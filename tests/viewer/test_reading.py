@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -98,3 +99,11 @@ def test_an_episode_is_summed_up(played):
     assert "no success" in reading.sum_up(infos)
     infos["diverged"][0] = True
     assert "the physics diverged" in reading.sum_up(infos)
+
+
+@pytest.mark.parametrize("kind", [dict, SimpleNamespace])
+def test_facts_need_not_be_a_dataclass(make_env, monkeypatch, kind):
+    env = make_env()
+    _, infos = env.reset(seed=0)
+    monkeypatch.setattr(env, "facts", kind(to_cube={"robot_1": np.array([0.5])}))
+    assert reading.read(env, infos, "").measures == {"to cube robot_1": 0.5}

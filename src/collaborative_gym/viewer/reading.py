@@ -1,7 +1,7 @@
 """What a viewer's panel says of the present state."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -73,12 +73,12 @@ def read(env: VectorEnv, infos: Mapping[str, Any], previous: str) -> Reading:
 
 def _measures(facts: Any) -> Iterator[tuple[str, float | bool]]:
     """Yield the facts that are a single number or truth of each world, by name."""
-    for field in fields(facts) if is_dataclass(facts) else ():
-        value = getattr(facts, field.name)
+    named = facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
+    for fact, value in named.items():
         parts = value.items() if isinstance(value, Mapping) else [("", value)]
         for agent, part in parts:
             if getattr(part, "ndim", None) == 1:
-                name = f"{field.name.replace('_', ' ')} {agent}".rstrip()
+                name = f"{fact.replace('_', ' ')} {agent}".rstrip()
                 is_truth = np.asarray(part).dtype == bool
                 yield name, bool(part[0]) if is_truth else float(part[0])
 
