@@ -45,13 +45,15 @@ collaborative-gym() {
     "$PYTHON" -c "$QUICK" "$@"
 }
 view() {
-    "$PYTHON" -c "$QUICK" "$@" --port 18080 > page &
+    : > page  # What an earlier view wrote there is no answer.
+    "$PYTHON" -c "$QUICK" "$@" --port 0 >> page &
     for _ in $(seq 600); do grep -q "in a browser" page && break; sleep 0.1; done
     grep "in a browser" page
     kill -INT %1
     wait %1 || [ $? = 130 ]
 }
 set -m  # So that what runs beside it heeds Ctrl-C.
+trap 'kill $(jobs -p) 2> /dev/null || true' EXIT  # And does not outlive a failure.
 """
 """Functions that stand in for commands while a page is run; an unknown one fails."""
 

@@ -508,6 +508,8 @@ def _fix_joints(spec: mujoco.MjSpec, positions: dict[str, float]) -> None:
     for name in positions:
         joint = spec.joint(name)
         body = joint.parent
+        # A frame around the body would turn it once more.
+        body.set_frame(body.parent.add_frame())
         body.pos, body.quat = relative_pose(data, body.name, body.parent.name)
         # An orientation in other words, such as Euler angles, would go before quat.
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT

@@ -183,6 +183,24 @@ def test_fingers_open_and_close_along_the_tcps_y_axis(robot):
     assert (np.abs(closed) < np.abs(opened)).all()
 
 
+def test_fingers_that_hold_are_where_their_joints_would_put_them(robot, in_a_world):
+    _, free = in_a_world(robot)
+    _, fixed = in_a_world(robot, holds=0.03)
+    data, held = mujoco.MjData(free), mujoco.MjData(fixed)
+    for joint in robot.gripper.joints:
+        data.joint(f"arm/{joint}").qpos = robot.gripper.position(0.03)
+    mujoco.mj_kinematics(free, data)
+    mujoco.mj_kinematics(fixed, held)
+    for joint in robot.gripper.joints:
+        body = free.body(free.joint(f"arm/{joint}").bodyid.item()).name
+        np.testing.assert_allclose(
+            held.body(body).xpos, data.body(body).xpos, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            held.body(body).xmat, data.body(body).xmat, atol=1e-6
+        )
+
+
 def test_an_unknown_arm_is_refused_with_the_nearest():
     with pytest.raises(KeyError) as caught:
         cg.get_robot("sawer")
