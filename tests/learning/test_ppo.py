@@ -249,6 +249,30 @@ def test_the_grips_noise_lasts_and_no_other(make, is_gripping):
 
 
 @pytest.mark.parametrize("mode", MODES)
+def test_a_grips_mean_has_a_limit_and_the_same_sign_without_torch(make, mode):
+    gripping = replace(SIZES, gripping=True)
+    learners = make(mode, 400, sizes=gripping, grip_limit=0.5, initial_grip_std=0.3)
+    for learner in learners:
+        with torch.no_grad():
+            for net in learner._policy.actor.nets:
+                net[-1].weight *= 1000.0
+    observations = drawn(np.random.default_rng(0), 400)
+    found = means(learners, observations)
+    actions = as_policy(learners, "relu")(observations)
+    taken = [learner.act(observations) for learner in learners]
+    taken = {agent: rows for by_agent in taken for agent, rows in by_agent.items()}
+    for agent in AGENTS:
+        arm, grip = found[agent].T
+        assert np.abs(arm).max() > 1.0
+        assert 0.49 < np.abs(grip).max() <= 0.5
+        np.testing.assert_array_equal(np.sign(actions[agent][:, -1]), np.sign(grip))
+        sure = np.abs(grip) > 0.49
+        assert sure.sum() > 100
+        against = np.sign(taken[agent][sure, -1]) != np.sign(grip[sure])
+        assert 0.01 < against.mean() < 0.1
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_a_learner_goes_on_where_its_state_was_taken(make, same, mode):
     learners, others = make(mode), make(mode)
     practise(learners)

@@ -54,6 +54,9 @@ class Hyperparameters:
       max_learning_rate: it never rises above.
       initial_std: standard deviation of the first actions.
       initial_grip_std: that of their grip component.
+      grip_limit: greatest mean of a grip's command, 0 for any. Its noise then reaches
+        both sides of zero for as long as it is about half as large: a robot that holds
+        on can still find out what comes of letting go.
       grip_persistence: how much of the grip's noise stays for the next action, from 0
         to below 1. A grip that noise opens now and then loses what it carries, and
         carrying would not be learned; noise that lasts tries long holds and long
@@ -85,6 +88,7 @@ class Hyperparameters:
     max_learning_rate: float = 3e-3
     initial_std: float = 0.2
     initial_grip_std: float = 0.3
+    grip_limit: float = 0.0
     grip_persistence: float = 0.9
     assistance: float = 0.0
     hidden_sizes: tuple[int, ...] = (256, 256)
@@ -143,6 +147,7 @@ _RANGES = (
     ("max_learning_rate", 0.0, 1.0),
     ("initial_std", 1e-3, 7.0),
     ("initial_grip_std", 1e-3, 7.0),
+    ("grip_limit", 0.0, 100.0),
     ("grip_persistence", 0.0, 0.999),
     ("assistance", 0.0, 1.0),
 )
@@ -181,7 +186,9 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     # arms that lift a light pot come to the ends of their joints.
     "LiftTaskSawyers-v0": {"total_steps": 4_000_000},
     "LiftTaskJacos-v0": {"total_steps": 4_000_000, "assistance": 0.75},
-    "PassTaskSawyers-v0": {"total_steps": 5_000_000},
+    # Once both hold the cube, a robot_1 whose grip noise cannot open never lets go.
+    "PassTaskSawyers-v0": {"total_steps": 5_000_000, "grip_limit": 0.6},
+    "PassTaskJacoSawyer-v0": {"total_steps": 5_000_000, "grip_limit": 0.6},
 }
 """Hyperparameters with which an environment is best learned, where they are others than
 the defaults."""

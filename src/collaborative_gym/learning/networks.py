@@ -22,7 +22,8 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 class Actor(nn.Module):
     """Gaussian actions on a learner's rows of normalized observations.
 
-    Each network's mean depends on its own part of the row alone.
+    Each network's mean depends on its own part of the row alone. A grip's is kept within
+    a limit; its sign, which alone commands a grip, stays.
 
     Args:
       learner: whom it commands.
@@ -47,12 +48,20 @@ class Actor(nn.Module):
         )
         std = hyperparameters.first_std(learner.is_grip(sizes))
         self.log_std = nn.Parameter(torch.from_numpy(std).float().log())
+        self._grip_limit = hyperparameters.grip_limit
+        self.is_grip: Tensor
+        is_grip = torch.from_numpy(learner.is_grip(sizes))
+        self.register_buffer("is_grip", is_grip, persistent=False)
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return the mean actions of the rows."""
         blocks = rows.split(self._inputs, dim=1)
         means = [net(block) for net, block in zip(self.nets, blocks, strict=True)]
-        return torch.cat(means, dim=1)
+        mean = torch.cat(means, dim=1)
+        if not self._grip_limit:
+            return mean
+        limited = self._grip_limit * torch.tanh(mean / self._grip_limit)
+        return torch.where(self.is_grip, limited, mean)
 
     def weights(self, mean: Tensor, std: Tensor) -> dict[str, Weights]:
         """Return the networks as arrays, by name.
