@@ -20,7 +20,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 import collaborative_gym as cg
-from collaborative_gym.learning.config import Mode, Resources
+from collaborative_gym.learning.config import Mode
 
 
 def draw_curves(folders: dict[str, Path], path: Path) -> None:
@@ -69,8 +69,6 @@ def main(
                 output=None if folder.exists() else folder,
                 resume=folder if folder.exists() else None,
                 hyperparameters=numbers,
-                # Networks this small gain nothing from a second thread.
-                resources=Resources(torch_threads=1),
                 on_row=lambda row, _, bar=bar: progress.update(
                     bar, completed=row["steps"]
                 ),

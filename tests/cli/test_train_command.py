@@ -13,6 +13,7 @@ import collaborative_gym as cg
 from collaborative_gym.cli.main import main
 from collaborative_gym.learning import baselines
 from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+from collaborative_gym.learning.config import RECIPES
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.monitor import read_progress
 
@@ -90,13 +91,29 @@ def test_train_writes_a_run_whose_folder_is_a_policy(carry_id, tmp_path, capsys)
     assert main(["evaluate", carry_id, "--policy", str(folder), "--episodes", "2"]) == 0
 
 
+def test_what_is_given_overrules_the_recipe_even_where_it_is_the_default(
+    carry_id, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(RECIPES, carry_id, {"initial_std": 0.1, "total_steps": 32})
+    for name, given, expected in (
+        ("recipe", [], 0.1),
+        ("default", ["--initial-std", "0.2"], 0.2),
+        ("other", ["--initial-std", "0.3"], 0.3),
+    ):
+        folder = tmp_path / name
+        assert main(["train", carry_id, "--output", str(folder), *TINY, *given]) == 0
+        numbers = Checkpoint.load(folder / LAST).settings.hyperparameters
+        assert (numbers.initial_std, numbers.total_steps) == (expected, 32)
+
+
 def test_ctrl_c_ends_a_run_and_resume_goes_on(carry_id, tmp_path, capsys):
     arguments = ["train", carry_id, "--total-steps", "192", *TINY, "--output"]
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*arguments, str(whole)]) == 0
     with ctrl_c_after(96):
         assert main([*arguments, str(cut)]) == 130
-    capsys.readouterr()
+    stopped = f"stopped after 96 steps; go on with --resume {cut}\n"
+    assert capsys.readouterr().err.endswith(stopped)
     # What it was started with need not be given again, not even the environment.
     assert main(["train", "--resume", str(cut), *THREADS]) == 0
     printed = capsys.readouterr()
@@ -218,7 +235,7 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
     assert main([*arguments, *TINY]) == 0
     before = (tmp_path / LAST).read_bytes()
     assert main([*arguments, *TINY]) == 1
-    assert "go on with it by resume" in capsys.readouterr().err
+    assert "go on with it (--resume)" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
 
 

@@ -1,5 +1,6 @@
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -145,6 +146,28 @@ def test_a_resumed_run_equals_the_uninterrupted_one(
         assert untimed(ends[0].rows) == untimed(ends[1].rows)
 
 
+def test_ctrl_c_is_heeded_after_the_update_and_the_second_one_at_once(
+    train_tiny, tmp_path
+):
+    def press(times):
+        def interrupt(row, best):
+            if row["steps"] == 96:
+                for _ in range(times):
+                    signal.raise_signal(signal.SIGINT)
+
+        return interrupt
+
+    options = {"checkpoint_interval": 64}
+    with pytest.raises(KeyboardInterrupt, match="after 96 steps; go on with --resume"):
+        train_tiny(tmp_path / "once", on_row=press(1), **options)
+    assert Checkpoint.load(tmp_path / "once" / LAST).backend["steps"] == 96
+    with pytest.raises(KeyboardInterrupt) as caught:
+        train_tiny(tmp_path / "twice", on_row=press(2), **options)
+    assert not caught.value.args
+    assert Checkpoint.load(tmp_path / "twice" / LAST).backend["steps"] == 64
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_another_seed_is_another_run(trained, train_tiny):
     rows = [
         untimed(read_progress(result.folder / "progress.csv"))
@@ -230,7 +253,7 @@ def test_a_damaged_or_missing_checkpoint_changes_nothing(train_tiny, hashes, tmp
 def test_a_folder_with_a_run_is_not_overwritten(train_tiny, hashes, tmp_path):
     train_tiny()
     before = hashes(tmp_path)
-    with pytest.raises(FileExistsError, match="go on with it by resume, or choose"):
+    with pytest.raises(FileExistsError, match=r"go on with it \(--resume\), or choose"):
         train_tiny()
     with pytest.raises(ValueError, match="either output, for a new run, or resume"):
         train_tiny(output=tmp_path / "a", resume=tmp_path / "run")

@@ -40,14 +40,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with _heeding_sigterm():
             _run(sys.argv[1:] if argv is None else list(argv))
-    except KeyboardInterrupt:
-        return _INTERRUPTED
+    except KeyboardInterrupt as stop:
+        return _end(str(stop), _INTERRUPTED)
     except _Terminated:
         return _TERMINATED
     except (KeyError, ValueError, TypeError) as error:
-        return _fail(error, _BAD_INPUT)
+        return _end(f"error: {error}", _BAD_INPUT)
     except (ImportError, OSError, RuntimeError) as error:
-        return _fail(error, _CANNOT)
+        return _end(f"error: {error}", _CANNOT)
     return 0
 
 
@@ -100,8 +100,9 @@ def _run(arguments: list[str]) -> None:
     command.run()
 
 
-def _fail(error: Exception, status: int) -> int:
-    Console(stderr=True).print(
-        f"error: {error}", markup=False, highlight=False, soft_wrap=True
-    )
+def _end(last_words: str, status: int) -> int:
+    if last_words:
+        Console(stderr=True).print(
+            last_words, markup=False, highlight=False, soft_wrap=True
+        )
     return status

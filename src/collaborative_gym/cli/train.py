@@ -1,8 +1,8 @@
 """The command that trains."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -11,7 +11,6 @@ from collaborative_gym.learning.config import (
     Hyperparameters,
     Mode,
     Resources,
-    changed,
     recipe,
 )
 
@@ -21,13 +20,27 @@ _Own = tyro.conf.arg(help_behavior_hint="")
 _Flat = tyro.conf.arg(name="")
 
 
+class _NotGiven:
+    """Marks the value of an option that the command line does not have."""
+
+
+def _not_given() -> Hyperparameters:
+    """Return the defaults, marked: to ask for a default is to overrule a recipe."""
+    marked = {}
+    for option in fields(Hyperparameters):
+        kind = type(option.default)
+        marked[option.name] = type(kind.__name__, (_NotGiven, kind), {})(option.default)
+    return Hyperparameters(**marked)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Train(Command):
     """Train policies by PPO; stop at any time and go on with --resume.
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
-    TensorBoard's events, and checkpoints.
+    TensorBoard's events, and checkpoints. Hyperparameters that are not given are those
+    with which the environment's baseline was trained, or else the defaults below.
 
     Attributes:
       envs: environment id, or a task's name; with --resume that of the run.
@@ -64,7 +77,7 @@ class Train(Command):
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
     hyperparameters: Annotated[Hyperparameters, _Flat] = field(
-        default_factory=Hyperparameters
+        default_factory=_not_given
     )
 
     def run(self) -> None:
@@ -104,8 +117,19 @@ class Train(Command):
             own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name one environment to train, or pass --all")
-        given = changed(self.hyperparameters)
-        return envs[0], replace(own or recipe(envs[0]), **given)
+        return envs[0], replace(own or recipe(envs[0]), **self._given())
+
+    def _given(self) -> dict[str, Any]:
+        """Return the hyperparameters that the command line has, by name."""
+        values = {
+            option.name: getattr(self.hyperparameters, option.name)
+            for option in fields(self.hyperparameters)
+        }
+        return {
+            name: value
+            for name, value in values.items()
+            if not isinstance(value, _NotGiven)
+        }
 
     def _train_all(self) -> None:
         from collaborative_gym import list_envs
@@ -121,7 +145,7 @@ class Train(Command):
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),
             self.seeds,
-            changed(self.hyperparameters),
+            self._given(),
             self.resources,
             self.checkpoint_interval,
             Display,

@@ -156,7 +156,8 @@ def write_card(
     numbers = settings.hyperparameters
     machine = describe_machine()
     others = changed(numbers, recipe(env_id))
-    if resources.torch_threads:  # Another number may change the last bits.
+    if resources.torch_threads != Resources.torch_threads:
+        # Another number may change the last bits.
         others["torch_threads"] = resources.torch_threads
     options = " ".join(
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()

@@ -33,8 +33,7 @@ class Hyperparameters:
     """How PPO learns.
 
     Attributes:
-      total_steps: environment steps in all, counted over all worlds. Some environments
-        have a recipe of their own: Poke and Balance take half of it, Lift more.
+      total_steps: environment steps in all, counted over all worlds.
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
@@ -160,15 +159,16 @@ class Resources:
     Attributes:
       device: of torch, such as cpu or cuda.
       num_threads: physics threads, 0 for one per CPU.
-      torch_threads: torch's threads, 0 for one per CPU. Another number may change the
-        last bits of what is learned.
+      torch_threads: torch's threads, 0 for one per CPU. With networks this small a
+        second one gains nothing, and on a busy machine it costs much. Another number
+        may change the last bits of what is learned.
       num_runners: processes that collect, with RLlib; 0 for the trainer itself.
       ray_address: a running Ray cluster to join, with RLlib; none for one of its own.
     """
 
     device: str = "cpu"
     num_threads: int = 0
-    torch_threads: int = 0
+    torch_threads: int = 1
     num_runners: int = 0
     ray_address: str | None = None
 

@@ -126,7 +126,9 @@ class Display:
         known, total = self._known, self._total_steps
         steps, rate = known["steps"], known["steps_per_second"]
         words = [
-            f"{_steps(steps)} of {_steps(total)} steps ({100 * steps / total:.0f} %)",
+            # The last update may go past the total.
+            f"{_steps(steps)} of {_steps(total)} steps"
+            f" ({min(100.0, 100 * steps / total):.0f} %)",
             f"{rate:,.0f} steps/s",
         ]
         if steps >= total:

@@ -22,8 +22,8 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 class Actor(nn.Module):
     """Gaussian actions on a learner's rows of normalized observations.
 
-    Each network's mean depends on its own part of the row alone. A grip's is kept within
-    a limit; its sign, which alone commands a grip, stays.
+    Each network's mean depends on its own part of the row alone. A grip's is kept
+    within a limit; its sign, which alone commands a grip, stays.
 
     Args:
       learner: whom it commands.

@@ -3,6 +3,8 @@
 import json
 import math
 import shutil
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -115,6 +117,8 @@ def train(
       FileExistsError: if there is a run in the folder already.
       FileNotFoundError: if there is nothing to resume.
       ImportError: if the extra `train`, or `rllib`, is not installed.
+      KeyboardInterrupt: once the update during which Ctrl-C came is done and saved;
+        at once if it comes again.
       KeyError: if a name is unknown.
       OSError: if a file cannot be written, as on a full disk; earlier ones stay.
       RuntimeError: if a loss is not finite; names it and the last good checkpoint.
@@ -187,7 +191,16 @@ class _Run:
             raise
 
     def finish(self, checkpoint_interval: int, on_row: OnRow | None) -> Result:
-        """Train up to the last step."""
+        """Train up to the last step, or until Ctrl-C."""
+        with _ctrl_c() as pressed:
+            return self._finish(checkpoint_interval, on_row, pressed)
+
+    def _finish(
+        self,
+        checkpoint_interval: int,
+        on_row: OnRow | None,
+        pressed: threading.Event,
+    ) -> Result:
         numbers = self._settings.hyperparameters
         while self._backend.steps < numbers.total_steps:
             before, began = self._backend.steps, time.monotonic()
@@ -206,6 +219,11 @@ class _Run:
                 self._save(LAST)
             if on_row is not None:
                 on_row(row, self._best)
+            if pressed.is_set():
+                self._save(LAST)
+                raise KeyboardInterrupt(
+                    f"stopped after {steps:,} steps; go on with --resume {self._folder}"
+                )
         return Result(
             self._folder,
             self._settings,
@@ -370,7 +388,7 @@ def _new_folder(settings: Settings, output: str | Path | None) -> Path:
     folder = Path("runs") / name if output is None else Path(output)
     if (folder / LAST).exists():
         raise FileExistsError(
-            f"there is a run in {folder} already; go on with it by resume, or choose"
+            f"there is a run in {folder} already; go on with it (--resume), or choose"
             " another output"
         )
     write_text(folder / "config.json", json.dumps(settings.to_dict(), indent=2) + "\n")
@@ -417,6 +435,30 @@ def _own_generator(seed: int) -> Iterator[None]:
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         yield
+
+
+@contextmanager
+def _ctrl_c() -> Iterator[threading.Event]:
+    """Yield what Ctrl-C sets while the context lasts; a second one interrupts."""
+    pressed = threading.Event()
+
+    def press(*_: object) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    # Only the main thread may set what a signal does, and one that is ignored, as in
+    # the background, or heeded by the caller stays so.
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield pressed
+        return
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextmanager
