@@ -7,6 +7,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import modules
+from collaborative_gym.cli.main import main
 
 TASK = """
 from my_settings import REACH
@@ -44,6 +45,36 @@ def test_a_file_registers_its_tasks_once(wave, tmp_path, monkeypatch):
 def test_an_installed_module_is_loaded_by_name(wave, monkeypatch):
     monkeypatch.syspath_prepend(wave.parent)
     assert cg.load_module("my_wave").Wave.reach == 0.5
+
+
+def test_the_place_of_an_error_is_the_users_line(wave):
+    wave.write_text(TASK + "\n\ndef lift(height):\n    return cg.make(height)\n")
+    module = cg.load_module(str(wave))
+    with pytest.raises(KeyError) as caught:
+        module.lift("no such environment")
+    assert modules.place_of(caught.value) == "my_wave.py, line 12, in lift"
+    with pytest.raises(KeyError) as caught:
+        cg.make("no such environment")
+    assert modules.place_of(caught.value) == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "status"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero (my_wave.py, line 11)", 2),
+        ("{}[3]", "KeyError: 3 (my_wave.py, line 11)", 2),
+        ("import no_such", "ModuleNotFoundError: No module named 'no_such' (", 1),
+        ("cg.get_robot('pand')", "no robot 'pand'; robots: jaco, panda, sawyer (", 2),
+    ],
+)
+def test_the_command_line_tells_where_a_file_is_wrong(
+    wave, capsys, line, message, status
+):
+    wave.write_text(f"{TASK}\n\n{line}\n")
+    assert main(["evaluate", "Poke", "--module", str(wave)]) == status
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"error: {message}")
+    assert printed.count("\n") == 1 and "(my_wave.py, line 11)" in printed
 
 
 @pytest.mark.parametrize(

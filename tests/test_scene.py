@@ -129,7 +129,7 @@ def test_things_are_placed_by_name(scene):
     np.testing.assert_allclose(sim.pose("ball/centre")[1][0], [0, 0, 0, 1])
     np.testing.assert_allclose(sim.pose("ball/centre")[0][1], [0.0, 0.0, 1.0])
     np.testing.assert_allclose(scene.targets(sim)["goal"][2], [0.1, 0.2, 0.3])
-    with pytest.raises(ValueError, match=r"no object 'bal'.*did you mean 'ball'"):
+    with pytest.raises(ValueError, match=r"no movable object 'bal'.*mean 'ball'"):
         scene.place(sim, [0], "bal", [0.0, 0.0, 0.0])
 
 

@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import sys
+import traceback
 import warnings
 from collections.abc import Iterable
 from importlib.metadata import entry_points
@@ -16,6 +17,9 @@ GROUP = "collaborative_gym.tasks"
 
 _loaded: dict[Path, ModuleType] = {}
 """The files that were imported."""
+
+_tried: set[Path] = set()
+"""Those, and the ones that failed."""
 
 
 def load_modules(names: Iterable[str]) -> None:
@@ -53,6 +57,7 @@ def load_module(name: str) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    _tried.add(path)
     sys.path.insert(0, str(path.parent))
     sys.modules[path.stem] = module
     try:
@@ -67,6 +72,20 @@ def load_module(name: str) -> ModuleType:
 def loaded_files() -> tuple[str, ...]:
     """Return the files that were imported, for another process to import them too."""
     return tuple(map(str, _loaded))
+
+
+def place_of(error: BaseException) -> str:
+    """Return where in a file of `load_module` an error arose, or nothing if elsewhere.
+
+    That is the innermost of their lines on the way to it, such as
+    "my_task.py, line 41, in measure".
+    """
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if path in _tried:
+            where = "" if frame.name == "<module>" else f", in {frame.name}"
+            return f"{path.name}, line {frame.lineno}{where}"
+    return ""
 
 
 def load_entry_points() -> None:

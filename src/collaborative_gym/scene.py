@@ -312,7 +312,10 @@ class Scene:
             return
         if name not in self._free:
             names = [*self._mocap, *self._free]
-            raise ValueError(f"{unknown('object', name, names)} move freely")
+            raise ValueError(
+                f"{unknown('movable object', name, names)}; an object moves freely that"
+                " has a free joint, and a target once it is added by `add_target`"
+            )
         start = self._free[name]
         sim.qpos[env_ids, start : start + 3] = position
         if quat is not None:

@@ -112,6 +112,12 @@ def test_bad_input_is_one_line_and_status_2(carry_id, capsys, arguments, message
     assert message in printed.err
 
 
+def test_a_wrong_id_among_others_shows_before_the_work(carry_id, monkeypatch, capsys):
+    monkeypatch.setattr("collaborative_gym.evaluation.evaluate", None)
+    assert main(["evaluate", carry_id, "Cary", "--policy", "expert"]) == 2
+    assert "did you mean 'Carry'?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", ["evaluate", "benchmark"])
 def test_what_cannot_be_written_shows_before_the_work(tmp_path, capsys, command):
     files = tmp_path, tmp_path / "a" / "b.json"

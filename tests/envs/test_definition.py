@@ -73,8 +73,31 @@ def test_an_agent_that_is_forgotten_or_unknown(broken):
         broken("observe", misspelt)
     with pytest.raises(ValueError, match="returns a list"):
         broken("observe", lambda task, own, *given: [own(*given)])
-    with pytest.raises(ValueError, match=r"entry of robot_1 is \{\}"):
+    with pytest.raises(ValueError, match="entry of robot_1 is an empty dictionary"):
         broken("reward", every(lambda terms: {}))
+    with pytest.raises(ValueError, match=r"of type ndarray of shape \(3,\); it must"):
+        broken("reward", every(lambda terms: terms["height"]))
+
+
+@pytest.mark.parametrize("method", ["build", "reset", "measure", "observe", "reward"])
+def test_a_method_that_is_not_written(carry, monkeypatch, method):
+    task = carry()
+    monkeypatch.delattr(type(task), method)
+    with pytest.raises(NotImplementedError, match=rf"Carry has no {method}\(\); write"):
+        cg.VectorEnv(task, 1)
+
+
+def test_an_expert_that_returns_what_cannot_be_used(make_env, monkeypatch):
+    env = make_env(2)
+    env.reset(seed=0)
+    monkeypatch.setattr(type(env.task), "expert", lambda *_: None)
+    with pytest.raises(ValueError, match=r"Carry.expert\(\): actions are a NoneType"):
+        env.expert()
+    short = {agent: np.zeros((2, 7)) for agent in env.agents}
+    monkeypatch.setattr(type(env.task), "expert", lambda *_: short)
+    message = r"has shape \(2, 7\), not \(2, 8\): .* joint, and one for the grip"
+    with pytest.raises(ValueError, match=message):
+        env.expert()
 
 
 def test_a_goal_that_is_no_bool(broken):

@@ -24,6 +24,13 @@ def controls(env, steps=10):
     return low + (high - low) * bounded
 
 
+def test_a_place_that_is_not_there_is_told(env):
+    with pytest.raises(KeyError, match=r"no pose 'robot_1/tpc'.*mean 'robot_1/tcp'"):
+        env.sim.pose("robot_1/tpc")
+    with pytest.raises(KeyError, match="no velocity 'robot_1/tcp'; velocities:"):
+        env.sim.velocity("robot_1/tcp")
+
+
 def test_it_is_in_lockstep_with_mj_step(env):
     commands = controls(env, 30)
     # Give all worlds contacts, grips and a push besides.

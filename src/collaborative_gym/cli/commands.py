@@ -138,6 +138,7 @@ class Evaluate(_World):
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.files import write_text
         from collaborative_gym.tables import reports_table
+        from collaborative_gym.tasks.registry import as_task
 
         if self.all and self.envs:
             raise ValueError("name environments or pass --all, not both")
@@ -145,6 +146,8 @@ class Evaluate(_World):
         if not env_ids:
             raise ValueError("name the environments to evaluate, or pass --all")
         check_files(self.json, self.csv)
+        for env_id in env_ids:  # A wrong one shows before the work.
+            as_task(env_id, self.robots or None, self.randomization)
         reports = []
         with progress_bars() as progress:
             for env_id in env_ids:

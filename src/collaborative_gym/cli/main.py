@@ -3,9 +3,11 @@
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -22,9 +24,17 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.terminal import Command, show
 from collaborative_gym.cli.train import Train
-from collaborative_gym.modules import load_modules
+from collaborative_gym.modules import load_modules, place_of
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
+
+_PACKAGE = Path(__file__).parents[1]
+
+_BAD = KeyError, ValueError, TypeError
+"""Errors of bad input."""
+
+_CANNOT_BE_DONE = ImportError, OSError, RuntimeError
+"""Errors of what the machine lacks."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,10 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _end(str(stop), _INTERRUPTED)
     except _Terminated:
         return _TERMINATED
-    except (KeyError, ValueError, TypeError) as error:
-        return _end(f"error: {error}", _BAD_INPUT)
-    except (ImportError, OSError, RuntimeError) as error:
-        return _end(f"error: {error}", _CANNOT)
+    except Exception as error:
+        return _fail(error)
     return 0
 
 
@@ -98,6 +106,21 @@ def _run(arguments: list[str]) -> None:
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _fail(error: Exception) -> int:
+    """Tell what is wrong, and where in a user's file; raise where it is our own bug."""
+    cannot = isinstance(error, _CANNOT_BE_DONE)
+    place, words = place_of(error), str(error)
+    if place:
+        # Python's own words are often no sentence, as those of a KeyError.
+        raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
+        if _PACKAGE not in Path(raised_in).parents:
+            words = f"{type(error).__name__}: {words}"
+        words = f"{words} ({place})"
+    elif not (cannot or isinstance(error, _BAD)):
+        raise error
+    return _end(f"error: {words}", _CANNOT if cannot else _BAD_INPUT)
 
 
 def _end(last_words: str, status: int) -> int:

@@ -29,7 +29,8 @@ def _not_given() -> Hyperparameters:
     marked = {}
     for option in fields(Hyperparameters):
         kind = type(option.default)
-        marked[option.name] = type(kind.__name__, (_NotGiven, kind), {})(option.default)
+        mark: Any = type(kind.__name__, (_NotGiven, kind), {})
+        marked[option.name] = mark(option.default)
     return Hyperparameters(**marked)
 
 

@@ -149,11 +149,19 @@ def _each(
         named = given[agent]
         if not isinstance(named, Mapping) or not named:
             raise ValueError(
-                f"{method}: the entry of {agent} is {named!r}; it must be a dictionary"
-                " of named arrays"
+                f"{method}: the entry of {agent} is {_kind(named)}; it must be a"
+                " dictionary of named arrays"
             )
         for name, array in named.items():
             yield f"{method}: {kind} {name!r} of {agent}", array
+
+
+def _kind(thing: Any) -> str:
+    """Return what something is, without what may be hundreds of numbers in it."""
+    if isinstance(thing, Mapping):
+        return "an empty dictionary"
+    shape = f" of shape {thing.shape}" if hasattr(thing, "shape") else ""
+    return f"of type {type(thing).__name__}{shape}"
 
 
 def _check_agents(what: str, task: Task, given: Any) -> None:

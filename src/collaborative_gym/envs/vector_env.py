@@ -221,7 +221,12 @@ class VectorEnv:
     def expert(self) -> dict[str, np.ndarray]:
         """Return the task's scripted expert's actions for the present state."""
         self._check_started("expert")
-        return self.task.expert(self.sim, self.facts)
+        actions = self.task.expert(self.sim, self.facts)
+        try:
+            self._check_actions(actions)
+        except ValueError as error:
+            raise ValueError(f"{type(self.task).__name__}.expert(): {error}") from None
+        return actions
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:
         """Return a copy of these worlds' episodes, one row each; None for all."""
@@ -366,13 +371,17 @@ class VectorEnv:
                 f"actions are for {', '.join(map(str, actions)) or 'nobody'};"
                 f" give one for each of {', '.join(self.agents)}"
             )
+        last = (
+            ", and one for the grip" if self.task.gripping else " (gripping is False)"
+        )
         checked = {}
         for agent in self.agents:
             action = np.asarray(actions[agent], dtype=np.float64)
             shape = (self.num_envs, *self.single_action_spaces[agent].shape)
             if action.shape != shape:
                 raise ValueError(
-                    f"the action of {agent} has shape {action.shape}, not {shape}"
+                    f"the action of {agent} has shape {action.shape}, not {shape}: a"
+                    f" number for each joint{last}"
                 )
             finite = np.isfinite(action)
             if not finite.all():

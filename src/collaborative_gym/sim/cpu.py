@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from mujoco import batch
 
-from collaborative_gym.errors import SimulationDiverged
+from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.sim.sim import EnvIds
 
@@ -83,10 +83,20 @@ class CpuSim:
         self.forward(env_ids)
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._sensors[f"{name}.position"], self._sensors[f"{name}.quat"]
+        return self._sensor("pose", name, "position"), self._sensors[f"{name}.quat"]
 
     def velocity(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._sensors[f"{name}.linear"], self._sensors[f"{name}.angular"]
+        return self._sensor("velocity", name, "linear"), self._sensors[
+            f"{name}.angular"
+        ]
+
+    def _sensor(self, kind: str, name: str, part: str) -> np.ndarray:
+        rows = self._sensors.get(f"{name}.{part}")
+        if rows is None:
+            read = [key.rpartition(".") for key in self._sensors]
+            names = [own for own, _, other in read if other == part]
+            raise UnknownName(unknown(kind, name, names))
+        return rows
 
     def jacobian(self, body: int, point: Array) -> tuple[np.ndarray, np.ndarray]:
         return self._batch.jac(body, point)

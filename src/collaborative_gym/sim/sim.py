@@ -70,7 +70,11 @@ class Sim(Protocol):
         ...
 
     def pose(self, name: str) -> tuple[Array, Array]:
-        """Return position (num_envs, 3) and quaternion w x y z (num_envs, 4)."""
+        """Return position (num_envs, 3) and quaternion w x y z (num_envs, 4).
+
+        Raises:
+          KeyError: if there is no place of that name; so does `velocity`.
+        """
         ...
 
     def velocity(self, name: str) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Environment ids, and how a task is made from one."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -47,9 +48,13 @@ def register_env(spec: EnvSpec) -> None:
     """Let `make` and Gymnasium build an environment by its id.
 
     Raises:
-      ValueError: if the id is taken.
-      gymnasium.error.Error: if the id is not of the form `Name-v0`.
+      ValueError: if the id is taken, or not of the form `Name-v0`.
     """
+    if not re.fullmatch(r"([\w:.-]+/)?[\w:.-]+-v\d+", spec.env_id):
+        raise ValueError(
+            f"environment id {spec.env_id!r} is not a name and a version, as in"
+            f" '{spec.env_id.partition('-v')[0] or 'Name'}-v0'"
+        )
     if spec.env_id in _ENVS:
         raise ValueError(f"environment {spec.env_id!r} is registered already")
     gymnasium.register(
@@ -123,9 +128,10 @@ def make_task(
     arms = tuple(get_robot(robot) for robot in chosen)
     if len(arms) != spec.task.num_robots:
         given = ", ".join(arm.name for arm in arms)
+        remedy = "name as many in its EnvSpec" if robots is None else "give as many"
         raise ValueError(
             f"{name} needs {spec.task.num_robots} robots, got {len(arms)} ({given});"
-            f" pass robots={spec.robots}"
+            f" {remedy}"
         )
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}

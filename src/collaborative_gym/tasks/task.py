@@ -156,7 +156,7 @@ class Task(Generic[ConfigT, FactsT]):
 
     def build(self, scene: Scene) -> None:
         """Fill the scene with arms and objects."""
-        raise NotImplementedError
+        raise self._missing("build")
 
     def setup(
         self, scene: Scene, model: mujoco.MjModel, controller: Controller
@@ -178,7 +178,7 @@ class Task(Generic[ConfigT, FactsT]):
           env_ids: which worlds start an episode.
           rng: their generators, in the same order.
         """
-        raise NotImplementedError
+        raise self._missing("reset")
 
     def start_arms(
         self,
@@ -215,19 +215,19 @@ class Task(Generic[ConfigT, FactsT]):
         Called again in the same state, it returns the same and leaves `memory` as it
         is: worlds are measured again when others start an episode.
         """
-        raise NotImplementedError
+        raise self._missing("measure")
 
     def observe(self, facts: FactsT) -> dict[str, Blocks]:
         """Return each agent's observation as named blocks."""
-        raise NotImplementedError
+        raise self._missing("observe")
 
     def reward(self, facts: FactsT, actions: dict[str, Array]) -> dict[str, Terms]:
         """Return each agent's reward as named terms; their sum is the reward."""
-        raise NotImplementedError
+        raise self._missing("reward")
 
     def success(self, facts: FactsT) -> Array:
         """Return in which worlds the goal is reached now, (num_envs,) booleans."""
-        raise NotImplementedError
+        raise self._missing("success")
 
     def performing(self, facts: FactsT) -> Array:
         """Return in which worlds this step counts towards performance."""
@@ -235,4 +235,9 @@ class Task(Generic[ConfigT, FactsT]):
 
     def expert(self, sim: Sim, facts: FactsT) -> dict[str, Any]:
         """Return actions of a scripted expert, which may look at the whole state."""
-        raise NotImplementedError
+        raise self._missing("expert")
+
+    def _missing(self, method: str) -> NotImplementedError:
+        return NotImplementedError(
+            f"{type(self).__name__} has no {method}(); write one"
+        )
