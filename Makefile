@@ -22,10 +22,10 @@ format: .venv/dev
 	$(BIN)/ruff check --fix
 
 # The documentation, into site/.
-docs: .venv/dev
+docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-serve-docs: .venv/dev
+serve-docs: .venv/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
 
 clean:
@@ -38,6 +38,10 @@ clean:
 	$(PIP) --editable ".[video]"
 	touch $@
 
+.venv/docs: pyproject.toml constraints.txt | .venv/bin/pip
+	$(PIP) --editable ".[docs]"
+	touch $@
+
 .venv/dev: pyproject.toml constraints.txt | .venv/bin/pip
 	$(PIP) --editable ".[dev]"
-	touch $@ .venv/demo
+	touch $@ .venv/demo .venv/docs

@@ -34,7 +34,7 @@ def draw_curves(folders: dict[str, Path], path: Path) -> None:
         steps = [float(row["steps"]) for row in rows]
         axes.plot(steps, [float(row["return"]) for row in rows], label=mode)
     axes.set_xlabel("environment steps")
-    axes.set_ylabel("mean return of all robots, as they explore")
+    axes.set_ylabel("return, summed over the robots, as they explore")
     axes.legend()
     figure.savefig(path, dpi=150)
 
