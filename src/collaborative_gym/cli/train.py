@@ -67,14 +67,14 @@ class Train(Command):
 
     envs: Envs = ()
     all: tyro.conf.FlagCreatePairsOff[bool] = False
-    mode: Annotated[Mode | None, _Own] = None
-    seed: Annotated[int | None, _Own] = None
+    mode: Annotated[Mode | None, tyro.conf.arg(metavar="MODE"), _Own] = None
+    seed: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
     seeds: tuple[int, ...] = (0, 1, 2)
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
     robots: Robots = ()
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
-    backend: Annotated[str | None, _Own] = None
+    backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
     hyperparameters: Annotated[Hyperparameters, _Flat] = field(
