@@ -155,6 +155,9 @@ def write_card(
     settings = best.result.settings
     numbers = settings.hyperparameters
     machine = describe_machine()
+    own = ", ".join(
+        f"{name} {_option(value)}" for name, value in changed(numbers).items()
+    )
     others = changed(numbers, recipe(env_id))
     if resources.torch_threads != Resources.torch_threads:
         # Another number may change the last bits.
@@ -174,6 +177,7 @@ def write_card(
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
         f" {numbers.activation}; actions are the mean, without noise",
+        f"- hyperparameters that are not the defaults: {own or 'none'}",
         f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {numbers.validation_episodes} validation episodes that are not those below",
         f"- command: `{command}`",
