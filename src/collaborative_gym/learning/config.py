@@ -182,9 +182,9 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000},
     "BalanceTaskSawyers-v0": {"total_steps": 1_500_000},
     "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
-    # Noise that shifts most of a joint's torque limit at every step seldom lifts;
-    # this shifts a third of it. Assistance harms Sawyers: arms that lift a light pot come
-    # to the ends of their joints.
+    # Noise that shifts most of a joint's torque limit at every step seldom lifts; this
+    # shifts a third of it. Assistance harms Sawyers: arms that lift a light pot come to
+    # the ends of their joints.
     "LiftTaskSawyers-v0": {"total_steps": 4_000_000, "initial_std": 0.1},
     "LiftTaskJacos-v0": {"total_steps": 4_000_000, "assistance": 0.75},
     "PassTaskSawyers-v0": {"total_steps": 5_000_000},
