@@ -122,13 +122,9 @@ class Train(Command):
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
-        values = {
-            option.name: getattr(self.hyperparameters, option.name)
-            for option in fields(self.hyperparameters)
-        }
         return {
             name: value
-            for name, value in values.items()
+            for name, value in vars(self.hyperparameters).items()
             if not isinstance(value, _NotGiven)
         }
 

@@ -155,17 +155,7 @@ def write_card(
     settings = best.result.settings
     numbers = settings.hyperparameters
     machine = describe_machine()
-    own = ", ".join(
-        f"{name} {_option(value)}" for name, value in changed(numbers).items()
-    )
-    others = changed(numbers, recipe(env_id))
-    if resources.torch_threads != Resources.torch_threads:
-        # Another number may change the last bits.
-        others["torch_threads"] = resources.torch_threads
-    options = " ".join(
-        f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
-    )
-    command = f"collaborative-gym train {env_id} --seed {best.seed} {options}".rstrip()
+    own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
     steps = best.result.best["steps"]
     lines = [
         f"# {env_id}: baseline",
@@ -177,10 +167,10 @@ def write_card(
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
         f" {numbers.activation}; actions are the mean, without noise",
-        f"- hyperparameters that are not the defaults: {own or 'none'}",
+        f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {numbers.validation_episodes} validation episodes that are not those below",
-        f"- command: `{command}`",
+        f"- command: `{_command(env_id, best.seed, numbers, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -214,6 +204,20 @@ def _curriculum(numbers: Hyperparameters) -> str:
         " what moves freely was carried, the less the more episodes were completed"
         " (none in what is reported)"
     )
+
+
+def _command(
+    env_id: str, seed: int, numbers: Hyperparameters, resources: Resources
+) -> str:
+    """Return the command that trains such a run again."""
+    others = changed(numbers, recipe(env_id))
+    if resources.torch_threads != Resources.torch_threads:
+        # Another number may change the last bits.
+        others["torch_threads"] = resources.torch_threads
+    options = [
+        f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
+    ]
+    return " ".join([f"collaborative-gym train {env_id} --seed {seed}", *options])
 
 
 def _option(value: Any) -> str:

@@ -151,7 +151,8 @@ def train(
     with _own_generator(settings.seed), _torch_threads(resources.torch_threads):
         run = _Run(folder, task, settings, resources, started)
         try:
-            return run.finish(checkpoint_interval, on_row)
+            with _ctrl_c() as pressed:
+                return run.finish(checkpoint_interval, on_row, pressed)
         finally:
             run.close()
 
@@ -190,17 +191,13 @@ class _Run:
             self._backend.close()
             raise
 
-    def finish(self, checkpoint_interval: int, on_row: OnRow | None) -> Result:
-        """Train up to the last step, or until Ctrl-C."""
-        with _ctrl_c() as pressed:
-            return self._finish(checkpoint_interval, on_row, pressed)
-
-    def _finish(
+    def finish(
         self,
         checkpoint_interval: int,
         on_row: OnRow | None,
         pressed: threading.Event,
     ) -> Result:
+        """Train up to the last step, or until Ctrl-C is `pressed`."""
         numbers = self._settings.hyperparameters
         while self._backend.steps < numbers.total_steps:
             before, began = self._backend.steps, time.monotonic()

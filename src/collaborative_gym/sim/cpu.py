@@ -83,20 +83,19 @@ class CpuSim:
         self.forward(env_ids)
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._sensor("pose", name, "position"), self._sensors[f"{name}.quat"]
+        return self._pair("pose", name, "position", "quat")
 
     def velocity(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._sensor("velocity", name, "linear"), self._sensors[
-            f"{name}.angular"
-        ]
+        return self._pair("velocity", name, "linear", "angular")
 
-    def _sensor(self, kind: str, name: str, part: str) -> np.ndarray:
-        rows = self._sensors.get(f"{name}.{part}")
-        if rows is None:
+    def _pair(
+        self, kind: str, name: str, first: str, second: str
+    ) -> tuple[np.ndarray, np.ndarray]:
+        if f"{name}.{first}" not in self._sensors:
             read = [key.rpartition(".") for key in self._sensors]
-            names = [own for own, _, other in read if other == part]
+            names = [own for own, _, part in read if part == first]
             raise UnknownName(unknown(kind, name, names))
-        return rows
+        return self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
 
     def jacobian(self, body: int, point: Array) -> tuple[np.ndarray, np.ndarray]:
         return self._batch.jac(body, point)
