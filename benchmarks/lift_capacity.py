@@ -20,8 +20,8 @@ from rich.table import Table
 
 import collaborative_gym as cg
 from collaborative_gym import math
+from collaborative_gym.motion.statics import carry, strongest_way
 from collaborative_gym.objects.pot import GRIP_RADIUS
-from collaborative_gym.statics import carry, strongest_way
 from collaborative_gym.tasks.lift import Lift
 from collaborative_gym.tasks.registry import make_task
 

@@ -25,10 +25,11 @@ from rich.console import Console
 from rich.table import Table
 
 from collaborative_gym import load_module
-from collaborative_gym.control import SUBSTEPS, Controller
+from collaborative_gym.control import Controller
 from collaborative_gym.robots import Robot, get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.timing import SUBSTEPS
 
 AGENT = "robot_1"
 

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 import collaborative_gym as cg
-from collaborative_gym.rendering import CAMERA, Camera
+from collaborative_gym.pictures.rendering import CAMERA, Camera
 
 FOLDER = Path(__file__).parent / "media" / "robots"
 SIZE = 640, 480

@@ -62,7 +62,7 @@ def main(
     if picture is not None:
         import imageio.v3 as imageio
 
-        from collaborative_gym.recording import picture as draw
+        from collaborative_gym.pictures.recording import picture as draw
         from collaborative_gym.tasks.registry import make_task
 
         imageio.imwrite(picture, draw(make_task(env, robots)))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 import collaborative_gym as cg
-from collaborative_gym import kinematics, math, objects
+from collaborative_gym import math, motion, objects
 
 CUBES = np.array([[0.8, -0.6, 0.66], [0.8, 0.6, 0.66]])
 TARGETS = np.array([[1.0, -1.0, 1.2], [1.0, 1.0, 1.2]])
@@ -67,11 +67,11 @@ class SimplePick(cg.Task):
         for agent, arm in self.scene.arms.items():
             tcp, holds = facts.tcp[agent], facts.holds[agent][:, None]
             cube, target = (facts.seen[agent][it][:, :3] for it in ("cube", "target"))
-            before = kinematics.standoff(tcp[0] - cube, DOWN, 0.01, 0.0, 0.1)
+            before = motion.standoff(tcp[0] - cube, DOWN, 0.01, 0.0, 0.1)
             goal = np.where(holds, target, cube - before * DOWN)
             hand, home = np.where(holds, AHEAD, DOWN), arm.robot.home
             scale = self.controller.scale(agent)
-            move = kinematics.reach(sim, arm, tcp, goal, hand, home, scale)
+            move = motion.reach(sim, arm, tcp, goal, hand, home, scale)
             grips = holds | (facts.to_cube[agent] < 0.015)[:, None]
             actions[agent] = np.concatenate([move, np.where(grips, 1, -1)], axis=1)
         return actions

@@ -10,7 +10,7 @@ from array_api_compat import array_namespace
 
 import collaborative_gym as cg
 from collaborative_gym import math
-from collaborative_gym.kinematics import reach
+from collaborative_gym.motion.kinematics import reach
 from collaborative_gym.tasks import registry
 
 AGENTS = ("robot_1", "robot_2")

@@ -3,13 +3,13 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from collaborative_gym.opengl import choose_backend
+from collaborative_gym.pictures.opengl import choose_backend
 
 choose_backend()  # MuJoCo decides how to draw when it is imported.
 
 from collaborative_gym.envs.pettingzoo import make  # noqa: E402
 from collaborative_gym.envs.vector_env import VectorEnv, make_vec  # noqa: E402
-from collaborative_gym.modules import load_entry_points, load_module  # noqa: E402
+from collaborative_gym.plugins import load_entry_points, load_module  # noqa: E402
 from collaborative_gym.robots import (  # noqa: E402
     Gripper,
     Robot,

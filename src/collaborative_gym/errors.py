@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
+from numbers import Integral
 
 
 class SimulationDiverged(RuntimeError):
@@ -40,3 +41,16 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     return f"no {kind} {given!r}; {kinds}: {', '.join(names)}{hint}"
+
+
+def check_count(name: str, given: int, at_least: int) -> None:
+    """Raise unless a number is an integer and not too small.
+
+    Raises:
+      TypeError: if it is no integer.
+      ValueError: if it is below the least.
+    """
+    if isinstance(given, bool) or not isinstance(given, Integral):
+        raise TypeError(f"{name} must be an integer, got {given!r}")
+    if given < at_least:
+        raise ValueError(f"{name} must be at least {at_least}, got {given}")

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.scene import SIM_DT, Scene
+from collaborative_gym.scene import Scene
+from collaborative_gym.timing import SIM_DT
 
 
 @pytest.mark.parametrize("suffix", [".xml", ".urdf"])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.control import CONTROL_DT, MAX_CHANGE
-from collaborative_gym.scene import SIM_DT
+from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT
 
 COMPUTED = {"armature": (), "damping": (), "stiffness": ()}
 

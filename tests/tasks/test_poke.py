@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym import VectorEnv, math
-from collaborative_gym.kinematics import reach
+from collaborative_gym.motion.kinematics import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
 from collaborative_gym.tasks.poke import Poke, PokeFacts, is_threaded

@@ -13,8 +13,8 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from collaborative_gym.envs.vector_env import make_vec
+from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.policies import load_policy
-from collaborative_gym.rendering import CAMERA
 from collaborative_gym.viewer.session import FASTEST, Session
 from collaborative_gym.viewer.web import Page
 

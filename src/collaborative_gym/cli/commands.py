@@ -34,7 +34,7 @@ class List(Command):
     def run(self) -> None:
         """Print the table."""
         from collaborative_gym import list_envs, list_robots, list_tasks, make_vec
-        from collaborative_gym.tables import environments_table
+        from collaborative_gym.cli.tables import environments_table
 
         envs = ((env_id, make_vec(env_id, 1, num_threads=1)) for env_id in list_envs())
         show(environments_table(envs))
@@ -87,7 +87,7 @@ class Record(_World):
 
     def run(self) -> None:
         """Write the file."""
-        from collaborative_gym.recording import record
+        from collaborative_gym.pictures.recording import record
 
         with progress_bars() as progress:
             record(
@@ -135,9 +135,9 @@ class Evaluate(_World):
     def run(self) -> None:
         """Print a table and write the files."""
         from collaborative_gym import list_envs
+        from collaborative_gym.cli.tables import reports_table
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.files import write_text
-        from collaborative_gym.tables import reports_table
         from collaborative_gym.tasks.registry import as_task
 
         if self.all and self.envs:
@@ -192,10 +192,10 @@ class Reproduce:
 
     def run(self) -> None:
         """Print the table and write the files; the last line is the verdict."""
+        from collaborative_gym.cli.tables import table11_table
         from collaborative_gym.errors import UnknownName, unknown
         from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
-        from collaborative_gym.tables import table11_table
 
         if self.table != "table11":
             raise UnknownName(unknown("table", self.table, ["table11"]))
@@ -233,9 +233,9 @@ class Benchmark(Command):
     def run(self) -> None:
         """Print a table and write the file."""
         from collaborative_gym import list_envs
-        from collaborative_gym.benchmark import benchmark
+        from collaborative_gym.cli.tables import benchmark_table
+        from collaborative_gym.evaluation.speed import benchmark
         from collaborative_gym.files import write_text
-        from collaborative_gym.tables import benchmark_table
 
         check_files(self.json)
         with progress_bars() as progress:
@@ -307,9 +307,9 @@ class Demo:
 
     def run(self) -> None:
         """Print two tables; write them, a video each and a contact sheet."""
+        from collaborative_gym.cli.tables import reports_table, table11_table
         from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
-        from collaborative_gym.tables import reports_table, table11_table
 
         files = self.output / "table11.json", self.output / "table11.md"
         check_files(*files)
@@ -337,7 +337,8 @@ class Demo:
         show(table11.verdict)
 
     def _film(self, policies: Mapping[str, str]) -> list[Path]:
-        from collaborative_gym import demo, recording
+        from collaborative_gym.cli import demo
+        from collaborative_gym.pictures import recording
 
         try:
             recording.check_ready()

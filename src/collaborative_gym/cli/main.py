@@ -24,7 +24,7 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.terminal import Command, show
 from collaborative_gym.cli.train import Train
-from collaborative_gym.modules import load_modules, place_of
+from collaborative_gym.plugins import load_modules, place_of
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
 

@@ -7,13 +7,13 @@ import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
-from collaborative_gym.control import CONTROL_DT
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.timing import CONTROL_DT
 
 ByAgent = dict[str, Any]
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import CONTROL_DT
 from collaborative_gym.tasks.task import Task, Terms
+from collaborative_gym.timing import CONTROL_DT
 
 _ZERO = {"step": 0, "length": 0, "performing_steps": 0, "first_success": -1}
 """Counters of an episode, at its start."""

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import CONTROL_DT, SUBSTEPS, Controller
+from collaborative_gym.control import Controller
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress
-from collaborative_gym.errors import SimulationDiverged
+from collaborative_gym.errors import SimulationDiverged, check_count
 from collaborative_gym.math import Array
-from collaborative_gym.rendering import Camera
+from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeRandom, check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Scene
@@ -20,6 +20,7 @@ from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization, Task, Terms
+from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 Observations = dict[str, Array]
 
@@ -474,16 +475,3 @@ def _copied(observations: Observations) -> Observations:
 
 def _taken(arrays: Mapping[str, Array], rows: Any) -> dict[str, Array]:
     return {name: array[rows].copy() for name, array in arrays.items()}
-
-
-def check_count(name: str, given: int, at_least: int) -> None:
-    """Raise unless a number is an integer and not too small.
-
-    Raises:
-      TypeError: if it is no integer.
-      ValueError: if it is below the least.
-    """
-    if not isinstance(given, (int, np.integer)):
-        raise TypeError(f"{name} must be an integer, got {given!r}")
-    if given < at_least:
-        raise ValueError(f"{name} must be at least {at_least}, got {given}")

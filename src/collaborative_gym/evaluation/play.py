@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from collaborative_gym.envs.vector_env import VectorEnv, check_count
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import UnknownName, check_count, unknown
 from collaborative_gym.evaluation.report import Report, Statistic
 from collaborative_gym.math import Array
 from collaborative_gym.policies import Policy, as_policy

@@ -5,8 +5,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-from collaborative_gym.envs.vector_env import check_count
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import UnknownName, check_count, unknown
 from collaborative_gym.evaluation.play import evaluate
 from collaborative_gym.evaluation.report import (
     Report,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from collaborative_gym.benchmark import describe_machine
 from collaborative_gym.evaluation import Report, evaluate
+from collaborative_gym.evaluation.machine import describe_machine
 from collaborative_gym.evaluation.report import show
 from collaborative_gym.files import replacing, write_text
 from collaborative_gym.learning.checkpoint import LAST

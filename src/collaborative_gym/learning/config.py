@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from collaborative_gym.envs.vector_env import check_count
+from collaborative_gym.errors import check_count
 from collaborative_gym.policies.network import check_activation
 
 Mode = Literal["collaborative", "independent", "shared", "centralized"]

@@ -37,8 +37,8 @@ from ray.rllib.utils.metrics import (
     NUM_ENV_STEPS_SAMPLED_LIFETIME,
 )
 
-from collaborative_gym.benchmark import cores
 from collaborative_gym.envs.rllib import RLlibEnv
+from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import TeamModule, TeamPPOLearner

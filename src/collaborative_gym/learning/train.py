@@ -20,10 +20,10 @@ except ImportError as error:
         " pip install 'collaborative-gym[train]'"
     ) from error
 
-from collaborative_gym.benchmark import cores
-from collaborative_gym.envs.vector_env import VectorEnv, check_count
-from collaborative_gym.errors import unknown
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import check_count, unknown
 from collaborative_gym.evaluation import Report, evaluate
+from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import write_text
 from collaborative_gym.learning.backend import (
     Backend,

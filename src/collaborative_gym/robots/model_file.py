@@ -188,3 +188,28 @@ def _prepare_joints(robot: "Robot", spec: mujoco.MjSpec) -> None:
 def _with_descendants(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
     """Return a body and all that it carries."""
     return [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]
+
+
+def fix_joints(spec: mujoco.MjSpec, positions: dict[str, float]) -> None:
+    """Put joints at positions (m or rad) and remove them, fixing their bodies there.
+
+    Joints that follow one of them are fixed where it puts them.
+    """
+    positions = dict(positions)
+    for equality in list(spec.equalities):
+        if follows(equality, positions):
+            leader = positions[equality.name2]
+            positions[equality.name1] = float(
+                np.polynomial.polynomial.polyval(leader, equality.data[:5])
+            )
+            spec.delete(equality)
+    data = kinematics(spec, positions)
+    for name in positions:
+        joint = spec.joint(name)
+        body = joint.parent
+        # A frame around the body would turn it once more.
+        body.set_frame(body.parent.add_frame())
+        body.pos, body.quat = relative_pose(data, body.name, body.parent.name)
+        # An orientation in other words, such as Euler angles, would go before quat.
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        spec.delete(joint)

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.robots.checks import at_home, wrong
+from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT
 
 if TYPE_CHECKING:
     from collaborative_gym.robots.robot import Robot
@@ -47,9 +48,6 @@ def torque_limits(robot: "Robot", spec: mujoco.MjSpec) -> tuple[float, ...]:
 
 def armatures(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
     """Return the rotor inertias of the model file, in kg m2, or sensible ones."""
-    # Imported late, for control needs robots. The arms of the package have all gains.
-    from collaborative_gym.control import CONTROL_DT, MAX_CHANGE
-
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
     own = model.dof_armature[dofs]
     links = inertias(robot, model) - own
@@ -61,8 +59,6 @@ def armatures(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
 
 def dampings(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
     """Return velocity gains for the joint servos, in N m s/rad."""
-    from collaborative_gym.scene import SIM_DT
-
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
     links = inertias(robot, model) - model.dof_armature[dofs]
     return tuple(((links + np.array(robot.armature)) / SIM_DT).tolist())

@@ -28,9 +28,10 @@ import mujoco
 import numpy as np
 from array_api_compat import array_namespace
 
-from collaborative_gym import kinematics, math
+from collaborative_gym import math
 from collaborative_gym.control import Controller
 from collaborative_gym.math import Array
+from collaborative_gym.motion import kinematics
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
     BAR,

@@ -23,15 +23,15 @@ from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import Controller
-from collaborative_gym.kinematics import shortened, solve_pose, standoff
 from collaborative_gym.math import Array
+from collaborative_gym.motion.kinematics import shortened, solve_pose, standoff
+from collaborative_gym.motion.lift_mass import weigh
+from collaborative_gym.motion.statics import carry, greatest_load, turn_fingers
 from collaborative_gym.objects.pot import HANDLE_WIDTH, pot
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.statics import carry, greatest_load, turn_fingers
-from collaborative_gym.tasks.lift_mass import weigh
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
 

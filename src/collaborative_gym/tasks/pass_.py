@@ -26,8 +26,8 @@ from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import Controller
-from collaborative_gym.kinematics import quickest_way, reach, standoff, swing
 from collaborative_gym.math import Array
+from collaborative_gym.motion.kinematics import quickest_way, reach, standoff, swing
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom

@@ -28,8 +28,8 @@ from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import Controller
-from collaborative_gym.kinematics import reach, solve_pose
 from collaborative_gym.math import Array
+from collaborative_gym.motion.kinematics import reach, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick
 from collaborative_gym.rng import EpisodeRandom

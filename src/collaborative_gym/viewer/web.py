@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from collaborative_gym import math
-from collaborative_gym.rendering import CAMERA
+from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.viewer.address import free_port, is_loopback, shown
 from collaborative_gym.viewer.reading import Reading
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session

@@ -10,7 +10,7 @@ import glfw  # MuJoCo's window stands on it.
 import mujoco
 import numpy as np
 
-from collaborative_gym.rendering import CAMERA
+from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 
 _FASTER = 1.25

@@ -7,101 +7,24 @@ targets moved through the state of each world.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import mujoco
-import numpy as np
 from numpy.typing import ArrayLike
 
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
-from collaborative_gym.rendering import CAMERA
 from collaborative_gym.robots.model_file import (
     finger_bodies,
-    follows,
-    kinematics,
-    relative_pose,
+    fix_joints,
 )
 from collaborative_gym.robots.robot import Robot
+from collaborative_gym.scene.collisions import is_decoration, set_collision_bits
+from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
+from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
-from collaborative_gym.surroundings import add_overview, add_surroundings
-
-SIM_DT = 0.01
-"""Physics time step in s, stable with the stiff servos of all arms."""
-
-# Collision bits. A pair of geoms collides if a contype bit of one is among the
-# conaffinity bits of the other.
-_FIXED = 1
-_OBJECT = 2
-_ROBOT = 4
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where the base of an arm is mounted.
-
-    Attributes:
-      position: of the base in the world frame, in m.
-      yaw: turn of the base about the vertical, in rad.
-    """
-
-    position: tuple[float, float, float]
-    yaw: float = 0.0
-
-
-@dataclass(frozen=True)
-class Arm:
-    """Where one agent's arm is found in the arrays of the compiled world.
-
-    Attributes:
-      robot: the machine.
-      qpos: its joint angles in `qpos`.
-      dof: its joint speeds in `qvel`, and its columns in Jacobians.
-      servos: its servos in `ctrl`; their integrated targets in `act`.
-      fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
-      joint_range: lower and upper joint angles, (2, joints), in rad.
-      tcp: site id of its tool centre point.
-      hand: id of the body that carries the tcp.
-    """
-
-    robot: Robot
-    qpos: slice
-    dof: slice
-    servos: slice
-    act: slice
-    fingers: slice
-    joint_range: np.ndarray
-    tcp: int
-    hand: int
-
-    @property
-    def num_joints(self) -> int:
-        """How many joints it has."""
-        return len(self.robot.joints)
-
-
-@dataclass(frozen=True)
-class Grip:
-    """A grip that an agent can take: its tcp held to a site by a constraint.
-
-    Attributes:
-      agent: who grips.
-      site: full name of the site that can be gripped.
-      threshold: greatest distance between tcp and site at which a grip starts, in m.
-      width: clear width between the fingers while gripping, in m.
-    """
-
-    agent: str
-    site: str
-    threshold: float
-    width: float
-
-    @property
-    def name(self) -> str:
-        """The name of the equality constraint in the compiled model."""
-        return f"{self.agent} grips {self.site}"
+from collaborative_gym.timing import SIM_DT
 
 
 class Scene:
@@ -156,9 +79,9 @@ class Scene:
                 f"{agent}/{body.name}" for body in finger_bodies(child, robot.joints)
             }
         else:
-            _fix_joints(child, dict.fromkeys(gripper.joints, gripper.position(holds)))
+            fix_joints(child, dict.fromkeys(gripper.joints, gripper.position(holds)))
         frame = self.spec.worldbody.add_frame(
-            pos=placement.position, quat=_yaw_quat(placement.yaw)
+            pos=placement.position, quat=placement.quat
         )
         self.spec.attach(child, frame=frame, prefix=f"{agent}/")
         self.robots[agent] = robot
@@ -267,12 +190,12 @@ class Scene:
         """
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
-        self._set_collision_bits()
+        set_collision_bits(self.spec, self.robots, self._finger_bodies)
         if not any(camera.name == CAMERA for camera in self.spec.cameras):
             add_overview(self.spec)
         physics = self.spec.copy()
         for geom in list(physics.geoms):
-            if _is_decoration(geom):
+            if is_decoration(geom):
                 physics.delete(geom)
         shapes = {geom.meshname for geom in physics.geoms}
         for mesh in list(physics.meshes):
@@ -340,15 +263,14 @@ class Scene:
     def _resolve(self, model: mujoco.MjModel) -> None:
         """Find everything in the compiled world that is reached by name."""
         self.arms = {
-            agent: _find_arm(model, agent, robot)
-            for agent, robot in self.robots.items()
+            agent: find_arm(model, agent, robot) for agent, robot in self.robots.items()
         }
         self._grip_ids: dict[str, list[int]] = {}
         for grip in self.grips:
             ids = self._grip_ids.setdefault(grip.agent, [])
             ids.append(int(model.equality(grip.name).id))
         self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
-        self._free = _find_free(model, self._objects)
+        self._free = find_free(model, self._objects)
 
     def _check_site(self, site: str) -> None:
         names = [element.name for element in self.spec.sites if element.name]
@@ -372,7 +294,7 @@ class Scene:
             stand = table(height=height)
         else:
             return
-        self.add(f"{agent}_stand", stand, (x, y, 0.0), _yaw_quat(placement.yaw))
+        self.add(f"{agent}_stand", stand, (x, y, 0.0), placement.quat)
 
     def _add_servos(self, agent: str, robot: Robot) -> None:
         rows = zip(
@@ -406,114 +328,3 @@ class Scene:
         finger.set_to_position(kp=force / 0.1, dampratio=1.0)
         finger.forcelimited = True
         finger.forcerange = [-force, force]
-
-    def _set_collision_bits(self) -> None:
-        for geom in self.spec.geoms:
-            if not geom.contype and not geom.conaffinity:
-                continue
-            if geom.parent.name.split("/")[0] in self.robots:
-                geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
-                # Fingers close around what they grip; the grip itself is a constraint.
-                if geom.parent.name not in self._finger_bodies:
-                    geom.conaffinity |= _OBJECT
-            elif not _has_joints(geom.parent):
-                geom.contype, geom.conaffinity = _FIXED, 0
-            else:
-                geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
-
-
-def _is_decoration(geom: mujoco.MjsGeom) -> bool:
-    """Return whether a geom is there to be seen only."""
-    body = geom.parent
-    weighs = geom.mass != 0 and not body.explicitinertial and _has_joints(body)
-    return not (geom.contype or geom.conaffinity or weighs)
-
-
-def _has_joints(body: mujoco.MjsBody) -> bool:
-    """Return whether joints let a body move against the world."""
-    while body.name != "world":
-        if body.joints:
-            return True
-        body = body.parent
-    return False
-
-
-def _find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
-    joints = [model.joint(f"{agent}/{name}") for name in robot.joints]
-    servos = [model.actuator(f"{agent}/{name}").id for name in robot.joints]
-    fingers = [
-        actuator
-        for name in robot.gripper.joints
-        if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
-    ]
-    tcp = model.site(f"{agent}/{robot.tcp}")
-    return Arm(
-        robot=robot,
-        qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
-        dof=_as_slice([int(joint.dofadr[0]) for joint in joints]),
-        servos=_as_slice(servos),
-        act=_as_slice([int(model.actuator_actadr[i]) for i in servos]),
-        fingers=_as_slice(fingers) if fingers else slice(0, 0),
-        joint_range=np.array([joint.range for joint in joints]).T,
-        tcp=tcp.id,
-        hand=int(tcp.bodyid[0]),
-    )
-
-
-def _actuator_id(model: mujoco.MjModel, name: str) -> int:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
-
-
-def _as_slice(ids: list[int]) -> slice:
-    """Return consecutive ids as a slice, which reads arrays without a copy."""
-    if ids != list(range(ids[0], ids[0] + len(ids))):
-        raise ValueError(
-            f"the arm's joints are not one after the other in its model file: {ids};"
-            " list them from the base to the tool"
-        )
-    return slice(ids[0], ids[0] + len(ids))
-
-
-def _find_free(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, int]:
-    """Return where in `qpos` the pose of each object with one free joint begins."""
-    found: dict[str, int] = {}
-    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
-    for joint in np.flatnonzero(free):
-        name = model.body(int(model.jnt_bodyid[joint])).name.split("/")[0]
-        if name in names:
-            if name in found:
-                raise ValueError(
-                    f"{name} has more than one free joint; add each of its parts by"
-                    " itself"
-                )
-            found[name] = int(model.jnt_qposadr[joint])
-    return found
-
-
-def _yaw_quat(yaw: float) -> list[float]:
-    return [float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2))]
-
-
-def _fix_joints(spec: mujoco.MjSpec, positions: dict[str, float]) -> None:
-    """Put joints at positions (m or rad) and remove them, fixing their bodies there.
-
-    Joints that follow one of them are fixed where it puts them.
-    """
-    positions = dict(positions)
-    for equality in list(spec.equalities):
-        if follows(equality, positions):
-            leader = positions[equality.name2]
-            positions[equality.name1] = float(
-                np.polynomial.polynomial.polyval(leader, equality.data[:5])
-            )
-            spec.delete(equality)
-    data = kinematics(spec, positions)
-    for name in positions:
-        joint = spec.joint(name)
-        body = joint.parent
-        # A frame around the body would turn it once more.
-        body.set_frame(body.parent.add_frame())
-        body.pos, body.quat = relative_pose(data, body.name, body.parent.name)
-        # An orientation in other words, such as Euler angles, would go before quat.
-        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        spec.delete(joint)

@@ -8,17 +8,9 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.robots import Robot
-from collaborative_gym.scene import SIM_DT, Arm, Grip, Scene
+from collaborative_gym.scene import Arm, Grip, Scene
 from collaborative_gym.sim.sim import Sim
-
-CONTROL_DT = 0.1
-"""Time between actions, in s."""
-
-SUBSTEPS = round(CONTROL_DT / SIM_DT)
-"""Physics steps between actions."""
-
-MAX_CHANGE = 0.25
-"""Greatest change of a joint angle that one action can ask for, in rad."""
+from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT, SUBSTEPS
 
 _RAMP = 0.03
 """Time in which a joint's reference speed goes from rest to full, in s. Shorter asks

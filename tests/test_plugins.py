@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym import modules
+from collaborative_gym import plugins
 from collaborative_gym.cli.main import main
 
 TASK = """
@@ -24,7 +24,7 @@ cg.register_task("Wave", Wave)
 def wave(tmp_path, monkeypatch, carry_id):
     """Return the path of a file that registers a task; it is forgotten afterwards."""
     monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr(modules, "_loaded", {})
+    monkeypatch.setattr(plugins, "_loaded", {})
     (tmp_path / "my_settings.py").write_text("REACH = 0.5\n")
     path = tmp_path / "my_wave.py"
     path.write_text(TASK)
@@ -52,10 +52,10 @@ def test_the_place_of_an_error_is_the_users_line(wave):
     module = cg.load_module(str(wave))
     with pytest.raises(KeyError) as caught:
         module.lift("no such environment")
-    assert modules.place_of(caught.value) == "my_wave.py, line 12, in lift"
+    assert plugins.place_of(caught.value) == "my_wave.py, line 12, in lift"
     with pytest.raises(KeyError) as caught:
         cg.make("no such environment")
-    assert modules.place_of(caught.value) == ""
+    assert plugins.place_of(caught.value) == ""
 
 
 @pytest.mark.parametrize(
@@ -107,8 +107,8 @@ def test_a_file_that_fails_can_be_mended(wave):
 def test_packages_bring_tasks_and_a_broken_one_is_named(wave, monkeypatch):
     monkeypatch.syspath_prepend(wave.parent)
     entries = [
-        EntryPoint("broken", "no_such_module", modules.GROUP),
-        EntryPoint("wave", "my_wave", modules.GROUP),
+        EntryPoint("broken", "no_such_module", plugins.GROUP),
+        EntryPoint("wave", "my_wave", plugins.GROUP),
     ]
     asked = []
 
@@ -116,8 +116,8 @@ def test_packages_bring_tasks_and_a_broken_one_is_named(wave, monkeypatch):
         asked.append(group)
         return entries
 
-    monkeypatch.setattr(modules, "entry_points", found)
+    monkeypatch.setattr(plugins, "entry_points", found)
     with pytest.warns(UserWarning, match=r"\(no_such_module\) cannot be loaded"):
-        modules.load_entry_points()
+        plugins.load_entry_points()
     assert asked == ["collaborative_gym.tasks"]
     assert "Wave" in cg.list_tasks()

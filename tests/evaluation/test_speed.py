@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from collaborative_gym.benchmark import benchmark
+from collaborative_gym.evaluation.speed import benchmark
 
 
 @pytest.fixture(scope="module")

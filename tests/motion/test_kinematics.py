@@ -2,7 +2,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from collaborative_gym import kinematics, math
+from collaborative_gym import math
+from collaborative_gym.motion import kinematics
 from collaborative_gym.robots import get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim

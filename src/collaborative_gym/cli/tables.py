@@ -6,9 +6,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from collaborative_gym.benchmark import Benchmark
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.report import Report, Statistic, show
+from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 
 

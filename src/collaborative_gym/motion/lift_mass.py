@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.motion.statics import Way, greatest_load, strongest_way
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
-from collaborative_gym.statics import Way, greatest_load, strongest_way
 
 _MARGIN = 1.2
 """Spare of the pot's mass over one arm's capacity, and of two arms' over the mass."""

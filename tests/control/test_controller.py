@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.control import CONTROL_DT, MAX_CHANGE, Controller
+from collaborative_gym.control import Controller
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 APART = (cg.Placement((0.0, -3.0, 2.0)), cg.Placement((0.0, 3.0, 2.0)))
 """Far from each other and from the floor."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from collaborative_gym import recording
-from collaborative_gym.benchmark import cores
+from collaborative_gym.evaluation.machine import cores
+from collaborative_gym.pictures import recording
 
 _SHEET_SIZE = (480, 360)
 """Width and height of one picture of the contact sheet, in pixels."""

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.kinematics import aim, as_action, joint_change
 from collaborative_gym.math import Array
+from collaborative_gym.motion.kinematics import aim, as_action, joint_change
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim

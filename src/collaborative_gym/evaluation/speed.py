@@ -1,8 +1,6 @@
 """How fast the environments are, beside the bare physics they run on."""
 
 import json
-import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -11,15 +9,15 @@ from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 
-import mujoco
 import numpy as np
 from mujoco import batch
 
-from collaborative_gym.control import CONTROL_DT
 from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.modules import load_modules, loaded_files
+from collaborative_gym.evaluation.machine import cores, describe_machine
+from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.timing import CONTROL_DT
 
 _ROUNDS = 11
 """Alternations of bare physics and environment, whose median counts."""
@@ -110,13 +108,6 @@ def benchmark(
     return Benchmark(describe_machine(), num_envs, num_threads, tuple(speeds))
 
 
-def cores() -> int:
-    """Return how many CPUs this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     env = VectorEnv(make_task(env_id), num_envs, num_threads=num_threads)
     bare_rate, env_rate, ratio = _compare(env, num_threads)
@@ -132,17 +123,6 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
         make_s=_in_fresh_process(_time_to_make, env_id),
         kb_per_env=_in_fresh_process(_memory_per_env, env_id),
     )
-
-
-def describe_machine() -> dict[str, str | int]:
-    """Return the processor, its cores, and the versions that speed depends on."""
-    return {
-        "cpu": _cpu_name(),
-        "cores": cores(),
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "numpy": np.__version__,
-    }
 
 
 def _compare(env: VectorEnv, num_threads: int) -> tuple[float, float, float]:
@@ -248,12 +228,3 @@ def _in_fresh_process(function: Callable[[str], float], argument: str) -> float:
         1, get_context("spawn"), initializer=load_modules, initargs=(loaded_files(),)
     ) as pool:
         return pool.submit(function, argument).result()
-
-
-def _cpu_name() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import CONTROL_DT
-from collaborative_gym.envs.vector_env import VectorEnv, check_count
-from collaborative_gym.errors import unknown
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import check_count, unknown
 from collaborative_gym.files import replacing
+from collaborative_gym.pictures.rendering import check_renderer
 from collaborative_gym.policies import Policy, as_policy
-from collaborative_gym.rendering import check_renderer
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.timing import CONTROL_DT
 
 _SAME_SPREAD = 0.01
 """Differences of the robots' nearness that a picture does not show, in m."""

@@ -2,7 +2,8 @@
 
 import mujoco
 
-from collaborative_gym.rendering import CAMERA
+CAMERA = "overview"
+"""The camera that every task adds, from which its pictures are taken."""
 
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from collaborative_gym import recording
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
+from collaborative_gym.pictures import recording
 from collaborative_gym.testing import play
 
 imageio = pytest.importorskip("imageio.v2")

@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-CAMERA = "overview"
-"""The camera that every task adds, from which its pictures are taken."""
+from collaborative_gym.scene.surroundings import CAMERA
 
 
 class Camera:

@@ -1,0 +1,51 @@
+"""Which shapes collide with which, and which are there to be seen only."""
+
+from collections.abc import Collection
+
+import mujoco
+
+# Collision bits. A pair of geoms collides if a contype bit of one is among the
+# conaffinity bits of the other.
+_FIXED = 1
+_OBJECT = 2
+_ROBOT = 4
+
+
+def set_collision_bits(
+    spec: mujoco.MjSpec, agents: Collection[str], finger_bodies: Collection[str]
+) -> None:
+    """Let arms and objects collide with one another and with what is fixed.
+
+    Args:
+      spec: the world.
+      agents: prefixes of the arms' bodies.
+      finger_bodies: names of bodies that do not collide with objects.
+    """
+    for geom in spec.geoms:
+        if not geom.contype and not geom.conaffinity:
+            continue
+        if geom.parent.name.split("/")[0] in agents:
+            geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
+            # Fingers close around what they grip; the grip itself is a constraint.
+            if geom.parent.name not in finger_bodies:
+                geom.conaffinity |= _OBJECT
+        elif not _has_joints(geom.parent):
+            geom.contype, geom.conaffinity = _FIXED, 0
+        else:
+            geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
+
+
+def is_decoration(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a geom is there to be seen only."""
+    body = geom.parent
+    weighs = geom.mass != 0 and not body.explicitinertial and _has_joints(body)
+    return not (geom.contype or geom.conaffinity or weighs)
+
+
+def _has_joints(body: mujoco.MjsBody) -> bool:
+    """Return whether joints let a body move against the world."""
+    while body.name != "world":
+        if body.joints:
+            return True
+        body = body.parent
+    return False

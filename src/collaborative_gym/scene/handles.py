@@ -1,0 +1,137 @@
+"""Where things are found in the arrays of a compiled world."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.robots.robot import Robot
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the base of an arm is mounted.
+
+    Attributes:
+      position: of the base in the world frame, in m.
+      yaw: turn of the base about the vertical, in rad.
+    """
+
+    position: tuple[float, float, float]
+    yaw: float = 0.0
+
+    @property
+    def quat(self) -> list[float]:
+        """Its orientation, w x y z."""
+        return [float(np.cos(self.yaw / 2)), 0.0, 0.0, float(np.sin(self.yaw / 2))]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Where one agent's arm is found in the arrays of the compiled world.
+
+    Attributes:
+      robot: the machine.
+      qpos: its joint angles in `qpos`.
+      dof: its joint speeds in `qvel`, and its columns in Jacobians.
+      servos: its servos in `ctrl`; their integrated targets in `act`.
+      fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
+      joint_range: lower and upper joint angles, (2, joints), in rad.
+      tcp: site id of its tool centre point.
+      hand: id of the body that carries the tcp.
+    """
+
+    robot: Robot
+    qpos: slice
+    dof: slice
+    servos: slice
+    act: slice
+    fingers: slice
+    joint_range: np.ndarray
+    tcp: int
+    hand: int
+
+    @property
+    def num_joints(self) -> int:
+        """How many joints it has."""
+        return len(self.robot.joints)
+
+
+@dataclass(frozen=True)
+class Grip:
+    """A grip that an agent can take: its tcp held to a site by a constraint.
+
+    Attributes:
+      agent: who grips.
+      site: full name of the site that can be gripped.
+      threshold: greatest distance between tcp and site at which a grip starts, in m.
+      width: clear width between the fingers while gripping, in m.
+    """
+
+    agent: str
+    site: str
+    threshold: float
+    width: float
+
+    @property
+    def name(self) -> str:
+        """The name of the equality constraint in the compiled model."""
+        return f"{self.agent} grips {self.site}"
+
+
+def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
+    """Return where the arm of an agent is found.
+
+    Raises:
+      ValueError: if its joints are not one after the other in the model.
+    """
+    joints = [model.joint(f"{agent}/{name}") for name in robot.joints]
+    servos = [model.actuator(f"{agent}/{name}").id for name in robot.joints]
+    fingers = [
+        actuator
+        for name in robot.gripper.joints
+        if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
+    ]
+    tcp = model.site(f"{agent}/{robot.tcp}")
+    return Arm(
+        robot=robot,
+        qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
+        dof=_as_slice([int(joint.dofadr[0]) for joint in joints]),
+        servos=_as_slice(servos),
+        act=_as_slice([int(model.actuator_actadr[i]) for i in servos]),
+        fingers=_as_slice(fingers) if fingers else slice(0, 0),
+        joint_range=np.array([joint.range for joint in joints]).T,
+        tcp=tcp.id,
+        hand=int(tcp.bodyid[0]),
+    )
+
+
+def _actuator_id(model: mujoco.MjModel, name: str) -> int:
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+
+
+def _as_slice(ids: list[int]) -> slice:
+    """Return consecutive ids as a slice, which reads arrays without a copy."""
+    if ids != list(range(ids[0], ids[0] + len(ids))):
+        raise ValueError(
+            f"the arm's joints are not one after the other in its model file: {ids};"
+            " list them from the base to the tool"
+        )
+    return slice(ids[0], ids[0] + len(ids))
+
+
+def find_free(model: mujoco.MjModel, names: Sequence[str]) -> dict[str, int]:
+    """Return where in `qpos` the pose of each object with one free joint begins."""
+    found: dict[str, int] = {}
+    free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+    for joint in np.flatnonzero(free):
+        name = model.body(int(model.jnt_bodyid[joint])).name.split("/")[0]
+        if name in names:
+            if name in found:
+                raise ValueError(
+                    f"{name} has more than one free joint; add each of its parts by"
+                    " itself"
+                )
+            found[name] = int(model.jnt_qposadr[joint])
+    return found
