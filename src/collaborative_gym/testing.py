@@ -40,7 +40,7 @@ def check_task(
       ValueError: if the definition makes no world.
     """
     if isinstance(task, type):
-        arms = [get_robot(name) for name in robots or ("panda",) * task.num_robots]
+        arms = [get_robot(name) for name in robots or ("panda",) * task.robot_counts[0]]
         task, robots = task(arms, task.config_class()), None
     trial = Trial(as_task(task, robots), episodes)
     faults = []

@@ -17,7 +17,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.policies import Policy, as_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Randomization, Task, name_agents
 
 _MOST_ENVS = 64
 """Worlds beside one another unless told otherwise; more run hardly faster on a CPU."""
@@ -178,7 +178,7 @@ def _report(
     def statistic(column: str) -> Statistic:
         return Statistic.of([row[column] for row in rows])
 
-    agents = [f"robot_{i + 1}" for i in range(len(settings["robots"]))]
+    agents = name_agents(len(settings["robots"]))
     return Report(
         environment=environment,
         settings=settings,

@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from array_api_compat import array_namespace
 from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
@@ -29,6 +30,7 @@ class CpuSim:
         self.num_envs = num_envs
         self._batch = batch.Batch(model, num_envs, num_threads)
         self.qpos = self._batch.bind("qpos")
+        self.xp = array_namespace(self.qpos)
         self.qvel = self._batch.bind("qvel")
         self.act = self._batch.bind("act")
         self.ctrl = self._batch.bind("ctrl")

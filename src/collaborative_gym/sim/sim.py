@@ -21,6 +21,7 @@ class Sim(Protocol):
     Attributes:
       model: the compiled world.
       num_envs: how many worlds there are.
+      xp: the array API namespace of its arrays, NumPy's or torch's.
       qpos: (num_envs, nq) positions.
       qvel: (num_envs, nv) velocities.
       act: (num_envs, na) servo targets.
@@ -33,6 +34,7 @@ class Sim(Protocol):
 
     model: mujoco.MjModel
     num_envs: int
+    xp: Any
     qpos: Array
     qvel: Array
     act: Array

@@ -117,7 +117,7 @@ def make_task(
       ValueError: if the task takes another number of robots.
     """
     if name in _TASKS:
-        spec = EnvSpec(name, _TASKS[name], ("panda",) * _TASKS[name].num_robots)
+        spec = EnvSpec(name, _TASKS[name], ("panda",) * _TASKS[name].robot_counts[0])
     elif name in _ENVS:
         spec = _ENVS[name]
     else:
@@ -126,12 +126,13 @@ def make_task(
     if isinstance(chosen, str | Robot) or not isinstance(chosen, Iterable):
         raise TypeError(f"robots must be a sequence of names, got {chosen!r}")
     arms = tuple(get_robot(robot) for robot in chosen)
-    if len(arms) != spec.task.num_robots:
+    counts = spec.task.robot_counts
+    if len(arms) not in counts:
         given = ", ".join(arm.name for arm in arms)
         remedy = "name as many in its EnvSpec" if robots is None else "give as many"
         raise ValueError(
-            f"{name} needs {spec.task.num_robots} robots, got {len(arms)} ({given});"
-            f" {remedy}"
+            f"{name} needs {' or '.join(map(str, counts))} robots, got {len(arms)}"
+            f" ({given}); {remedy}"
         )
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}

@@ -86,6 +86,11 @@ class TaskConfig:
         _check_amounts(self, least=-math.inf)
 
 
+def name_agents(count: int) -> tuple[str, ...]:
+    """Return the names of that many agents, "robot_1" and so on."""
+    return tuple(f"robot_{i + 1}" for i in range(count))
+
+
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)
 FactsT = TypeVar("FactsT")
 
@@ -97,7 +102,8 @@ class Task(Generic[ConfigT, FactsT]):
     Arrays have a leading num_envs axis and may be NumPy's or torch's.
 
     Attributes:
-      num_robots: how many arms the task takes.
+      robot_counts: how many arms the task takes, any of these; the first is how many
+        there are if nobody says.
       gripping: whether actions have a grip component.
       config_class: the class of its settings.
       success_after: the goal counts as reached only after this many control steps.
@@ -110,14 +116,14 @@ class Task(Generic[ConfigT, FactsT]):
         part of a saved state.
     """
 
-    num_robots: int = 2
+    robot_counts: Sequence[int] = (2,)
     gripping: bool = False
     config_class: type[TaskConfig] = TaskConfig
     success_after: int = 0
     performance_from_start: bool = False
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
-        self.agents = tuple(f"robot_{i + 1}" for i in range(len(robots)))
+        self.agents = name_agents(len(robots))
         self.robots = dict(zip(self.agents, robots, strict=True))
         self.config = config
         self.memory: dict[str, Array] = {}
