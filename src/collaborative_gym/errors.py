@@ -1,8 +1,17 @@
 """Errors that tell the caller what was given, what is allowed and what to do."""
 
 import difflib
-from collections.abc import Iterable
-from numbers import Integral
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral, Real
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+_NO_NUMBERS = bool, np.timedelta64
+"""Python and NumPy count these as integers."""
 
 
 class SimulationDiverged(RuntimeError):
@@ -40,17 +49,120 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     near = difflib.get_close_matches(str(given).lower(), lower, n=1, cutoff=0.5)
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-    return f"no {kind} {given!r}; {kinds}: {', '.join(names)}{hint}"
+    return f"no {kind} {shown(given)}; {kinds}: {', '.join(names)}{hint}"
 
 
-def check_count(name: str, given: int, at_least: int) -> None:
-    """Raise unless a number is an integer and not too small.
+def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:
+    """Return what has a name.
+
+    Args:
+      kind: what the name should name, such as "robot".
+      given: the name as the caller gave it, of whatever type.
+      table: what there is, by name.
 
     Raises:
-      TypeError: if it is no integer.
-      ValueError: if it is below the least.
+      KeyError: if nothing has the name.
     """
-    if isinstance(given, bool) or not isinstance(given, Integral):
-        raise TypeError(f"{name} must be an integer, got {given!r}")
-    if given < at_least:
-        raise ValueError(f"{name} must be at least {at_least}, got {given}")
+    if isinstance(given, str) and given in table:
+        return table[given]
+    raise UnknownName(unknown(kind, given, table))
+
+
+def shown(given: object) -> str:
+    """Return what was given as an error shows it, on one line that is not too long."""
+    words = " ".join(repr(given).split())
+    return words if len(words) <= 80 else f"{words[:77]}..."
+
+
+def check_count(
+    name: str, given: Any, at_least: int = 0, at_most: int = 2**63 - 1
+) -> int:
+    """Return a number that must be an integer within bounds, as Python's own.
+
+    Raises:
+      TypeError: if it is no integer; a bool is none.
+      ValueError: if it is out of bounds.
+    """
+    if isinstance(given, _NO_NUMBERS) or not isinstance(given, Integral):
+        raise TypeError(f"{name} must be an integer, got {shown(given)}")
+    number = int(given)
+    _check_bounds(name, number, at_least, at_most)
+    return number
+
+
+def check_number(
+    name: str,
+    given: Any,
+    *,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    above: float = -math.inf,
+) -> float:
+    """Return a number that must be real, finite and within bounds, as a float.
+
+    Raises:
+      TypeError: if it is no real number; a bool is none.
+      ValueError: if it is not finite or out of bounds.
+    """
+    if isinstance(given, _NO_NUMBERS) or not isinstance(given, Real):
+        raise TypeError(f"{name} must be a number, got {shown(given)}")
+    try:
+        number = float(given)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be finite, got {shown(given)}")
+    if number <= above:
+        raise ValueError(f"{name} must be above {above:g}, got {shown(given)}")
+    _check_bounds(name, number, at_least, at_most)
+    return number
+
+
+def check_numbers(
+    name: str, given: Any, count: int, *, at_least: float = -math.inf
+) -> tuple[float, ...]:
+    """Return that many numbers, each as `check_number` wants it.
+
+    Raises:
+      TypeError: if it is no sequence or array, or holds what is no number.
+      ValueError: if there are fewer or more, or one is not finite or below the least.
+    """
+    if isinstance(given, str | bytes) or not isinstance(given, Sequence | np.ndarray):
+        raise TypeError(f"{name} must be {count} numbers, got {shown(given)}")
+    if len(given) != count:
+        raise ValueError(f"{name} must be {count} numbers, got {shown(given)}")
+    return tuple(
+        check_number(f"{name}[{i}]", value, at_least=at_least)
+        for i, value in enumerate(given)
+    )
+
+
+def check_flag(name: str, given: Any) -> bool:
+    """Return what must be True or False.
+
+    Raises:
+      TypeError: if it is neither.
+    """
+    if not isinstance(given, bool | np.bool_):
+        raise TypeError(f"{name} must be True or False, got {shown(given)}")
+    return bool(given)
+
+
+def check_kind(name: str, given: Any, kinds: type | tuple[type, ...], a: str) -> None:
+    """Raise TypeError unless what was given is of a kind, such as `a` "string"."""
+    if not isinstance(given, kinds):
+        raise TypeError(f"{name} must be {a}, got {shown(given)}")
+
+
+def _check_bounds(name: str, given: float, at_least: float, at_most: float) -> None:
+    if at_least <= given <= at_most:
+        return
+    low, high = (
+        f"{end:g}" if isinstance(end, float) else str(end)
+        for end in (at_least, at_most)
+    )
+    if at_most < 2**62:
+        bounds = f"{low} to {high}"
+    else:
+        bounds = f"at least {low}" if given < at_least else f"at most {high}"
+    raise ValueError(f"{name} must be {bounds}, got {given}")
