@@ -39,6 +39,11 @@ def drawn(rng, num_envs):
     return {a: np.float32(rng.normal(3.0, 2.0, (num_envs, 3))) for a in AGENTS}
 
 
+def never(num_envs):
+    """Return by agent that no world ends."""
+    return dict.fromkeys(AGENTS, np.zeros(num_envs, bool))
+
+
 def practise(learners, updates=2, num_envs=4, rollout_steps=8):
     """Let the learners learn something from noise."""
     rng = np.random.default_rng(0)
@@ -48,7 +53,8 @@ def practise(learners, updates=2, num_envs=4, rollout_steps=8):
             rewards = {agent: np.float32(rng.normal(size=num_envs)) for agent in AGENTS}
             for learner in learners:
                 learner.act(observations)
-                learner.record(rewards, following, rng.random(num_envs) < 0.2)
+                truncated = dict.fromkeys(AGENTS, rng.random(num_envs) < 0.2)
+                learner.record(rewards, following, never(num_envs), truncated)
         for learner in learners:
             learner.update()
 
@@ -136,7 +142,8 @@ def test_a_shared_policy_and_critic_know_which_robot_it_is(make):
 
 
 @pytest.mark.parametrize("mode", ["collaborative", "shared"])
-def test_time_that_is_up_counts_the_last_observations_value(make, mode):
+@pytest.mark.parametrize("is_over", [False, True])
+def test_the_last_observations_value_counts_where_time_is_up_alone(make, mode, is_over):
     """Compares what the critic is taught with sums by hand."""
     discount, decay, steps, num_envs = 0.9, 0.8, 4, 2
     (learner,) = make(
@@ -164,13 +171,18 @@ def test_time_that_is_up_counts_the_last_observations_value(make, mode):
     following = np.array([values(learner, each) for each in final])
     for t in range(steps):
         learner.act(observations[t])
-        learner.record(rewards[t], final[t], ended[t])
+        terminated = dict.fromkeys(AGENTS, ended[t] & is_over)
+        # What ends as time is up is over all the same.
+        learner.record(
+            rewards[t], final[t], terminated, dict.fromkeys(AGENTS, ended[t])
+        )
     learner.update()
     expected, advantage = np.zeros_like(value), 0.0
     for t in reversed(range(steps)):
         over = learner.learner.per_row(ended[t])
         earned = learner.learner.rewards(rewards[t])
-        error = earned + discount * following[t] - value[t]
+        ahead = np.where(over & is_over, 0.0, following[t])
+        error = earned + discount * ahead - value[t]
         advantage = error + discount * decay * advantage * ~over
         expected[t] = advantage + value[t]
     taught = learner._agent._value_preprocessor(
@@ -197,7 +209,8 @@ def test_it_learns_what_is_rewarded(make, mode):
             }
             earned.append(np.mean(list(rewards.values())))
             for learner in learners:
-                learner.record(rewards, drawn(rng, 64), np.ones(64, bool))
+                over = dict.fromkeys(AGENTS, np.ones(64, bool))
+                learner.record(rewards, drawn(rng, 64), never(64), over)
         for learner in learners:
             learner.update()
     assert np.mean(earned[-8:]) > 0.5 * np.mean(earned[:8])
@@ -211,7 +224,7 @@ def test_an_update_tells_its_losses_and_rates(make, entropy):
     rewards = dict.fromkeys(AGENTS, np.ones(4, np.float32))
     for _ in range(8):
         learner.act(observations)
-        learner.record(rewards, observations, np.zeros(4, bool))
+        learner.record(rewards, observations, never(4), never(4))
     numbers = learner.update()
     assert (numbers["entropy_loss"] == 0.0) == (entropy == 0.0)
     names = "policy_loss value_loss entropy_loss std kl learning_rate weight_norm"

@@ -41,9 +41,10 @@ def recorded(monkeypatch):
         steps.append({"before": observations})
         return act(self, observations)
 
-    def recording(self, rewards, final_observations, ended):
+    def recording(self, rewards, final_observations, terminated, truncated):
+        ended = terminated["robot_1"] | truncated["robot_1"]
         steps[-1] |= {"after": final_observations, "ended": ended}
-        record(self, rewards, final_observations, ended)
+        record(self, rewards, final_observations, terminated, truncated)
 
     monkeypatch.setattr(PPOLearner, "act", acting)
     monkeypatch.setattr(PPOLearner, "record", recording)

@@ -90,17 +90,21 @@ class PPOLearner:
         self,
         rewards: Mapping[str, np.ndarray],
         final_observations: Mapping[str, np.ndarray],
-        ended: np.ndarray,
+        terminated: Mapping[str, np.ndarray],
+        truncated: Mapping[str, np.ndarray],
     ) -> None:
-        """Keep what came of the last actions.
+        """Keep what came of the last actions, by agent as `VectorEnv.step` gives it.
 
         Args:
-          rewards: by agent, (num_envs,).
-          final_observations: by agent, before the ended worlds were reset. Episodes end
-            only because time is up, so that their last value counts on.
-          ended: (num_envs,) bool.
+          rewards: (num_envs,) each.
+          final_observations: those before the ended worlds were reset.
+          terminated: (num_envs,) bool each, where nothing more was to come.
+          truncated: (num_envs,) bool each, where time was up and the last observation's
+            value counts on.
         """
-        over = self._tensor(self.learner.per_row(ended))[:, None]
+        agent = self.learner.agents[0]  # A world ends for all of its agents.
+        over = self._tensor(self.learner.per_row(terminated[agent]))[:, None]
+        late = self._tensor(self.learner.per_row(truncated[agent]))[:, None]
         earned = self._tensor(self.learner.rewards(rewards).astype(np.float32))
         self._agent.record_transition(
             observations=self._observations,
@@ -111,8 +115,8 @@ class PPOLearner:
                 self.learner.observations(final_observations)
             ),
             next_states=None,  # type: ignore[arg-type]
-            terminated=torch.zeros_like(over),
-            truncated=over,
+            terminated=over,
+            truncated=late & ~over,
             infos=None,
             timestep=0,
             timesteps=0,
@@ -269,7 +273,7 @@ def _config(
         value_clip=0.0,
         entropy_loss_scale=hyperparameters.entropy,
         value_loss_scale=hyperparameters.value_weight,
-        # Episodes end because time is up, and their last value must count on.
+        # Where time is up, the last value counts on.
         time_limit_bootstrap=True,
     )
     config.experiment.write_interval = 0

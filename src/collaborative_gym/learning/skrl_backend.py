@@ -64,9 +64,9 @@ class SkrlBackend:
             for learner in self._learners:
                 actions |= learner.act(self._observations)
             self._assistance.carry(self._env)
-            self._observations, rewards, _, _, infos = self._env.step(actions)
+            self._observations, rewards, *ends, infos = self._env.step(actions)
             for learner in self._learners:
-                learner.record(rewards, infos["final_observation"], infos["ended"])
+                learner.record(rewards, infos["final_observation"], *ends)
             episodes += full_episodes(infos)
         self._assistance.adapt(episodes)
         numbers = {learner.learner.name: learner.update() for learner in self._learners}
