@@ -138,7 +138,9 @@ def make_task(
     own = dict(spec.settings) if same else {}
     config = _configure(spec.task, {**own, **settings})
     config = replace(config, randomization=_randomization(randomization))
-    return spec.task(arms, config)
+    task = spec.task(arms, config)
+    task.name = name
+    return task
 
 
 def as_task(

@@ -102,6 +102,8 @@ class Task(Generic[ConfigT, FactsT]):
     Arrays have a leading num_envs axis and may be NumPy's or torch's.
 
     Attributes:
+      name: the environment id or task's name by which `make` made it; else that of its
+        class.
       robot_counts: how many arms the task takes, any of these; the first is how many
         there are if nobody says.
       gripping: whether actions have a grip component.
@@ -123,6 +125,7 @@ class Task(Generic[ConfigT, FactsT]):
     performance_from_start: bool = False
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
+        self.name = type(self).__name__
         self.agents = name_agents(len(robots))
         self.robots = dict(zip(self.agents, robots, strict=True))
         self.config = config

@@ -1,0 +1,168 @@
+"""What an environment is, as one value that files keep and that can be compared.
+
+What was made for one environment goes wrong silently on another. So policies,
+checkpoints and states carry the `Identity` of theirs. What may differ depends on what
+is done with them: `ON_PLAYING` for a policy, `ON_STATE` for the state of worlds, and
+nothing for a training run that goes on.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from importlib.metadata import version
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.task import Task
+
+ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
+"""What may differ when a policy is played: the world and the goal are the same."""
+
+ON_STATE = ("name",)
+"""What may differ between worlds that take each other's states: bits are the same."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What an environment is.
+
+    Attributes:
+      name: the environment id or task's name by which it was made.
+      task: name of the task's class.
+      robots: by agent, the arm's `name` and a `digest` of its value and model file.
+      config: all settings as plain dictionaries, lists, numbers and texts.
+      versions: of this package and of MuJoCo.
+    """
+
+    name: str
+    task: str
+    robots: Mapping[str, Mapping[str, str]]
+    config: Mapping[str, Any]
+    versions: Mapping[str, str]
+
+    @classmethod
+    def of(cls, task: Task) -> "Identity":
+        """Return what a task is, here and now."""
+        return cls(
+            name=task.name,
+            task=type(task).__name__,
+            robots={
+                agent: {"name": robot.name, "digest": _digest(robot)}
+                for agent, robot in task.robots.items()
+            },
+            config=_plain(task.config),
+            versions={
+                "collaborative_gym": version("collaborative-gym"),
+                "mujoco": mujoco.__version__,
+            },
+        )
+
+    @property
+    def robot_names(self) -> tuple[str, ...]:
+        """The arms' names, in the order of the agents."""
+        return tuple(robot["name"] for robot in self.robots.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain dictionaries, lists, numbers and texts."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "Identity":
+        """Return what `to_dict` was made of.
+
+        Raises:
+          ValueError: if something is missing, or of another kind.
+        """
+        try:
+            robots = {
+                str(agent): {key: str(robot[key]) for key in ("name", "digest")}
+                for agent, robot in content["robots"].items()
+            }
+            config, versions = dict(content["config"]), dict(content["versions"])
+            name, task = str(content["name"]), str(content["task"])
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"this is no identity of an environment: {error!r}"
+            ) from None
+        return cls(name, task, robots, config, versions)
+
+    def differences(
+        self, other: "Identity", *, ignore: Collection[str] = ()
+    ) -> list[str]:
+        """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
+
+        Args:
+          other: what this one should be.
+          ignore: attributes and settings that may differ, such as `ON_PLAYING`.
+        """
+        found: list[str] = []
+        if "name" not in ignore:
+            found += _differing("environment", self.name, other.name)
+        if self.task != other.task:
+            # Settings of another task say nothing.
+            return [*found, *_differing("task", self.task, other.task)]
+        if self.robots.keys() != other.robots.keys():
+            found += _differing("robots", self.robot_names, other.robot_names)
+        else:
+            for agent, robot in self.robots.items():
+                wanted = other.robots[agent]
+                if robot["name"] != wanted["name"]:
+                    found.append(f"{agent} is {robot['name']}, not {wanted['name']}")
+                elif robot != wanted:
+                    found.append(f"{agent} is another arm of the name {robot['name']}")
+        own, others = (
+            {name: value for name, value in config.items() if name not in ignore}
+            for config in (self.config, other.config)
+        )
+        found += _differing("", own, others)
+        if "versions" not in ignore:
+            found += _differing("version of", self.versions, other.versions, " ")
+        return found
+
+
+def _differing(
+    name: str, value: Any, wanted: Any, separator: str = "."
+) -> Iterator[str]:
+    """Yield a sentence for each number or text, at any depth, that differs."""
+    if isinstance(value, Mapping) and isinstance(wanted, Mapping):
+        for key in dict.fromkeys([*value, *wanted]):
+            inner = f"{name}{separator}{key}" if name else str(key)
+            yield from _differing(inner, value.get(key), wanted.get(key), separator)
+    elif value != wanted:
+        yield f"{name} is {_short(value)}, not {_short(wanted)}"
+
+
+def _short(value: Any) -> str:
+    return (
+        value if isinstance(value, str) else json.dumps(value).replace("null", "None")
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return a setting as plain dictionaries, lists, numbers and texts."""
+    if is_dataclass(value):
+        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return getattr(value, "__qualname__", None) or str(value)
+
+
+def _digest(robot: Robot) -> str:
+    """Return a short digest that tells apart arms of one name."""
+    content = _plain(robot)
+    for name in ("title", "model_file", "_overlaps"):
+        del content[name]
+    # Numbers that were filled in differ by rounding from one machine to another.
+    rounded = json.loads(json.dumps(content), parse_float=lambda x: f"{float(x):.6g}")
+    text = json.dumps(rounded, sort_keys=True) + robot.model_file.read_text()
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
