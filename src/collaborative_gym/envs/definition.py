@@ -29,12 +29,14 @@ class Definition:
       observation_spaces: of one world, by agent.
       action_spaces: of one world, by agent.
       reward_terms: names of a reward's parts, by agent.
+      sides: the agents of each side, by its name.
     """
 
     observation_blocks: dict[str, dict[str, int]]
     observation_spaces: dict[str, Box]
     action_spaces: dict[str, Box]
     reward_terms: dict[str, tuple[str, ...]]
+    sides: dict[str, tuple[str, ...]]
 
 
 def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Definition:
@@ -66,8 +68,12 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
     }
     terms = task.reward(facts, idle)
     _check_terms(name, task, terms, tried, sim.num_envs)
-    _check_mask(f"{name}.success()", task.success(facts), sim.num_envs)
-    _check_mask(f"{name}.performing()", task.performing(facts), sim.num_envs)
+    sides = _sides(name, task)
+    for method in ("success", "performing"):
+        given = getattr(task, method)(facts)
+        for what, mask in _masks(f"{name}.{method}()", given, sides):
+            _check_mask(what, mask, sim.num_envs)
+    _check_over(f"{name}.over()", task.over(facts), tried, sim.num_envs)
     sim.reset()
     task.memory = task.remember(sim.num_envs)
     sizes = {
@@ -82,6 +88,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
         },
         action_spaces=action_spaces,
         reward_terms={agent: tuple(terms[agent]) for agent in task.agents},
+        sides=sides,
     )
 
 
@@ -178,12 +185,51 @@ def _check_agents(what: str, task: Task, given: Any) -> None:
             raise ValueError(f"{what} has no entry for {agent}; add one")
 
 
+def _sides(name: str, task: Task) -> dict[str, tuple[str, ...]]:
+    try:
+        sides = {f"side_{i + 1}": tuple(own) for i, own in enumerate(task.sides)}
+    except TypeError:
+        sides = {}
+    members = [str(agent) for own in sides.values() for agent in own]
+    if sorted(members) != sorted(task.agents) or not all(sides.values()):
+        raise ValueError(
+            f"{name}.sides is {task.sides!r}; each of {', '.join(task.agents)} must be"
+            " on exactly one side, and no side empty"
+        )
+    return sides
+
+
+def _masks(what: str, given: Any, sides: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return what to call each side's mask, and the mask."""
+    if len(sides) == 1:
+        return [(what, given)]
+    if not isinstance(given, tuple) or len(given) != len(sides):
+        raise ValueError(
+            f"{what} is {_kind(given)}; a task of {len(sides)} sides returns a tuple"
+            " with a mask for each, in the order of its sides"
+        )
+    return [
+        (f"{what} of {side}", mask) for side, mask in zip(sides, given, strict=True)
+    ]
+
+
 def _check_mask(what: str, mask: Any, num_envs: int) -> None:
     kind = getattr(mask, "dtype", type(mask).__name__)
     if np.shape(mask) != (num_envs,) or np.asarray(mask).dtype != bool:
         raise ValueError(
             f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for each"
             f" world, ({num_envs},), as a comparison gives"
+        )
+
+
+def _check_over(what: str, over: Any, tried: np.ndarray, num_envs: int) -> None:
+    if over is None:
+        return
+    _check_mask(what, over, num_envs)
+    if np.asarray(over)[tried].any():
+        raise ValueError(
+            f"{what} ends an episode at its very start; let it begin with a state that"
+            " is not over"
         )
 
 

@@ -111,14 +111,16 @@ class GymnasiumEnv(gymnasium.Env):
                 f"the action has shape {np.shape(action)}, not"
                 f" {self.action_space.shape}: {self._agents.describe_action()}"
             )
-        observations, rewards, _, _, infos = self.vector_env.step(
+        observations, rewards, terminated, _, infos = self.vector_env.step(
             self._agents.split(np.asarray(action)[None])
         )
+        is_terminated = bool(self._agents.shared(terminated)[0])
         ended = bool(infos["ended"][0])
         names = (*_STEP_INFO, "metrics") if ended else _STEP_INFO
         info = first_row({name: infos[name] for name in names})
         reward = sum(float(each[0]) for each in rewards.values())
-        return self._agents.joined(observations)[0], reward, False, ended, info
+        observation = self._agents.joined(observations)[0]
+        return observation, reward, is_terminated, ended and not is_terminated, info
 
     def render(self) -> np.ndarray:
         """Return a picture, (480, 640, 3) uint8.
@@ -222,14 +224,14 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 f"the actions have shape {np.shape(actions)}, not"
                 f" {self.action_space.shape}: {self._agents.describe_action()}"
             )
-        observations, rewards, _, _, infos = self.vector_env.step(
+        observations, rewards, terminated, truncated, infos = self.vector_env.step(
             self._agents.split(np.asarray(actions))
         )
         return (
             self._agents.joined(observations),
             np.sum([each.astype(np.float64) for each in rewards.values()], axis=0),
-            np.zeros(self.num_envs, bool),
-            infos["ended"].copy(),
+            self._agents.shared(terminated),
+            self._agents.shared(truncated),
             self._infos(infos),
         )
 
@@ -269,6 +271,12 @@ class _SingleAgent:
     """Joins the agents of a `VectorEnv` into one and takes its actions apart."""
 
     def __init__(self, env: VectorEnv):
+        if len(env.sides) > 1:
+            raise ValueError(
+                f"one agent cannot command the {len(env.sides)} sides of"
+                f" {type(env.task).__name__}, which are opponents; use make() or"
+                " make_vec(), where each robot has its agent"
+            )
         self._sizes = {
             agent: space.shape[0] for agent, space in env.single_action_spaces.items()
         }
@@ -285,6 +293,10 @@ class _SingleAgent:
         """Return each agent's columns of the actions."""
         ends = np.cumsum(list(self._sizes.values()))
         return dict(zip(self._sizes, np.split(actions, ends[:-1], 1), strict=True))
+
+    def shared(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return what is the same for all agents."""
+        return next(iter(values.values()))
 
     def describe_action(self) -> str:
         """Return how many components each agent has."""

@@ -43,10 +43,11 @@ class EnvState:
 class VectorEnv:
     """Worlds of one task, with dictionaries by agent of (num_envs, ...) arrays.
 
-    Every episode lasts `max_episode_steps` control steps; a world whose episode ends
-    starts its next one in the same step. World i plays the episodes i, i + num_envs,
-    i + 2 num_envs and so on of the seed. All arrays that are returned are the caller's
-    own.
+    An episode lasts `max_episode_steps` control steps, unless the task says earlier
+    that it is `over`: then it is terminated. Where time is up or the physics diverged
+    it is truncated. A world whose episode ends starts its next one in the same step.
+    World i plays the episodes i, i + num_envs, i + 2 num_envs and so on of the seed.
+    All arrays that are returned are the caller's own.
 
     `infos` has, at every step, arrays by world: `episode` (index), `step` (control
     steps done), `success`, `diverged`, and `reward_terms` by agent and term. Where an
@@ -54,6 +55,11 @@ class VectorEnv:
     `metrics` describe it: `return` (summed over agents), `returns` by agent,
     `completion`, `performance`, `length`, `time_to_success` (s, NaN if never),
     `reward_terms` (sums), `episode` and `seed`. Elsewhere these rows mean nothing.
+    Performance is a share of the steps that were played, whenever the episode ended.
+
+    Where a task has several sides, `success` and the metrics `return`, `completion`,
+    `performance` and `time_to_success` are dictionaries by side; nothing is summed over
+    opponents.
 
     Args:
       task: what to do, from `make_task`.
@@ -67,6 +73,7 @@ class VectorEnv:
       task: the task.
       num_envs: how many worlds.
       agents: the agents' names.
+      sides: the agents of each side, by its name: "side_1" and so on.
       single_observation_spaces: space of one world's observation, by agent.
       single_action_spaces: space of one world's action, by agent.
       observation_blocks: names and sizes of an observation's parts, by agent.
@@ -114,7 +121,10 @@ class VectorEnv:
         self.single_observation_spaces = definition.observation_spaces
         self.single_action_spaces = definition.action_spaces
         self.reward_terms = definition.reward_terms
-        self._progress = Progress(task, num_envs, seed, self.reward_terms)
+        self.sides = definition.sides
+        self._progress = Progress(
+            task, self.sim.xp, num_envs, seed, self.sides, self.reward_terms
+        )
 
     def reset(
         self,
@@ -155,7 +165,7 @@ class VectorEnv:
         infos = {
             "episode": progress["episode"],
             "step": progress["step"],
-            "success": np.asarray(self.task.success(facts)),
+            "success": self._progress.met(self.task.success(facts)),
         }
         return _copied(self._observations), infos
 
@@ -193,7 +203,9 @@ class VectorEnv:
         terms, rewards = self._reward(facts, actions, diverged)
         success = self._progress.count(facts, terms, diverged)
         progress = self.progress
-        ended = diverged | self._progress.is_over
+        over = self.task.over(facts)
+        is_terminated = ~diverged & (False if over is None else over)
+        ended = diverged | self._progress.is_timed_out | is_terminated
         final_observations = self._observe(facts)
         for agent in self.agents if diverged.any() else ():
             final_observations[agent][diverged] = self._observations[agent][diverged]
@@ -215,8 +227,8 @@ class VectorEnv:
             self._observations = _copied(final_observations)
             self._is_over = bool(ended.any())
         self.facts = facts
-        terminated = {agent: np.zeros(self.num_envs, bool) for agent in self.agents}
-        truncated = {agent: ended.copy() for agent in self.agents}
+        terminated = {agent: is_terminated.copy() for agent in self.agents}
+        truncated = {agent: ended & ~is_terminated for agent in self.agents}
         return _copied(self._observations), rewards, terminated, truncated, infos
 
     def expert(self) -> dict[str, np.ndarray]:
@@ -265,7 +277,7 @@ class VectorEnv:
             for name, array in given.items():
                 kept[name][rows] = array
         self._is_started = True
-        self._is_over = bool(self._progress.is_over.any())
+        self._is_over = bool(self._progress.is_timed_out.any())
         self.facts = self.task.measure(self.sim)
         self._observations = self._observe(self.facts)
         return _copied(self._observations)
@@ -273,7 +285,7 @@ class VectorEnv:
     @property
     def progress(self) -> dict[str, np.ndarray]:
         """The `seed` and index (`episode`) of each world's episode, and its `step`."""
-        return self._progress.place()
+        return self._progress.where()
 
     def watch(self, watcher: Callable[[], object] | None, shots: int = 1) -> None:
         """Call `watcher` during every control step, to film or show the motion.

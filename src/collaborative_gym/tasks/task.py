@@ -132,6 +132,15 @@ class Task(Generic[ConfigT, FactsT]):
         self.memory: dict[str, Array] = {}
 
     @property
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        """The agents that share one goal: all of them, unless a task divides them.
+
+        Every agent is on exactly one side. Where there are several, goal, return and
+        whatever else tells how well it went are told by side.
+        """
+        return (self.agents,)
+
+    @property
     def placements(self) -> dict[str, Placement]:
         """Where each agent's arm is mounted.
 
@@ -234,13 +243,23 @@ class Task(Generic[ConfigT, FactsT]):
         """Return each agent's reward as named terms; their sum is the reward."""
         raise self._missing("reward")
 
-    def success(self, facts: FactsT) -> Array:
-        """Return in which worlds the goal is reached now, (num_envs,) booleans."""
+    def success(self, facts: FactsT) -> Array | tuple[Array, ...]:
+        """Return in which worlds the goal is reached now, (num_envs,) booleans.
+
+        A task of several sides returns a tuple of them, in the order of `sides`.
+        """
         raise self._missing("success")
 
-    def performing(self, facts: FactsT) -> Array:
-        """Return in which worlds this step counts towards performance."""
+    def performing(self, facts: FactsT) -> Array | tuple[Array, ...]:
+        """Return in which worlds this step counts towards performance, as `success`."""
         return self.success(facts)
+
+    def over(self, facts: FactsT) -> Array | None:
+        """Return which episodes end now, before their time, (num_envs,) booleans.
+
+        None, as here, where only time ends an episode.
+        """
+        return None
 
     def expert(self, sim: Sim, facts: FactsT) -> dict[str, Any]:
         """Return actions of a scripted expert, which may look at the whole state."""
