@@ -171,7 +171,13 @@ def make_env(carry):
 
     def make(num_envs=1, seed=0, num_threads=1, auto_reset=True, **settings):
         task = carry(**settings)
-        env = cg.VectorEnv(task, num_envs, seed, num_threads, auto_reset)
+        env = cg.VectorEnv(
+            task,
+            num_envs,
+            seed=seed,
+            num_threads=num_threads,
+            auto_reset=auto_reset,
+        )
         made.append(env)
         return env
 

@@ -18,6 +18,7 @@ _DEEPEST = 1e-4  # m; what rests on a table is in it by less than that
 def check_task(
     task: str | Task | type[Task],
     robots: Sequence[str | Robot] | None = None,
+    *,
     episodes: int = 20,
 ) -> None:
     """Check that a task keeps every promise that environments make.

@@ -21,7 +21,7 @@ LENGTH = 12
 
 @pytest.fixture
 def env(carry):
-    env = PettingZooEnv(carry(), "rgb_array", "Carry-v0")
+    env = PettingZooEnv(carry(), "rgb_array", name="Carry-v0")
     yield env
     env.close()
 

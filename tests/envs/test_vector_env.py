@@ -179,7 +179,7 @@ def test_one_task_serves_several_environments(carry):
 def test_a_picture_shows_the_scene(make_env):
     env = make_env(2)
     env.reset(seed=0)
-    picture = env.render(1, 64, 48)
+    picture = env.render(1, width=64, height=48)
     assert picture.shape == (48, 64, 3)
     assert picture.dtype == np.uint8
     assert picture.std() > 10
@@ -317,4 +317,4 @@ def test_a_picture_of_no_world_or_of_no_size_is_refused(make_env):
     with pytest.raises(IndexError, match="no world 2; worlds are 0 to 1"):
         env.render(2)
     with pytest.raises(ValueError, match="5000 x 480"):
-        env.render(0, 5000)
+        env.render(width=5000)

@@ -61,7 +61,7 @@ def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     moved = draw()
     assert first is again
     assert not np.array_equal(first, moved)
-    assert np.array_equal(moved, env.render(0, *SIZE))
+    assert np.array_equal(moved, env.render(width=SIZE[0], height=SIZE[1]))
 
 
 def test_video_shows_the_episode_that_evaluate_plays(carry, tmp_path):

@@ -144,13 +144,13 @@ def test_the_scene_is_drawn_as_off_screen(serve, open_tab, wait_until, env_id):
     session, page = serve(env_id)
     tab = open_tab(page)
     _, _, *size = canvas(tab)
-    at_start = session.env.render(0, *size)
+    at_start = session.env.render(width=size[0], height=size[1])
     wait_until(lambda: likeness(drawn(tab), at_start) > 0.9, timeout=PATIENCE)
     for _ in range(12):
         session.step()
     session.speed = FASTEST
     wait_until(lambda: session.reading.time > 1.15)
-    now = session.env.render(0, *size)
+    now = session.env.render(width=size[0], height=size[1])
     assert likeness(now, at_start) < 0.99
     wait_until(lambda: likeness(drawn(tab), now) > 0.9, timeout=PATIENCE)
     wait_until(

@@ -47,7 +47,7 @@ class PettingZooEnv(ParallelEnv):
 
     metadata = _METADATA
 
-    def __init__(self, task: Task, render_mode: str | None = None, name: str = ""):
+    def __init__(self, task: Task, render_mode: str | None = None, *, name: str = ""):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         self.metadata = {**_METADATA, "name": name or type(task).__name__}
@@ -159,6 +159,7 @@ class PettingZooEnv(ParallelEnv):
 def make(
     env_id: str,
     robots: Sequence[str | Robot] | None = None,
+    *,
     render_mode: str | None = None,
     randomization: str | Randomization = "default",
     **settings: Any,
@@ -178,7 +179,7 @@ def make(
       ValueError: if the task cannot be done with these robots.
     """
     task = make_task(env_id, robots, randomization, **settings)
-    return PettingZooEnv(task, render_mode, env_id)
+    return PettingZooEnv(task, render_mode, name=env_id)
 
 
 def fresh_seed() -> int:

@@ -34,6 +34,7 @@ class Progress:
         self,
         task: Task,
         xp: Any,
+        *,
         num_envs: int,
         seed: int,
         sides: Mapping[str, tuple[str, ...]],

@@ -51,7 +51,7 @@ class RLlibEnv(MultiAgentEnv):
     """
 
     def __init__(self, task: Task, render_mode: str | None = None, name: str = ""):
-        self.env = PettingZooEnv(task, render_mode, name)
+        self.env = PettingZooEnv(task, render_mode, name=name)
         self.metadata = self.env.metadata
         self.render_mode = render_mode
         self.possible_agents = list(self.env.possible_agents)

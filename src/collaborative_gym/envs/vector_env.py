@@ -90,6 +90,7 @@ class VectorEnv:
         self,
         task: Task,
         num_envs: int,
+        *,
         seed: int = 0,
         num_threads: int = 0,
         auto_reset: bool = True,
@@ -123,13 +124,19 @@ class VectorEnv:
         self.reward_terms = definition.reward_terms
         self.sides = definition.sides
         self._progress = Progress(
-            task, self.sim.xp, num_envs, seed, self.sides, self.reward_terms
+            task,
+            self.sim.xp,
+            num_envs=num_envs,
+            seed=seed,
+            sides=self.sides,
+            reward_terms=self.reward_terms,
         )
 
     def reset(
         self,
         seed: int | None = None,
         episodes: Sequence[int] | None = None,
+        *,
         stagger: bool = False,
     ) -> tuple[Observations, dict[str, Any]]:
         """Start an episode in every world.
@@ -303,7 +310,7 @@ class VectorEnv:
         self._shots = 1 if watcher is None else shots
 
     def render(
-        self, env_id: int = 0, width: int = 640, height: int = 480
+        self, env_id: int = 0, *, width: int = 640, height: int = 480
     ) -> np.ndarray:
         """Return a picture of one world, (height, width, 3) uint8.
 
@@ -455,6 +462,7 @@ class VectorEnv:
 def make_vec(
     env_id: str,
     num_envs: int,
+    *,
     seed: int = 0,
     num_threads: int = 0,
     robots: Sequence[str | Robot] | None = None,
@@ -478,7 +486,7 @@ def make_vec(
       ValueError: if the task cannot be done with these robots.
     """
     task = make_task(env_id, robots, randomization, **settings)
-    return VectorEnv(task, num_envs, seed, num_threads)
+    return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
 
 
 def _copied(observations: Observations) -> Observations:

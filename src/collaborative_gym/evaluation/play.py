@@ -69,7 +69,7 @@ def evaluate(
             raise UnknownName(unknown("agent", agent, task.agents))
     if num_envs is None:
         num_envs = math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
-    vector_env = VectorEnv(task, num_envs, seed, num_threads)
+    vector_env = VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
     act = as_policy(policy, vector_env)
     act = _holding_still(act, vector_env, idle)
     steps = math.ceil(episodes / num_envs) * task.config.max_episode_steps

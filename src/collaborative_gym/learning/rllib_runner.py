@@ -117,7 +117,9 @@ class BatchedEnvRunner(EnvRunner):
         job = self._job
         share = len(range(self.index, job.hyperparameters.num_envs, self.num_runners))
         seed = training_seed(job.seed)
-        self.env = VectorEnv(cloudpickle.loads(job.task), share, seed, job.num_threads)
+        self.env = VectorEnv(
+            cloudpickle.loads(job.task), share, seed=seed, num_threads=job.num_threads
+        )
         self._observations = None
 
     def make_module(self) -> None:

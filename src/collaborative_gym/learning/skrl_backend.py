@@ -50,7 +50,9 @@ class SkrlBackend:
         self._device = device
         self._assistance = Assistance(hyperparameters.assistance)
         num_envs = hyperparameters.num_envs
-        self._env = VectorEnv(task, num_envs, training_seed(seed), num_threads)
+        self._env = VectorEnv(
+            task, num_envs, seed=training_seed(seed), num_threads=num_threads
+        )
         self._learners = [
             PPOLearner(learner, sizes, hyperparameters, device) for learner in learners
         ]

@@ -100,7 +100,7 @@ def record(
     with ExitStack() as stack:
         films = []
         for each in policies:
-            vector_env = VectorEnv(task, 1, seed, num_threads=1)
+            vector_env = VectorEnv(task, 1, seed=seed, num_threads=1)
             stack.callback(vector_env.close)
             act = as_policy(each, vector_env)
             # All films advance together, and the last one tells how far.
@@ -151,7 +151,7 @@ def picture(
       KeyError: if a name is unknown.
       RuntimeError: if no off-screen renderer can start; says what to install.
     """
-    vector_env = VectorEnv(as_task(env), 1, seed, num_threads=1)
+    vector_env = VectorEnv(as_task(env), 1, seed=seed, num_threads=1)
     act = as_policy(policy, vector_env)
     observations, infos = vector_env.reset()
     best, least = vector_env.get_state(), _spread(vector_env)
@@ -164,7 +164,7 @@ def picture(
             best, least = vector_env.get_state(), min(spread, least)
     vector_env.set_state(best)
     width, height = size
-    pixels = vector_env.render(0, width, height)
+    pixels = vector_env.render(width=width, height=height)
     vector_env.close()
     return pixels
 
@@ -225,7 +225,7 @@ class _Painter:
         sim = self._env.sim
         places = np.concatenate([sim.qpos[0], sim.mocap_pos[0].ravel()])
         if self._frame is None or np.abs(places - self._drawn).max() > _VISIBLE:
-            self._frame = self._env.render(0, *self._size)
+            self._frame = self._env.render(width=self._size[0], height=self._size[1])
             self._drawn = places
         return self._frame
 

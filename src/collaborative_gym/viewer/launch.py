@@ -47,7 +47,7 @@ def view(
       OSError: if the server cannot listen there.
     """
     task = make_task(env_id, robots, randomization)
-    env = VectorEnv(task, 1, seed, num_threads=1)
+    env = VectorEnv(task, 1, seed=seed, num_threads=1)
     with closing(env):
         session = Session(env, load_policy(policy, env))
         face = None if web else _window(session, tell)
