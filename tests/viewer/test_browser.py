@@ -2,6 +2,8 @@
 
 import io
 import shutil
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from collaborative_gym.viewer.web import Page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WIDTH, HEIGHT = 1000, 520
+REBOUND = "rebound.test"  # A stranger's name that now leads to this machine.
 PATIENCE = 120.0  # s; without a graphics card a picture may take seconds
 ENVS = (
     "LiftTaskSawyers-v0",
@@ -41,6 +44,7 @@ def browser():
         "--no-sandbox",
         "--use-angle=swiftshader",
         "--enable-unsafe-swiftshader",
+        f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1",
     ]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
@@ -237,3 +241,80 @@ def test_shadows_can_be_had(serve, open_tab, wait_until):
     assert [light.cast_shadow for light in page._lights] == [False]
     tab.get_by_role("checkbox").check()
     wait_until(lambda: page._lights[0].cast_shadow)
+
+
+ATTACK = """async (url) => {
+  const socket = new Promise((answer) => {
+    const socket = new WebSocket(url.replace("http", "ws"), PROTOCOL);
+    socket.onopen = () => answer("open");
+    socket.onerror = () => answer("refused");
+  });
+  const fetched = fetch(url).then((response) => response.status, () => "refused");
+  return [await socket, await fetched];
+}"""
+
+
+@pytest.fixture
+def foreign():
+    """Return the address of another web page of this machine."""
+
+    class Hello(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"<p>hello")
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Hello) as server:
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+@pytest.fixture
+def visit(browser):
+    """Return a function that opens an address and tries from there to reach another."""
+    import viser
+
+    attack = ATTACK.replace("PROTOCOL", repr(f"viser-v{viser.__version__}"))
+    tabs = []
+
+    def visit(address, target):
+        tab = browser.new_page()
+        tabs.append(tab)
+        answer = tab.goto(address)
+        return answer and answer.status, tab.evaluate(attack, target)
+
+    yield visit
+    for tab in tabs:
+        tab.close()
+
+
+def test_a_foreign_page_reaches_nothing(serve, visit, foreign):
+    _, page = serve(ENVS[0])
+    assert visit(page.url, page.url) == (200, ["open", 200])
+    refused = ["refused", "refused"]
+    assert visit(foreign, page.url) == (200, refused)
+    # It comes from the same machine, yet by another name.
+    other_name = page.url.replace("127.0.0.1", "localhost")
+    assert visit(foreign, other_name) == (200, refused)
+    # Such an address has no origin of its own: the browser says `null`.
+    assert visit("data:text/html,<p>hello", page.url) == (None, refused)
+
+
+def test_a_name_that_was_rebound_reaches_nothing(serve, visit):
+    _, page = serve(ENVS[0])
+    rebound = page.url.replace("127.0.0.1", REBOUND)
+    assert visit(rebound, rebound) == (403, ["refused", 403])
+
+
+def test_a_foreign_page_cannot_frame_it(serve, browser, foreign, wait_until):
+    _, page = serve(ENVS[0])
+    tab = browser.new_page()
+    tab.goto(foreign)
+    tab.set_content(f"<iframe src='{page.url}'></iframe>")
+    wait_until(lambda: len(tab.frames) == 2, timeout=PATIENCE)
+    wait_until(lambda: tab.frames[1].url.startswith("chrome-error:"), timeout=PATIENCE)
+    tab.close()

@@ -118,14 +118,6 @@ def test_closed_it_leaves_its_tabs_and_its_port(
         socket.create_connection(("127.0.0.1", port_of(page)))
 
 
-def test_nothing_opens_it_to_the_internet(make_session, make_page, monkeypatch):
-    page = make_page(make_session())
-    asked = []
-    monkeypatch.setattr(viser._viser, "ViserTunnel", asked.append)
-    assert page._server.request_share_url() is None
-    assert asked == []
-
-
 def test_every_body_is_where_the_world_has_it(make_session, make_page):
     session = make_session("random")
     page = make_page(session)

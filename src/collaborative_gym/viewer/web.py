@@ -13,6 +13,7 @@ import viser
 from collaborative_gym import math
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.viewer.address import free_port, is_loopback, shown
+from collaborative_gym.viewer.guard import PULL, start_server
 from collaborative_gym.viewer.reading import Reading
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 from collaborative_gym.viewer.shapes import add_geom
@@ -22,9 +23,6 @@ _SKY = (230, 239, 248)
 
 _HAZE = (15.0, 40.0)
 """Distances at which things begin to fade, and at which they have, in m."""
-
-_PULL = "cmd/ctrl"
-"""What to hold down while the mouse pulls at a body."""
 
 
 class Page:
@@ -45,6 +43,7 @@ class Page:
 
     Raises:
       OSError: if it cannot listen there.
+      RuntimeError: if the installed viser cannot be guarded from foreign pages.
       ValueError: if the world has something that the page cannot draw.
     """
 
@@ -56,7 +55,7 @@ class Page:
         self._said: Reading | None = None
         self._pulls: dict[int, mujoco.MjvPerturb] = {}
         with redirect_stdout(io.StringIO()):  # It announces itself.
-            self._server = _Server(host, port, verbose=False)
+            self._server = start_server(host, port)
         self.is_public = not is_loopback(host)
         self.url = f"http://{shown(host)}:{self._server.get_port()}"
         try:
@@ -103,7 +102,7 @@ class Page:
             for geom in range(first, first + count):
                 for node in add_geom(scene, f"{name}/{geom}", model, geom):
                     if is_free:
-                        node.on_drag("left", modifier=_PULL)(pull)
+                        node.on_drag("left", modifier=PULL)(pull)
 
     def _look_from_overview(self) -> None:
         camera, overview = self._server.initial_camera, self._data.camera(CAMERA)
@@ -119,6 +118,7 @@ class Page:
         # Not a plain function: those may be called out of order.
         async def pull(event: viser.SceneNodeDragEvent) -> None:
             session, client = self._session, event.client_id
+            pulling = self._pulls.get(client)
             if event.phase == "start":
                 offset = np.subtract(event.start_position, frame.position)
                 perturb = mujoco.MjvPerturb()
@@ -127,10 +127,14 @@ class Page:
                 perturb.localpos = math.rotate(math.conjugate(frame.wxyz), offset)
                 perturb.refselpos = event.end_position
                 session.perturb = self._pulls[client] = perturb
+            elif pulling is None:
+                return  # Another of its pulls has ended.
             elif event.phase == "update":
-                self._pulls[client].refselpos = event.end_position
-            elif session.perturb is self._pulls.pop(client):
-                session.perturb = None
+                pulling.refselpos = event.end_position
+            else:
+                del self._pulls[client]
+                if session.perturb is pulling:
+                    session.perturb = None
 
         return pull
 
@@ -143,7 +147,9 @@ class Page:
         step = gui.add_button("Step", hint="Do one control step and pause")
         reset = gui.add_button("Reset", hint="Start this episode again")
         following = gui.add_button("Next episode")
-        speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
+        self._speed = speed = gui.add_slider(
+            "Speed", SLOWEST, FASTEST, 0.1, session.speed
+        )
         shadows = gui.add_checkbox(
             "Shadows", True, hint="Slow where there is no graphics card"
         )
@@ -166,13 +172,6 @@ class Page:
         def _(_: object) -> None:
             for light in self._lights:
                 light.cast_shadow = shadows.value
-
-
-class _Server(viser.ViserServer):
-    """A server that no page can open to the internet."""
-
-    def request_share_url(self, verbose: bool = True) -> None:
-        """Refuse."""
 
 
 def _light(

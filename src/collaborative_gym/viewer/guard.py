@@ -1,0 +1,242 @@
+"""A page's server, which heeds no other page and takes nothing but its users' input."""
+
+import ipaddress
+import logging
+import re
+import socket
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Annotated, Any, Literal
+
+import msgspec
+import viser
+from websockets.asyncio import server as websockets
+from websockets.http11 import Request, Response
+
+from collaborative_gym.viewer.address import is_loopback
+from collaborative_gym.viewer.session import FASTEST, SLOWEST
+
+PULL = "cmd/ctrl"
+"""What to hold down while the mouse pulls at a body."""
+
+_LARGEST = 2**14
+"""Size of the largest message that is read, in bytes; a tab's have some hundred."""
+
+_MOST = 64
+"""How many connections may be open; a tab has one, and some while it loads."""
+
+_FAR = 1e3
+"""Bound of a mouse's and a camera's place, in m."""
+
+_PIXELS = 2**16
+"""Bound of places and sizes on a screen, in pixels."""
+
+_HOST = re.compile(r"(?:\[(.+)\]|([^:\[\]]+))(?::\d+)?", re.ASCII)
+"""A request's `Host`: an IPv6 address in brackets, or else a name, and a port."""
+
+_LOGGER = logging.getLogger(__name__)
+_LOGGER.addHandler(logging.NullHandler())  # Who scans ports must not fill a terminal.
+
+_starting = threading.Lock()
+
+
+def start_server(host: str, port: int) -> viser.ViserServer:
+    """Return a server that listens at an address, and answers its own pages alone.
+
+    A web page may send requests to every server that its reader's browser reaches. So
+    all are refused, with status 403, unless `Host` is what this server is called, and
+    `Origin`, which browsers send with each WebSocket, is the same. Of the messages,
+    those are dropped that no page of ours sends.
+
+    Args:
+      host: the address. Its names are `localhost`, loopback addresses and the address
+        itself; where other machines reach it also this machine's name and all numeric
+        addresses, which no foreign page can turn to another machine as it can a name.
+      port: the port.
+
+    Raises:
+      RuntimeError: if the installed viser starts its server in a way that is not known
+        here, so that it would be unguarded.
+    """
+    guard = _Guard(host)
+    # viser has no option for this, and listens as soon as it is made.
+    with _starting:
+        unguarded, websockets.serve = websockets.serve, guard.serve
+        try:
+            server = viser.ViserServer(host, port, verbose=False)
+        finally:
+            websockets.serve = unguarded
+    if not guard.has_served:
+        server.stop()
+        raise RuntimeError(
+            f"viser {viser.__version__} cannot be guarded from foreign pages; install"
+            " the version that this package was tested with: pip install viser==1.1.1"
+        )
+    return server
+
+
+class _Guard:
+    """What keeps strangers out of one server.
+
+    Attributes:
+      has_served: whether it guards a server.
+    """
+
+    def __init__(self, host: str):
+        self.has_served = False
+        self._is_public = not is_loopback(host)
+        self._names = {"localhost", host.lower()}
+        if self._is_public:
+            name = socket.gethostname().lower()
+            self._names |= {name, f"{name}.local"}
+        self._open = 0
+
+    def serve(
+        self,
+        handler: Callable[..., Any],
+        host: str,
+        port: int,
+        *,
+        process_request: Callable[..., Response | None],
+        **settings: Any,
+    ) -> websockets.serve:
+        """Serve as viser asks for, but guarded."""
+        self.has_served = True
+
+        def answer(connection: Any, request: Request) -> Response | None:
+            refusal = self._refuse(connection, request)
+            response = refusal or process_request(connection, request)
+            if response is not None:
+                # Nor may a foreign page show ours, and lead its reader's clicks to it.
+                response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+            return response
+
+        class Connection(_Connection):
+            guard = self
+
+        settings |= {"max_size": _LARGEST, "logger": _LOGGER}
+        settings |= {"process_request": answer, "create_connection": Connection}
+        return _serve(handler, host, port, **settings)
+
+    def count(self, change: int) -> bool:
+        """Return whether so many connections may be open, one more or one less."""
+        self._open += change
+        return self._open <= _MOST
+
+    def _refuse(self, connection: Any, request: Request) -> Response | None:
+        hosts = [host.lower() for host in request.headers.get_all("Host")]
+        origins = [origin.lower() for origin in request.headers.get_all("Origin")]
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            return connection.respond(
+                HTTPStatus.FORBIDDEN,
+                "This viewer does not answer to that name; open the address that it"
+                " printed, or start it with --host NAME.\n",
+            )
+        if origins not in ([], [f"http://{hosts[0]}"]):
+            return connection.respond(
+                HTTPStatus.FORBIDDEN, "This viewer answers its own page alone.\n"
+            )
+        protocol = request.headers.get("Sec-WebSocket-Protocol", "")
+        if "Upgrade" in request.headers and protocol != _protocol():
+            return connection.respond(
+                HTTPStatus.BAD_REQUEST, "This page is of another version; reload it.\n"
+            )
+        return None
+
+    def _is_ours(self, host: str) -> bool:
+        """Return whether a request's `Host` is what this server is called."""
+        parts = _HOST.fullmatch(host)
+        if parts is None:
+            return False
+        name = parts[1] or parts[2]
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return name in self._names
+        return self._is_public or address.is_loopback or name in self._names
+
+
+class _Connection(websockets.ServerConnection):
+    """A connection that reads only what a page of ours sends."""
+
+    guard: _Guard
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        if not self.guard.count(+1):
+            transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.guard.count(-1)
+        super().connection_lost(exc)
+
+    async def recv(self, decode: bool | None = None) -> Any:
+        """Return the next message that makes sense, and drop those before it."""
+        while True:
+            message = await super().recv(decode=False)
+            try:
+                # Written anew, nothing is left that viser could read in another way.
+                return _WRITER.encode(_READER.decode(message))
+            except ValueError:
+                continue
+
+
+def _protocol() -> str:
+    """Return by which WebSocket protocol viser's own page talks to it."""
+    return f"viser-v{viser.__version__}"
+
+
+_serve = websockets.serve
+
+_Metres = Annotated[float, msgspec.Meta(ge=-_FAR, le=_FAR)]
+_Place = tuple[_Metres, _Metres, _Metres]
+_Pixels = Annotated[float, msgspec.Meta(ge=-_PIXELS, le=_PIXELS)]
+_Size = Annotated[int, msgspec.Meta(ge=0, le=_PIXELS)]
+_Part = Annotated[float, msgspec.Meta(ge=-1.01, le=1.01)]
+_Text = Annotated[str, msgspec.Meta(max_length=200)]
+_Speed = Annotated[float, msgspec.Meta(ge=SLOWEST, le=FASTEST)]
+
+
+class _Message(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
+    """A message from a page, as viser names and reads it."""
+
+
+class _Input(_Message, tag="GuiUpdateMessage"):
+    """A click, a tick or the speed. viser itself knows which `uuid` there are."""
+
+    uuid: _Text
+    updates: dict[Literal["value"], bool | _Speed]
+
+
+class _Drag(_Message, tag="SceneNodeDragMessage"):
+    """A mouse that pulls."""
+
+    phase: Literal["start", "update", "end"]
+    name: _Text
+    instance_index: None
+    start_position: _Place
+    start_screen_pos: tuple[_Pixels, _Pixels]
+    end_position: _Place
+    end_screen_pos: tuple[_Pixels, _Pixels]
+    button: Literal["left"]
+    modifier: Literal["cmd/ctrl"]
+    owner: Literal[""] = ""
+
+
+class _Camera(_Message, tag="ViewerCameraMessage"):
+    """Where a tab looks from; by its first one viser knows that the tab is there."""
+
+    wxyz: tuple[_Part, _Part, _Part, _Part]
+    position: _Place
+    fov: _Metres
+    near: _Metres
+    far: _Metres
+    image_height: _Size
+    image_width: _Size
+    look_at: _Place
+    up_direction: _Place
+
+
+_READER = msgspec.msgpack.Decoder(_Input | _Drag | _Camera)
+_WRITER = msgspec.msgpack.Encoder()
