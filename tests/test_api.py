@@ -76,7 +76,7 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
         (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(panda, p"),
         (TypeError, {"robots": "panda"}, "sequence of names"),
         (TypeError, {"robots": 3}, "sequence of names, got 3"),
-        (ValueError, {"max_episode_steps": 0}, "must be a whole number from 1"),
+        (ValueError, {"max_episode_steps": 0}, "max_episode_steps must be at least 1"),
     ],
 )
 def test_wrong_options_are_refused(carry_id, error, arguments, message):

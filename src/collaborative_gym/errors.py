@@ -10,6 +10,12 @@ import numpy as np
 
 T = TypeVar("T")
 
+MOST_ENVS = 10**6
+"""More worlds than fit into any machine."""
+
+MOST_THREADS = 1024
+"""More threads than any machine runs well."""
+
 _NO_NUMBERS = bool, np.timedelta64
 """Python and NumPy count these as integers."""
 
@@ -86,7 +92,10 @@ def check_count(
     if isinstance(given, _NO_NUMBERS) or not isinstance(given, Integral):
         raise TypeError(f"{name} must be an integer, got {shown(given)}")
     number = int(given)
-    _check_bounds(name, number, at_least, at_most)
+    if number < at_least:
+        raise ValueError(f"{name} must be at least {at_least}, got {number}")
+    if number > at_most:
+        raise ValueError(f"{name} must be at most {at_most}, got {number}")
     return number
 
 
@@ -114,7 +123,11 @@ def check_number(
         raise ValueError(f"{name} must be finite, got {shown(given)}")
     if number <= above:
         raise ValueError(f"{name} must be above {above:g}, got {shown(given)}")
-    _check_bounds(name, number, at_least, at_most)
+    if not at_least <= number <= at_most:
+        bounds = f"at least {at_least:g}"
+        if at_most < math.inf:
+            bounds = f"{at_least:g} to {at_most:g}"
+        raise ValueError(f"{name} must be {bounds}, got {shown(given)}")
     return number
 
 
@@ -152,17 +165,3 @@ def check_kind(name: str, given: Any, kinds: type | tuple[type, ...], a: str) ->
     """Raise TypeError unless what was given is of a kind, such as `a` "string"."""
     if not isinstance(given, kinds):
         raise TypeError(f"{name} must be {a}, got {shown(given)}")
-
-
-def _check_bounds(name: str, given: float, at_least: float, at_most: float) -> None:
-    if at_least <= given <= at_most:
-        return
-    low, high = (
-        f"{end:g}" if isinstance(end, float) else str(end)
-        for end in (at_least, at_most)
-    )
-    if at_most < 2**62:
-        bounds = f"{low} to {high}"
-    else:
-        bounds = f"at least {low}" if given < at_least else f"at most {high}"
-    raise ValueError(f"{name} must be {bounds}, got {given}")

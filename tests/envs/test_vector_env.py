@@ -257,7 +257,7 @@ def test_calls_out_of_order_say_so(make_env, call):
         (
             ValueError,
             {"max_episode_steps": 0},
-            "max_episode_steps must be a whole number from 1",
+            "max_episode_steps must be at least 1",
         ),
     ],
 )

@@ -9,20 +9,20 @@ from collaborative_gym.tasks.registry import make_task
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be at least 1, got 0"),
         ({"max_episode_steps": 1.5}, "got 1.5"),
         ({"max_episode_steps": "long"}, "got 'long'"),
         ({"success_radius": float("nan")}, "success_radius must be finite, got nan"),
     ],
 )
 def test_settings_out_of_range_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         make_task("Lift", **settings)
 
 
-@pytest.mark.parametrize("noise", [-0.1, float("inf")])
+@pytest.mark.parametrize("noise", [-0.1, -1, 4])
 def test_randomization_out_of_range_is_refused(noise):
-    with pytest.raises(ValueError, match="joint_noise must be finite and at least 0"):
+    with pytest.raises(ValueError, match=r"joint_noise must be 0 to 3\.14159"):
         Randomization(joint_noise=noise)
 
 

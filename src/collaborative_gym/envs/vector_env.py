@@ -10,7 +10,14 @@ import numpy as np
 from collaborative_gym.control import Controller
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress
-from collaborative_gym.errors import SimulationDiverged, check_count
+from collaborative_gym.errors import (
+    MOST_ENVS,
+    MOST_THREADS,
+    SimulationDiverged,
+    check_count,
+    check_flag,
+    check_kind,
+)
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeRandom, check_seed
@@ -95,8 +102,10 @@ class VectorEnv:
         num_threads: int = 0,
         auto_reset: bool = True,
     ):
-        check_count("num_envs", num_envs, at_least=1)
-        check_count("num_threads", num_threads, at_least=0)
+        check_kind("task", task, Task, "a task, as make_task returns it")
+        num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
+        num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
+        auto_reset = check_flag("auto_reset", auto_reset)
         seed = check_seed(seed)
         # A copy of its own, so that one task may serve several environments.
         self.task = task = copy(task)

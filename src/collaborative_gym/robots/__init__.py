@@ -1,6 +1,6 @@
 """The arms, by name."""
 
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import look_up
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
 from collaborative_gym.robots.robot import Gripper, Robot
@@ -46,6 +46,4 @@ def get_robot(robot: "str | Robot") -> Robot:
     """
     if isinstance(robot, Robot):
         return robot
-    if robot not in _ROBOTS:
-        raise UnknownName(unknown("robot", robot, _ROBOTS))
-    return _ROBOTS[robot]
+    return look_up("robot", robot, _ROBOTS)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from collaborative_gym.errors import check_number, check_numbers
 from collaborative_gym.robots.robot import Robot
 
 
@@ -20,6 +21,11 @@ class Placement:
 
     position: tuple[float, float, float]
     yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        position = check_numbers("position", self.position, 3)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "yaw", check_number("yaw", self.yaw))
 
     @property
     def quat(self) -> list[float]:

@@ -46,6 +46,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
@@ -72,9 +73,9 @@ class BalanceConfig(TaskConfig):
       push: greatest vertical force on the board, drawn anew at every step, in N.
     """
 
-    success_distance: float = 0.09
-    board_height: float = 0.95
-    push: float = 0.0
+    success_distance: float = bounded(0.09, 0.001, 10.0)
+    board_height: float = bounded(0.95, 0.0, 10.0)
+    push: float = bounded(0.0, 0.0, 1000.0)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import Controller
+from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import shortened, solve_pose, standoff
 from collaborative_gym.motion.lift_mass import weigh
@@ -33,6 +34,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
 
 _TABLE_HEIGHT = 0.64
@@ -67,9 +69,15 @@ class LiftConfig(TaskConfig):
     """
 
     target: tuple[float, float, float] | None = None
-    pot_mass: float | None = None
-    success_radius: float = 0.15
-    picking_threshold: float = 0.03
+    pot_mass: float | None = bounded(None, 0.01, 1000.0)
+    success_radius: float = bounded(0.15, 0.001, 10.0)
+    picking_threshold: float = bounded(0.03, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.target is not None:
+            target = check_numbers("target", self.target, 3)
+            object.__setattr__(self, "target", target)
 
 
 @dataclass(frozen=True)

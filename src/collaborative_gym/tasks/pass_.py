@@ -34,6 +34,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
 
 _CUBE = "cube/centre"
@@ -66,9 +67,9 @@ class PassConfig(TaskConfig):
       handover_threshold: greatest distance at which robot_2 can grip the cube, in m.
     """
 
-    success_radius: float = 0.12
-    picking_threshold: float = 0.03
-    handover_threshold: float = 0.05
+    success_radius: float = bounded(0.12, 0.001, 10.0)
+    picking_threshold: float = bounded(0.03, 0.0, 1.0)
+    handover_threshold: float = bounded(0.05, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,19 @@
 """Environment ids, and how a task is made from one."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import gymnasium
 
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import (
+    UnknownName,
+    check_kind,
+    look_up,
+    shown,
+    unknown,
+)
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
 
@@ -82,9 +88,7 @@ def get_env(env_id: str) -> EnvSpec:
     Raises:
       KeyError: if there is none of that id.
     """
-    if env_id not in _ENVS:
-        raise UnknownName(unknown("environment", env_id, _ENVS))
-    return _ENVS[env_id]
+    return look_up("environment", env_id, _ENVS)
 
 
 def find_env(task: Task) -> str | None:
@@ -99,7 +103,7 @@ def find_env(task: Task) -> str | None:
 def make_task(
     name: str,
     robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization = "default",
+    randomization: str | Randomization | None = None,
     **settings: Any,
 ) -> Task:
     """Return a task, ready for an environment to build.
@@ -108,7 +112,8 @@ def make_task(
       name: an environment id, or a task's name.
       robots: the arms in the order of the agents, by name or value. An environment id
         has its own; other arms in its place are mounted by the task's rule.
-      randomization: how starts are drawn, a preset's name or a value.
+      randomization: how starts are drawn, a preset's name or a value; None for
+        "default".
       **settings: other fields of the task's config.
 
     Raises:
@@ -116,15 +121,15 @@ def make_task(
       TypeError: if robots is not a sequence.
       ValueError: if the task takes another number of robots.
     """
-    if name in _TASKS:
-        spec = EnvSpec(name, _TASKS[name], ("panda",) * _TASKS[name].robot_counts[0])
-    elif name in _ENVS:
-        spec = _ENVS[name]
-    else:
-        raise UnknownName(unknown("environment", name, [*_ENVS, *_TASKS]))
+    tasks = {
+        name: EnvSpec(name, task, ("panda",) * task.robot_counts[0])
+        for name, task in _TASKS.items()
+    }
+    spec = look_up("environment", name, {**_ENVS, **tasks})
     chosen = spec.robots if robots is None else robots
-    if isinstance(chosen, str | Robot) or not isinstance(chosen, Iterable):
-        raise TypeError(f"robots must be a sequence of names, got {chosen!r}")
+    # A set's order would be chance.
+    if isinstance(chosen, str | bytes) or not isinstance(chosen, Sequence):
+        raise TypeError(f"robots must be a sequence of names, got {shown(chosen)}")
     arms = tuple(get_robot(robot) for robot in chosen)
     counts = spec.task.robot_counts
     if len(arms) not in counts:
@@ -153,13 +158,13 @@ def as_task(
     Args:
       env: an environment id, a task's name, or a task.
       robots: as in `make_task`; only beside a name.
-      randomization: as in `make_task`, None for "default"; only beside a name.
+      randomization: as in `make_task`; only beside a name.
 
     Raises:
       ValueError: if robots or randomization are given beside a task.
     """
     if not isinstance(env, Task):
-        return make_task(env, robots, randomization or "default")
+        return make_task(env, robots, randomization)
     if robots is not None or randomization is not None:
         raise ValueError(
             "a task has its own robots and randomization; pass them to make_task"
@@ -175,9 +180,9 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     return task.config_class(**settings)
 
 
-def _randomization(given: str | Randomization) -> Randomization:
+def _randomization(given: str | Randomization | None) -> Randomization:
     if isinstance(given, Randomization):
         return given
-    if given not in RANDOMIZATIONS:
-        raise UnknownName(unknown("randomization", given, RANDOMIZATIONS))
-    return RANDOMIZATIONS[given]
+    preset = "default" if given is None else given
+    check_kind("randomization", preset, str, "a preset's name or a Randomization")
+    return look_up("randomization", preset, RANDOMIZATIONS)

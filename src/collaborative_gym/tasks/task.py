@@ -2,33 +2,26 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import mujoco
 import numpy as np
 
 from collaborative_gym.control import Controller
+from collaborative_gym.errors import check_count, check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.settings import bounded, check_settings
 
 Blocks = Mapping[str, Array]
 """Named columns of an observation, (num_envs, k) each, in order."""
 
 Terms = Mapping[str, Array]
 """Named parts of a reward, (num_envs,) each."""
-
-
-def _check_amounts(settings: Any, least: float) -> None:
-    """Raise ValueError if a setting is a number not finite or below `least`."""
-    for option in fields(settings):
-        value = getattr(settings, option.name)
-        if isinstance(value, float) and not (math.isfinite(value) and value >= least):
-            bound = f" and at least {least:g}" if math.isfinite(least) else ""
-            raise ValueError(f"{option.name} must be finite{bound}, got {value}")
 
 
 @dataclass(frozen=True)
@@ -44,13 +37,13 @@ class Randomization:
       target_position: of the target, along each axis, in m.
     """
 
-    joint_noise: float = 0.05
-    object_position: float = 0.05
-    object_yaw: float = float(np.radians(15))
-    target_position: float = 0.05
+    joint_noise: float = bounded(0.05, 0.0, math.pi)
+    object_position: float = bounded(0.05, 0.0, 1.0)
+    object_yaw: float = bounded(float(np.radians(15)), 0.0, math.pi)
+    target_position: float = bounded(0.05, 0.0, 1.0)
 
     def __post_init__(self) -> None:
-        _check_amounts(self, least=0.0)
+        check_settings(self)
 
 
 LEVEL = np.array([1.0, 1.0, 0.0])
@@ -78,12 +71,18 @@ class TaskConfig:
     max_episode_steps: int = 200
 
     def __post_init__(self) -> None:
-        steps = self.max_episode_steps
-        if not isinstance(steps, int) or steps < 1:
-            raise ValueError(
-                f"max_episode_steps must be a whole number from 1 on, got {steps!r}"
+        check_settings(self)
+        check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
+        check_kind(
+            "randomization", self.randomization, Randomization, "a Randomization"
+        )
+        if self.placements is not None:
+            check_kind(
+                "placements", self.placements, Sequence, "a Placement for each arm"
             )
-        _check_amounts(self, least=-math.inf)
+            for placement in self.placements:
+                check_kind("each of placements", placement, Placement, "a Placement")
+            object.__setattr__(self, "placements", tuple(self.placements))
 
 
 def name_agents(count: int) -> tuple[str, ...]:
@@ -147,7 +146,9 @@ class Task(Generic[ConfigT, FactsT]):
         Raises:
           ValueError: if these arms cannot be placed, or not each has one placement.
         """
-        placements = self.config.placements or self.place()
+        placements = self.config.placements
+        if placements is None:
+            placements = self.place()
         if len(placements) != len(self.agents):
             raise ValueError(
                 f"got {len(placements)} placements for {len(self.agents)} robots; give"

@@ -1,0 +1,39 @@
+"""Numbers that a setting may have."""
+
+from dataclasses import field, fields
+from typing import Any
+
+from collaborative_gym.errors import check_count, check_flag, check_number
+
+
+def bounded(default: float | None, at_least: float, at_most: float) -> Any:
+    """Return a field for a dataclass of settings: a number within bounds.
+
+    Where the default is None, None is allowed too.
+    """
+    return field(default=default, metadata={"at_least": at_least, "at_most": at_most})
+
+
+def check_settings(settings: Any) -> None:
+    """Check the fields of a dataclass whose defaults are numbers or booleans.
+
+    They become Python's own floats, integers and booleans.
+
+    Raises:
+      TypeError: if one is of another kind than its default.
+      ValueError: if one is not finite, or out of the bounds that it has by `bounded`.
+    """
+    for option in fields(settings):
+        name, kind = option.name, type(option.default)
+        given = getattr(settings, name)
+        if option.metadata and not (given is option.default is None):
+            number = check_number(name, given, **option.metadata)
+        elif kind is float:
+            number = check_number(name, given)
+        elif kind is int:
+            number = check_count(name, given, at_least=-(2**63))
+        elif kind is bool:
+            number = check_flag(name, given)
+        else:
+            continue
+        object.__setattr__(settings, name, number)
