@@ -1,0 +1,246 @@
+"""Bad inputs to what plays, measures, films and learns."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from judging import UNMENDED, Case, accepted, fault, table
+from values import NO_COUNT, NO_NAME, NO_NUMBER, NO_PATH, THING
+
+import collaborative_gym as cg
+from collaborative_gym.learning.config import Hyperparameters, Resources
+from collaborative_gym.pictures.recording import record
+
+NO_ROBOTS = (3, "panda", {"panda", "jaco"}, THING, [], ["panda"], ["panda", "x"])
+NO_RANDOMIZATION = (3, [], {}, THING, "", "papr", True)
+NO_CALLBACK = (3, "print", [], THING)
+TINY = {
+    "total_steps": 32,
+    "num_envs": 2,
+    "rollout_steps": 4,
+    "minibatch_size": 4,
+    "epochs": 1,
+    "hidden_sizes": (4,),
+    "validation_interval": 0,
+    "validation_episodes": 1,
+}
+
+
+def _load(shared, value):
+    cg.load_policy(value, shared.single)
+
+
+def _file(content):
+    """Return a call that loads a policy file with this content."""
+
+    def call(shared, name):
+        path = shared.folder / name
+        path.write_bytes(content)
+        cg.load_policy(path, shared.single)
+
+    return call
+
+
+LOAD = [
+    *table("policies", "policy", _load, NO_NAME, [None]),
+    *table("policies", "policy", _load, ["nowhere.safetensors", "a/b", ".", "/", "\0"]),
+    *table(
+        "policies", "env", lambda s, v: cg.load_policy("expert", v), [None, 3, "Lift"]
+    ),
+    *table(
+        "policies", "env", lambda s, v: cg.load_policy("random", v), [THING, [], {}]
+    ),
+    *table("policies", "broken", _file(b""), ["broken_1.safetensors"]),
+    *table("policies", "broken", _file(b"x" * 99), ["broken_2.safetensors"]),
+    *table(
+        "policies",
+        "broken",
+        _file(b"\x02\0\0\0\0\0\0\0{}"),
+        ["broken_3.safetensors"],
+    ),
+    *table("policies", "sizes", _load, ["LiftTaskSawyers-v0"]),
+]
+
+
+def _evaluate(name):
+    def call(shared, value):
+        given = {"env": "Poke", "policy": "random", "episodes": 1, "num_threads": 1}
+        cg.evaluate(**{**given, "on_progress": accepted, name: value})
+
+    return call
+
+
+def _played(shared, value):
+    """Play a policy that returns the value."""
+    cg.evaluate("Poke", policy=lambda observations: value, episodes=1, num_threads=1)
+
+
+def _one_action(shared, value):
+    good = {agent: np.zeros((1, 7)) for agent in ("robot_1", "robot_2")}
+    _played(shared, {**good, "robot_2": value})
+
+
+EVALUATE = [
+    *table("evaluate", "environment", _evaluate("env"), NO_NAME, [None]),
+    *table("evaluate", "policy", _evaluate("policy"), NO_NAME, [None]),
+    *table("evaluate", "episodes", _evaluate("episodes"), NO_COUNT, [0, -1, None]),
+    *table("evaluate", "seed", _evaluate("seed"), NO_COUNT, [-1, None]),
+    *table("evaluate", "num_envs", _evaluate("num_envs"), NO_COUNT, [0, -1, 2**63]),
+    *table("evaluate", "num_threads", _evaluate("num_threads"), NO_COUNT, [-1, 2**63]),
+    *table("evaluate", "robots", _evaluate("robots"), NO_ROBOTS),
+    *table("evaluate", "randomization", _evaluate("randomization"), NO_RANDOMIZATION),
+    *table("evaluate", "agent", _evaluate("idle"), [["robot_9"], [3], [None], [[]]]),
+    *table("evaluate", "idle", _evaluate("idle"), ["robot_1", 3, None, THING, 1.5]),
+    *table("evaluate", "on_progress", _evaluate("on_progress"), NO_CALLBACK),
+    *table(
+        "returned", "action", _played, [None, 3, "a", [], {}, THING, np.zeros((2, 7))]
+    ),
+    *table("returned", "action", _played, [{"robot_1": np.zeros((1, 7))}, {3: 4}]),
+    *table(
+        "returned",
+        "action",
+        _one_action,
+        [
+            None,
+            "a",
+            [],
+            {},
+            THING,
+            np.zeros(7),
+            np.zeros((1, 8)),
+            np.full((1, 7), np.nan),
+        ],
+        [np.full((1, 7), 1j), np.full((1, 7), "a"), np.full((1, 7), None)],
+        [np.zeros((1, 7), "datetime64[s]"), np.zeros((1, 7), [("a", float)])],
+    ),
+]
+
+
+def _record(name):
+    def call(shared, value):
+        output = shared.folder / "film.gif"
+        given = {"env": "Poke", "output": output, "policy": "random", "size": (64, 48)}
+        record(**{**given, "on_progress": accepted, name: value})
+
+    return call
+
+
+RECORD = [
+    *table("record", "environment", _record("env"), [None, 3, "Lif", [], THING]),
+    *table("record", "output", _record("output"), [None, 3, [], THING, True, 1.5]),
+    *table("record", "format", _record("output"), ["", ".", "film", "film.avi", "gif"]),
+    *table(
+        "record", "film", _record("output"), ["/dev/null/film.gif", "/proc/film.gif"]
+    ),
+    *table("record", "policy", _record("policy"), [None, 3, [], "no such", [3], ["x"]]),
+    *table("record", "episodes", _record("episodes"), NO_COUNT, [0, -1]),
+    *table("record", "seed", _record("seed"), NO_COUNT, [-1]),
+    *table("record", "robots", _record("robots"), NO_ROBOTS),
+    *table("record", "randomization", _record("randomization"), NO_RANDOMIZATION),
+    *table(
+        "record",
+        "width",
+        _record("size"),
+        [
+            (0, 0),
+            (-2, 4),
+            (3, 4),
+            (10**6, 2),
+            (64.0, 48),
+            ("64", 48),
+            (True, 2),
+            (64, None),
+        ],
+    ),
+    *table(
+        "record",
+        "size",
+        _record("size"),
+        [3, "64x48", "64", (64,), (64, 48, 3), {}, THING],
+    ),
+    *table("record", "on_progress", _record("on_progress"), NO_CALLBACK),
+]
+
+
+def _hyper(name):
+    return lambda shared, value: Hyperparameters(**{**TINY, name: value})
+
+
+def _resource(name):
+    return lambda shared, value: Resources(**{name: value})
+
+
+COUNTS = {field.name for field in fields(Hyperparameters) if type(field.default) is int}
+NUMBERS = [
+    field.name for field in fields(Hyperparameters) if type(field.default) is float
+]
+
+LEARN = [
+    *(
+        case
+        for name in sorted(COUNTS)
+        for case in table("hyperparameters", name, _hyper(name), NO_COUNT, [-1, 2**63])
+    ),
+    *(
+        case
+        for name in NUMBERS
+        for case in table("hyperparameters", name, _hyper(name), NO_NUMBER, [-1, 1e300])
+    ),
+    *table(
+        "hyperparameters",
+        "hidden_sizes",
+        _hyper("hidden_sizes"),
+        [3, "256", None, [], (), [0], [-1], [1.5], ["a"], {}, THING, [True], [2**63]],
+    ),
+    *table("hyperparameters", "activation", _hyper("activation"), NO_NAME, [None]),
+    *table("resources", "device", _resource("device"), NO_NAME[:8], [None]),
+    *(
+        case
+        for name in ("num_threads", "torch_threads")
+        for case in table("resources", name, _resource(name), NO_COUNT, [-1, 10**6])
+    ),
+]
+
+
+def _train(name):
+    def call(shared, value):
+        given = {"env": "Poke", "output": shared.folder / "run", "on_row": accepted}
+        given["hyperparameters"] = Hyperparameters(**TINY)
+        cg.train(**{**given, name: value})
+
+    return call
+
+
+def _resumed(shared, value):
+    cg.train("Poke", resume=value, on_row=accepted)
+
+
+TRAIN = [
+    *table("train", "environment", _train("env"), [None, 3, "Lif", [], THING]),
+    *table("train", "mode", _train("mode"), [3, "", "sharde", [], THING, True]),
+    *table("train", "seed", _train("seed"), NO_COUNT, [-1]),
+    *table("train", "output", _train("output"), NO_PATH, ["", "\0"]),
+    *table("train", "robots", _train("robots"), NO_ROBOTS),
+    *table("train", "randomization", _train("randomization"), NO_RANDOMIZATION),
+    *table(
+        "train", "hyperparameters", _train("hyperparameters"), [3, "fast", {}, THING]
+    ),
+    *table("train", "backend", _train("backend"), [3, "", "sb3", [], THING, True]),
+    *table("train", "resources", _train("resources"), [3, "cpu", {}, THING]),
+    *table(
+        "train", "checkpoint_interval", _train("checkpoint_interval"), NO_COUNT, [0, -1]
+    ),
+    *table("train", "on_row", _train("on_row"), NO_CALLBACK),
+    *table("train", "resume", _resumed, NO_PATH, ["", "nowhere", "\0"]),
+    *table("train", "resume", _train("resume"), ["nowhere"]),
+]
+
+CASES: list[Case] = [*LOAD, *EVALUATE, *RECORD, *LEARN, *TRAIN]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_bad_input_meets_a_sentence(case, shared):
+    found = fault(case, shared)
+    if found and case.group in UNMENDED:
+        pytest.xfail(found)
+    assert not found
