@@ -1,5 +1,6 @@
 """A small task with all that a task can have, so that the core is tested on its own."""
 
+import csv
 from dataclasses import dataclass
 
 import gymnasium
@@ -152,6 +153,20 @@ def cube():
     for agent, side in zip(AGENTS, (-0.1, 0.1), strict=True):
         body.add_site(name=agent, pos=[0, side, 0])
     return spec
+
+
+@pytest.fixture
+def read_progress():
+    """Return a function that gives the rows of a run's `progress.csv`."""
+
+    def read_progress(folder):
+        with (folder / "progress.csv").open() as file:
+            return [
+                {name: float(cell) for name, cell in row.items() if cell}
+                for row in csv.DictReader(file)
+            ]
+
+    return read_progress
 
 
 @pytest.fixture

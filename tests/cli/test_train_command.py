@@ -12,10 +12,10 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.cli.main import main
 from collaborative_gym.learning import baselines
-from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import RECIPES
 from collaborative_gym.learning.display import Display
-from collaborative_gym.learning.monitor import read_progress
+from collaborative_gym.learning.folder import LAST
 
 THREADS = ["--num-threads", "1", "--torch-threads", "1"]
 SIZES = """
@@ -64,11 +64,13 @@ def ctrl_c_after(steps):
         yield
 
 
-def curve(folder):
-    """Return a run's rows without what a clock says."""
-    return [
-        {k: v for k, v in row.items() if k not in ("seconds", "steps_per_second")}
-        for row in read_progress(folder / "progress.csv")
+@pytest.fixture
+def curve(read_progress):
+    """Return a function that gives a run's rows without what a clock says."""
+    times = ("seconds", "steps_per_second")
+    return lambda folder: [
+        {name: value for name, value in row.items() if name not in times}
+        for row in read_progress(folder)
     ]
 
 
@@ -106,7 +108,7 @@ def test_what_is_given_overrules_the_recipe_even_where_it_is_the_default(
         assert (numbers.initial_std, numbers.total_steps) == (expected, 32)
 
 
-def test_ctrl_c_ends_a_run_and_resume_goes_on(carry_id, tmp_path, capsys):
+def test_ctrl_c_ends_a_run_and_resume_goes_on(curve, carry_id, tmp_path, capsys):
     arguments = ["train", carry_id, "--total-steps", "192", *TINY, "--output"]
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*arguments, str(whole)]) == 0
@@ -123,7 +125,7 @@ def test_ctrl_c_ends_a_run_and_resume_goes_on(carry_id, tmp_path, capsys):
     assert policies[0] == policies[1]
 
 
-def test_a_killed_run_goes_on_as_if_nothing_had_been(carry_id, tmp_path):
+def test_a_killed_run_goes_on_as_if_nothing_had_been(curve, carry_id, tmp_path):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     steps, update, pause = 32 * 40, random.randrange(30), random.uniform(0.0, 0.05)
     arguments = ["train", carry_id, "--total-steps", str(steps), *TINY, "--output"]
@@ -182,9 +184,9 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Carry --discount 2", "discount must be 0 to 1, got 2.0"),
         ("Carry --num-threads -1", "num_threads must be at least 0"),
         ("Carry --output a --resume run", "either output, for a new run, or resume"),
-        ("Poke --resume run", "has environment Carry, not Poke"),
-        ("--resume run --discount 0.5", "has discount"),
-        ("--resume run --mode shared", "has mode collaborative, not shared"),
+        ("Poke --resume run", "environment is Poke, not Carry; task is"),
+        ("--resume run --discount 0.5", "discount is 0.5, not"),
+        ("--resume run --mode shared", "mode is shared, not collaborative"),
         ("--all --mode shared", "mode does not go with --all"),
         ("--all --seed 0", "seed does not go with --all"),
         ("--all --resume run", "resume does not go with --all"),
@@ -240,7 +242,7 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
 
 
 def test_all_trains_one_after_the_other_and_goes_on(
-    carry_id, capsys, tmp_path, monkeypatch
+    curve, carry_id, capsys, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(baselines, "_EPISODES", 4)
     monkeypatch.setattr(cg, "list_envs", lambda: [carry_id])

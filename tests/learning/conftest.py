@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
+import collaborative_gym as cg
 from collaborative_gym.learning.config import Hyperparameters, Resources
-from collaborative_gym.learning.train import train
 
 TINY = Hyperparameters(
     total_steps=128,
@@ -58,7 +58,7 @@ def train_tiny(carry, undrawn, tmp_path):
             output = tmp_path / "run"
         options = {"hyperparameters": TINY, "resources": ALONE} | options
         task = options.pop("task", None) or carry()
-        return train(task, mode, seed, output, resume, **options)
+        return cg.train(task, mode, seed=seed, output=output, resume=resume, **options)
 
     return train_tiny
 

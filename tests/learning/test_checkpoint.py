@@ -1,14 +1,20 @@
+import hashlib
 import json
 import os
 import pickle
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
-from collaborative_gym.learning.checkpoint import LAST, Checkpoint, Settings
+from collaborative_gym.learning.checkpoint import Checkpoint
+from collaborative_gym.learning.folder import BEST, LAST
+from collaborative_gym.learning.settings import Settings
+from collaborative_gym.tasks.identity import Identity
 
 FILL_THE_DISK = """
 import resource, signal, sys, torch
@@ -29,13 +35,11 @@ except OSError as error:
 
 
 @pytest.fixture
-def settings(tiny):
+def settings(carry, tiny):
     """Return what a run may be started with."""
     sizes = {"robot_1": 3, "robot_2": 2}
     return Settings(
-        environment="Carry",
-        robots=("panda", "jaco"),
-        randomization={"joint_noise": 0.1},
+        identity=Identity.of(carry()),
         mode="independent",
         seed=3,
         backend="skrl",
@@ -76,40 +80,36 @@ class Bomb:
         return Path.touch, (Path("ran"),)
 
 
-def bomb(path):
-    path.write_bytes(pickle.dumps(Bomb(), protocol=2))
-
-
-def torch_bomb(path):
-    torch.save({"format": "collaborative_gym training 1", "rows": Bomb()}, path)
-
-
-def older(path):
-    content = torch.load(path, weights_only=True)
-    content["settings"]["hyperparameters"]["warmth"] = 1.0
-    torch.save(content, path)
-
-
-def incomplete(path):
-    content = torch.load(path, weights_only=True)
-    del content["best"]
-    torch.save(content, path)
+def rewritten(path, change):
+    """Write a checkpoint whose content was changed, with a digest of its own."""
+    whole = path.read_bytes()
+    start = whole.index(b"\n") + 1
+    content = torch.load(BytesIO(whole[start + 32 :]), weights_only=True)
+    change(content)
+    rest = BytesIO()
+    torch.save(content, rest)
+    digest = hashlib.sha256(rest.getvalue()).digest()
+    path.write_bytes(whole[:start] + digest + rest.getvalue())
 
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda path: path.write_bytes(b""), "is damaged: "),
-        (lambda path: path.write_text("steps,return\n"), "is damaged: "),
-        (lambda path: path.write_bytes(path.read_bytes()[:-100]), "is damaged: "),
-        (lambda path: path.write_bytes(path.read_bytes()[:700]), "is damaged: "),
-        (lambda path: torch.save({"step": 3}, path), "its format is None"),
-        (lambda path: torch.save(torch.ones(3), path), "its format is None"),
-        (lambda path: torch.save({"format": "other 2"}, path), "format is 'other 2'"),
-        (bomb, "is damaged: "),
-        (torch_bomb, "is damaged: "),
-        (older, "'warmth'"),
-        (incomplete, "'best'"),
+        (lambda path: path.write_bytes(b""), "no checkpoint of this version"),
+        (lambda path: path.write_text("steps,return\n"), "of this version, or damaged"),
+        (lambda path: torch.save({"step": 3}, path), "of this version, or damaged"),
+        (lambda path: path.write_bytes(pickle.dumps(Bomb())), "of this version"),
+        (
+            lambda path: rewritten(path, lambda all: all.update(rows=Bomb())),
+            "version (",
+        ),
+        (lambda path: rewritten(path, lambda all: all.pop("best")), "'best'"),
+        (
+            lambda path: rewritten(
+                path, lambda all: all["settings"]["hyperparameters"].update(warmth=1.0)
+            ),
+            "'warmth'",
+        ),
     ],
 )
 def test_another_file_is_refused_and_runs_no_code(
@@ -122,6 +122,24 @@ def test_another_file_is_refused_and_runs_no_code(
         Checkpoint.load(saved)
     assert message in str(error.value) and "\n" not in str(error.value)
     assert hashes(tmp_path) == before
+
+
+def test_no_bit_can_flip_unseen(saved):
+    whole = saved.read_bytes()
+    rng = np.random.default_rng(0)
+    places = [*range(64), *rng.integers(64, len(whole), 300), len(whole) - 1]
+    for place in places:
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        saved.write_bytes(damaged)
+        with pytest.raises(ValueError, match=f"{saved} is .*damaged.* copy {BEST}"):
+            Checkpoint.load(saved)
+    for length in (0, 1, 40, 62, 700, len(whole) - 100, len(whole) - 1):
+        saved.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match=f"{saved} is .*damaged"):
+            Checkpoint.load(saved)
+    saved.write_bytes(whole)
+    Checkpoint.load(saved)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 import collaborative_gym as cg
-from collaborative_gym.learning import train as training
+from collaborative_gym.learning import run as running
 from collaborative_gym.learning.backend import training_seed, validation_seed
-from collaborative_gym.learning.checkpoint import BEST, LAST, Checkpoint
+from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import MODES, Hyperparameters, Resources
-from collaborative_gym.learning.monitor import read_progress
+from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.skrl_backend import SkrlBackend
 from collaborative_gym.policies.network import NetworkPolicy
 
@@ -55,17 +55,19 @@ def interrupted_after(steps):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_a_run_leaves_what_it_promises(trained, mode, carry):
+def test_a_run_leaves_what_it_promises(read_progress, trained, mode, carry):
     result = trained(mode)
     assert result.steps == 128 and result.seconds > 0.0
     names = {entry.name for entry in result.folder.iterdir()}
     events = {name for name in names if name.startswith("events.out.tfevents")}
-    files = "config.json progress.csv curve.png last.pt best.pt policy.safetensors"
+    files = (
+        "config.json progress.csv curve.png last.pt best.pt policy.safetensors run.lock"
+    )
     assert len(events) == 1 and names == events | set(files.split())
     settings = json.loads((result.folder / "config.json").read_text())
     assert settings == result.settings.to_dict()
-    assert settings["mode"] == mode and settings["robots"] == ["panda", "panda"]
-    rows = read_progress(result.folder / "progress.csv")
+    assert settings["mode"] == mode and settings["identity"]["task"] == "Carry"
+    rows = read_progress(result.folder)
     assert [row["steps"] for row in rows] == [32, 64, 96, 128]
     validated = [row["steps"] for row in rows if "validation/return" in row]
     assert validated == [64, 128]
@@ -97,7 +99,7 @@ def test_policies_run_without_torch(trained):
         (folder / "actions.npy").unlink()
 
 
-def test_the_robots_learn(train_tiny, tiny):
+def test_the_robots_learn(read_progress, train_tiny, tiny):
     numbers = Hyperparameters(
         total_steps=32 * 12 * 20,
         num_envs=32,
@@ -113,31 +115,27 @@ def test_the_robots_learn(train_tiny, tiny):
         validation_episodes=8,
     )
     result = train_tiny(hyperparameters=numbers)
-    returns = [
-        row["return"]
-        for row in read_progress(result.folder / "progress.csv")
-        if "return" in row
-    ]
+    returns = [row["return"] for row in read_progress(result.folder) if "return" in row]
     spread = np.std(returns[:3])
     assert np.mean(returns[-3:]) > np.mean(returns[:3]) + 3.0 * max(spread, 0.2)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_resumed_run_equals_the_uninterrupted_one(
-    trained, train_tiny, tmp_path, mode, same
+    read_progress, trained, train_tiny, tmp_path, mode, same
 ):
     whole, folder = trained(mode).folder, tmp_path / "cut"
     with pytest.raises(KeyboardInterrupt):
         options = {"checkpoint_interval": 64, "on_row": interrupted_after(96)}
         train_tiny(folder, mode=mode, **options)
     assert Checkpoint.load(folder / LAST).backend["steps"] == 64
-    assert len(read_progress(folder / "progress.csv")) == 3
+    assert len(read_progress(folder)) == 3
     torch.rand(3)  # What else draws from the generator must not matter.
     result = train_tiny(resume=folder)
     assert result.steps == 128 and result.settings.mode == mode
     name = "policy.safetensors"
     assert (folder / name).read_bytes() == (whole / name).read_bytes()
-    tables = [read_progress(each / "progress.csv") for each in (whole, folder)]
+    tables = [read_progress(each) for each in (whole, folder)]
     assert untimed(tables[0]) == untimed(tables[1])
     for name in (LAST, BEST):
         ends = [Checkpoint.load(each / name) for each in (whole, folder)]
@@ -168,9 +166,9 @@ def test_ctrl_c_is_heeded_after_the_update_and_the_second_one_at_once(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_another_seed_is_another_run(trained, train_tiny):
+def test_another_seed_is_another_run(read_progress, trained, train_tiny):
     rows = [
-        untimed(read_progress(result.folder / "progress.csv"))
+        untimed(read_progress(result.folder))
         for result in (trained("collaborative"), train_tiny(seed=1))
     ]
     assert rows[0] != rows[1]
@@ -186,7 +184,7 @@ def test_training_leaves_the_callers_generator_and_threads(train_tiny):
     assert torch.get_num_threads() == threads
 
 
-def test_more_steps_may_be_asked_for(train_tiny, tiny, trained, same):
+def test_more_steps_may_be_asked_for(read_progress, train_tiny, tiny, trained, same):
     first = train_tiny(hyperparameters=tiny(total_steps=64))
     assert first.steps == 64
     result = train_tiny(resume=first.folder, hyperparameters=tiny())
@@ -197,10 +195,10 @@ def test_more_steps_may_be_asked_for(train_tiny, tiny, trained, same):
     )
     assert same(whole, went_on)
     assert result.seconds > first.seconds
-    rows = len(read_progress(first.folder / "progress.csv"))
+    rows = len(read_progress(first.folder))
     again = train_tiny(resume=first.folder)
     assert (again.steps, again.best) == (128, result.best)
-    assert len(read_progress(first.folder / "progress.csv")) == rows
+    assert len(read_progress(first.folder)) == rows
 
 
 def test_what_was_half_written_is_removed(train_tiny):
@@ -214,15 +212,15 @@ def test_what_was_half_written_is_removed(train_tiny):
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"mode": "shared"}, "has mode collaborative, not shared; leave it out"),
-        ({"seed": 1}, "has seed 0, not 1"),
-        ({"robots": ("panda", "jaco")}, r"\('panda', 'panda'\), not \('panda', 'jaco'"),
-        ({"randomization": "paper"}, "has randomization {.*}, not {.*0.0"),
-        ({"backend": "rllib"}, "has backend skrl, not rllib"),
-        ({"hidden_sizes": (8, 8)}, r"has hidden_sizes \(16, 16\), not \(8, 8\)"),
-        ({"discount": 0.5}, "has discount [0-9.]+, not 0.5"),
-        ({"total_steps": 64}, "has total_steps 128, not 64"),
-        ({"task": "Poke"}, "has environment CarryPandas-v0, not Poke"),
+        ({"mode": "shared"}, "mode is shared, not collaborative; leave out what"),
+        ({"seed": 1}, "seed is 1, not 0"),
+        ({"robots": ("panda", "jaco")}, "robot_2 is jaco, not panda"),
+        ({"randomization": "paper"}, "randomization.joint_noise is 0.0, not"),
+        ({"backend": "rllib"}, "backend is rllib, not skrl"),
+        ({"hidden_sizes": (8, 8)}, r"hidden_sizes is \(8, 8\), not \(16, 16\)"),
+        ({"discount": 0.5}, "discount is 0.5, not [0-9.]+"),
+        ({"total_steps": 64}, "total_steps is 64, not 128"),
+        ({"task": "Poke"}, "environment is Poke, not CarryPandas-v0"),
     ],
 )
 def test_another_run_than_asked_for_is_refused(
@@ -243,7 +241,9 @@ def test_a_damaged_or_missing_checkpoint_changes_nothing(train_tiny, hashes, tmp
     folder = train_tiny().folder
     (folder / LAST).write_bytes((folder / LAST).read_bytes()[:-1000])
     before = hashes(tmp_path)
-    with pytest.raises(ValueError, match=r"last.pt is no checkpoint, or is damaged"):
+    with pytest.raises(
+        ValueError, match=r"last.pt is damaged: .*; copy best.pt over it"
+    ):
         train_tiny(resume=folder)
     with pytest.raises(FileNotFoundError, match=r"no checkpoint .*nowhere.last.pt"):
         train_tiny(resume=tmp_path / "nowhere")
@@ -292,7 +292,7 @@ def test_a_run_is_named_after_what_it_learns(
     carry_id, train_tiny, tiny, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    result = training.train(
+    result = cg.train(
         carry_id,
         "independent",
         seed=np.int64(2),
@@ -353,7 +353,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
     train_tiny, tmp_path, monkeypatch
 ):
     seeds = {"trained": set(), "validated": set()}
-    evaluate, advance = training.evaluate, SkrlBackend.advance
+    evaluate, advance = running.evaluate, SkrlBackend.advance
 
     def validating(task, policy, episodes, seed, **options):
         report = evaluate(task, policy, episodes, seed, **options)
@@ -365,7 +365,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
         seeds["trained"] |= {row["seed"] for row in iteration.episodes}
         return iteration
 
-    monkeypatch.setattr(training, "evaluate", validating)
+    monkeypatch.setattr(running, "evaluate", validating)
     monkeypatch.setattr(SkrlBackend, "advance", learning)
     for seed in (0, 5):
         train_tiny(tmp_path / f"{seed}", seed=seed)
@@ -375,7 +375,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
 
 
 def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch):
-    evaluate, given = training.evaluate, iter([1.0, 3.0, 3.0, 2.0])
+    evaluate, given = running.evaluate, iter([1.0, 3.0, 3.0, 2.0])
 
     def as_given(*arguments, **options):
         report = evaluate(*arguments, **options)
@@ -383,7 +383,7 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
         object.__setattr__(report.mean_reward, "mean", score)
         return report
 
-    monkeypatch.setattr(training, "evaluate", as_given)
+    monkeypatch.setattr(running, "evaluate", as_given)
     result = train_tiny(hyperparameters=tiny(validation_interval=32))
     assert result.best["validation/return"] == 3.0
     assert result.best["steps"] == 64

@@ -94,22 +94,23 @@ class Train(Command):
             result = train(
                 env,
                 self.mode,
-                self.seed,
-                self.output,
-                self.resume,
-                self.robots or None,
-                self.randomization,
-                hyperparameters,
-                self.backend,
-                self.resources,
-                self.checkpoint_interval,
-                display.show,
+                seed=self.seed,
+                output=self.output,
+                resume=self.resume,
+                robots=self.robots or None,
+                randomization=self.randomization,
+                hyperparameters=hyperparameters,
+                backend=self.backend,
+                resources=self.resources,
+                checkpoint_interval=self.checkpoint_interval,
+                on_row=display.show,
             )
         show(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters]:
         """Return the environment and how to learn; a run that goes on knows its own."""
-        from collaborative_gym.learning.checkpoint import LAST, Checkpoint
+        from collaborative_gym.learning.checkpoint import Checkpoint
+        from collaborative_gym.learning.folder import LAST
 
         envs, own = self.envs, None
         if self.resume is not None:

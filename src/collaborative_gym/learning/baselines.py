@@ -11,14 +11,15 @@ from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.machine import describe_machine
 from collaborative_gym.evaluation.report import show
 from collaborative_gym.files import replacing, write_text
-from collaborative_gym.learning.checkpoint import LAST
 from collaborative_gym.learning.config import (
     Hyperparameters,
     Resources,
     changed,
     recipe,
 )
-from collaborative_gym.learning.train import OnRow, Result, train
+from collaborative_gym.learning.folder import CURVE, LAST
+from collaborative_gym.learning.run import OnRow, Result
+from collaborative_gym.learning.train import train
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.tasks.registry import as_task
 
@@ -102,9 +103,9 @@ def train_baselines(
                 result = train(
                     env_id,
                     "collaborative",
-                    seed,
-                    None if is_there else folder,
-                    folder if is_there else None,
+                    seed=seed,
+                    output=None if is_there else folder,
+                    resume=folder if is_there else None,
                     hyperparameters=numbers,
                     resources=resources,
                     checkpoint_interval=checkpoint_interval,
@@ -119,8 +120,8 @@ def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Rep
         preset: evaluate(
             env_id,
             result.policy(),
-            _EPISODES,
-            _SEED,
+            episodes=_EPISODES,
+            seed=_SEED,
             randomization=preset,
             num_threads=resources.num_threads,
         )
@@ -133,7 +134,7 @@ def _ship(
 ) -> Path:
     """Write the policy, the curve and the card of the best run; return the card."""
     best = max(trials, key=lambda trial: trial.result.best["validation/return"])
-    for name, suffix in ((POLICY_FILE, ".safetensors"), ("curve.png", ".png")):
+    for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.result.folder / name, partial)
     card = output / f"{env_id}.md"
@@ -154,15 +155,15 @@ def write_card(
     """
     settings = best.result.settings
     numbers = settings.hyperparameters
-    machine = describe_machine()
+    machine, robots = describe_machine(), ", ".join(settings.identity.robot_names)
     own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
     steps = best.result.best["steps"]
     lines = [
         f"# {env_id}: baseline",
         "",
-        f"A policy for each robot ({', '.join(settings.robots)}), trained from scratch"
-        " by PPO on the thesis's reward, mode collaborative: no demonstrations, no"
-        f" shaping, {_curriculum(numbers)}.",
+        f"A policy for each robot ({robots}), trained from scratch by PPO"
+        " on the thesis's reward, mode collaborative: no demonstrations, no shaping,"
+        f" {_curriculum(numbers)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"

@@ -1,8 +1,8 @@
 """Everything that a training run needs to go on, in one file."""
 
 import os
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -10,66 +10,11 @@ from typing import Any
 import torch
 
 from collaborative_gym.files import replacing
-from collaborative_gym.learning.config import Hyperparameters, Mode
+from collaborative_gym.learning.folder import BEST, LAST
+from collaborative_gym.learning.settings import Settings
 
-LAST, BEST = "last.pt", "best.pt"
-"""Names of the files in a run's folder."""
-
-_FORMAT = "collaborative_gym training 1"
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a run was started with.
-
-    Attributes:
-      environment: the environment's id, or the task's name.
-      robots: the arms' names, in the order of the agents.
-      randomization: bounds of the episodes' starts.
-      mode: who learns what.
-      seed: of the run.
-      backend: the library that learns.
-      observation_sizes: by agent.
-      action_sizes: by agent.
-      hyperparameters: how it learns.
-    """
-
-    environment: str
-    robots: tuple[str, ...]
-    randomization: Mapping[str, float]
-    mode: Mode
-    seed: int
-    backend: str
-    observation_sizes: Mapping[str, int]
-    action_sizes: Mapping[str, int]
-    hyperparameters: Hyperparameters
-
-    @property
-    def title(self) -> str:
-        """What to call the run."""
-        robots = ", ".join(self.robots)
-        return f"{self.environment} ({robots}), {self.mode}, seed {self.seed}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain lists, dictionaries, numbers and texts."""
-        content = asdict(self)
-        content["robots"] = list(self.robots)
-        sizes = content["hyperparameters"]["hidden_sizes"]
-        content["hyperparameters"]["hidden_sizes"] = list(sizes)
-        return content
-
-    @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "Settings":
-        """Return what `to_dict` was made of."""
-        numbers = dict(content["hyperparameters"])
-        numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
-        return cls(
-            **{
-                **content,
-                "robots": tuple(content["robots"]),
-                "hyperparameters": Hyperparameters(**numbers),
-            }
-        )
+_FORMAT = b"collaborative_gym training 2\n"
+"""Begins the file. The SHA-256 of the rest comes next, then the rest, torch's own."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +43,6 @@ class Checkpoint:
           OSError: if it cannot be written; a file that was there before is untouched.
         """
         content = {
-            "format": _FORMAT,
             "settings": self.settings.to_dict(),
             "backend": self.backend,
             "rows": self.rows,
@@ -110,6 +54,7 @@ class Checkpoint:
         torch.save(content, whole)
         with replacing(path) as partial, open(partial, "wb") as file:
             try:
+                file.write(_FORMAT + sha256(whole.getbuffer()).digest())
                 file.write(whole.getbuffer())
                 # Else it may be empty in its place if the power fails.
                 file.flush()
@@ -123,33 +68,33 @@ class Checkpoint:
 
         Raises:
           FileNotFoundError: if there is no such file.
-          ValueError: if it is damaged, or no checkpoint of this version.
+          ValueError: if a bit of it is damaged, or it is no checkpoint of this version;
+            says what to do.
         """
         if not path.is_file():
             raise FileNotFoundError(f"no checkpoint {path}")
+        whole = path.read_bytes()
+        start = len(_FORMAT) + sha256().digest_size
+        if not whole.startswith(_FORMAT):
+            raise _unusable(path, "no checkpoint of this version, or damaged")
+        rest = memoryview(whole)[start:]
+        if sha256(rest).digest() != whole[len(_FORMAT) : start]:
+            raise _unusable(path, "damaged: its digest is of another content")
         try:
             # Only data: a file from elsewhere cannot run code.
-            content = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises many kinds for a damaged file.
-            reason = str(error).partition("\n")[0]
-            raise ValueError(
-                f"{path} is no checkpoint, or is damaged: {reason}"
-            ) from error
-        found = content.get("format") if isinstance(content, dict) else None
-        if found != _FORMAT:
-            raise ValueError(
-                f"{path} is no checkpoint of this version: its format is {found!r}, not"
-                f" {_FORMAT!r}"
-            )
-        try:
+            content = torch.load(BytesIO(rest), "cpu", weights_only=True)
             return cls(
-                Settings.from_dict(content["settings"]),
-                content["backend"],
-                content["rows"],
-                content["best"],
-                content["seconds"],
+                **{**content, "settings": Settings.from_dict(content["settings"])}
             )
-        except (KeyError, TypeError) as error:
-            raise ValueError(
-                f"{path} is no checkpoint of this version: {error}"
-            ) from error
+        except Exception as error:  # torch raises many kinds.
+            reason = str(error).partition("\n")[0]
+            what = f"no checkpoint of this version ({reason})"
+            raise _unusable(path, what) from error
+
+
+def _unusable(path: Path, reason: str) -> ValueError:
+    other = BEST if path.name == LAST else LAST
+    return ValueError(
+        f"{path} is {reason}; copy {other} over it to go on from there, or start"
+        " another run"
+    )

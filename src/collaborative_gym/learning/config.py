@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from collaborative_gym.errors import check_count
+from collaborative_gym.errors import check_count, check_kind, check_number
 from collaborative_gym.policies.network import check_activation
 
 Mode = Literal["collaborative", "independent", "shared", "centralized"]
@@ -96,28 +96,29 @@ class Hyperparameters:
     validation_episodes: int = 64
 
     def __post_init__(self):
-        for name in (
-            "total_steps",
-            "num_envs",
-            "rollout_steps",
-            "epochs",
-            "minibatch_size",
-            "validation_episodes",
-        ):
-            check_count(name, getattr(self, name), at_least=1)
-        check_count("validation_interval", self.validation_interval, at_least=0)
-        for width in self.hidden_sizes:
-            check_count("each of hidden_sizes", width, at_least=1)
-        for name, low, high in _RANGES:
+        for name, (low, high) in _COUNTS.items():
+            self._keep(name, check_count(name, getattr(self, name), low, high))
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"{name} must be {low:g} to {high:g}, got {value!r}")
+            self._keep(name, check_number(name, value, at_least=low, at_most=high))
+        sizes, a = self.hidden_sizes, "a sequence of integers, such as (256, 256)"
+        check_kind("hidden_sizes", sizes, (tuple, list), a)
+        checked = tuple(
+            check_count("each of hidden_sizes", width, 1, 2**16) for width in sizes
+        )
+        self._keep("hidden_sizes", checked)
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"
                 f" max_learning_rate {self.max_learning_rate:g}"
             )
+        check_kind("activation", self.activation, str, "a name, such as 'relu'")
         check_activation(self.activation)
+
+    def _keep(self, name: str, checked: Any) -> None:
+        """Set a field to what a file can hold, unless it is that already."""
+        if not isinstance(getattr(self, name), type(checked)):
+            object.__setattr__(self, name, checked)
 
     def first_std(self, is_grip: np.ndarray) -> np.ndarray:
         """Return the standard deviation of each component of the first actions."""
@@ -133,23 +134,36 @@ class Hyperparameters:
         return self.num_envs * self.rollout_steps
 
 
-_RANGES = (
-    ("discount", 0.0, 1.0),
-    ("gae_lambda", 0.0, 1.0),
-    ("clip", 1e-3, 1.0),
-    ("entropy", 0.0, 1.0),
-    ("value_weight", 0.0, 1e3),
-    ("max_grad_norm", 0.0, 1e6),
-    ("learning_rate", 0.0, 1.0),
-    ("target_kl", 0.0, 10.0),
-    ("min_learning_rate", 0.0, 1.0),
-    ("max_learning_rate", 0.0, 1.0),
-    ("initial_std", 1e-3, 7.0),
-    ("initial_grip_std", 1e-3, 7.0),
-    ("grip_limit", 0.0, 100.0),
-    ("grip_persistence", 0.0, 0.999),
-    ("assistance", 0.0, 1.0),
-)
+_COUNTS = {
+    "total_steps": (1, 10**15),
+    "num_envs": (1, 10**6),
+    "rollout_steps": (1, 10**6),
+    "epochs": (1, 10**6),
+    "minibatch_size": (1, 10**9),
+    "validation_interval": (0, 10**15),
+    "validation_episodes": (1, 10**6),
+}
+
+_RANGES = {
+    "discount": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "clip": (1e-3, 1.0),
+    "entropy": (0.0, 1.0),
+    "value_weight": (0.0, 1e3),
+    "max_grad_norm": (0.0, 1e6),
+    "learning_rate": (0.0, 1.0),
+    "target_kl": (0.0, 10.0),
+    "min_learning_rate": (0.0, 1.0),
+    "max_learning_rate": (0.0, 1.0),
+    "initial_std": (1e-3, 7.0),
+    "initial_grip_std": (1e-3, 7.0),
+    "grip_limit": (0.0, 100.0),
+    "grip_persistence": (0.0, 0.999),
+    "assistance": (0.0, 1.0),
+}
+
+_MOST_THREADS = 1024
+"""More than machines have, and so few that they can be started."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,8 +187,11 @@ class Resources:
     ray_address: str | None = None
 
     def __post_init__(self):
+        check_kind("device", self.device, str, "a name, cpu or cuda")
         for name in ("num_threads", "torch_threads", "num_runners"):
-            check_count(name, getattr(self, name), at_least=0)
+            check_count(name, getattr(self, name), 0, _MOST_THREADS)
+        if self.ray_address is not None:
+            check_kind("ray_address", self.ray_address, str, "a text, or None")
 
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {

@@ -1,6 +1,5 @@
 """What a training run writes into its folder while it learns."""
 
-import csv
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ from collaborative_gym.evaluation.report import Report
 from collaborative_gym.files import naming, write_text
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve
+from collaborative_gym.learning.folder import CURVE, PROGRESS
 
 Row = dict[str, float]
 """What one iteration brought, by column; `summarize` says which there are."""
@@ -146,7 +146,7 @@ class Monitor:
 
     @property
     def _path(self) -> Path:
-        return self._folder / "progress.csv"
+        return self._folder / PROGRESS
 
     def _rewrite(self) -> None:
         """Write all rows anew, under a header that knows all columns."""
@@ -165,39 +165,10 @@ class Monitor:
 
     def _draw(self) -> None:
         started = time.monotonic()
-        draw_curve(self.rows, self._title, self._folder / "curve.png")
+        draw_curve(self.rows, self._title, self._folder / CURVE)
         ended = time.monotonic()
         pause = max(_REDRAW_INTERVAL, (ended - started) / _DRAWING_SHARE)
         self._next_drawing = ended + pause
-
-
-def read_progress(path: str | Path) -> list[Row]:
-    """Return the rows of a `progress.csv` as they were logged.
-
-    A last line that a run's sudden end cut short is left out.
-
-    Raises:
-      OSError: if it cannot be read.
-      ValueError: if it is something else; says where.
-    """
-    text = Path(path).read_text(encoding="utf-8")
-    lines = csv.reader(text[: text.rfind("\n") + 1].splitlines())
-    columns = next(lines, [])
-    rows = []
-    for number, cells in enumerate(lines, start=2):
-        try:
-            pairs = zip(columns, cells, strict=True)
-            rows.append({name: _number(cell) for name, cell in pairs if cell})
-        except ValueError as error:
-            raise ValueError(
-                f"{path} is no progress.csv of a run: line {number} is"
-                f" {','.join(cells)!r}"
-            ) from error
-    return rows
-
-
-def _number(cell: str) -> float:
-    return int(cell) if cell.lstrip("-").isdigit() else float(cell)
 
 
 def _plain(row: Mapping[str, float]) -> Row:

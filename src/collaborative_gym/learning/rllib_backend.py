@@ -39,6 +39,7 @@ from ray.rllib.utils.metrics import (
 
 from collaborative_gym.envs.rllib import RLlibEnv
 from collaborative_gym.evaluation.machine import cores
+from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import TeamModule, TeamPPOLearner
@@ -49,7 +50,6 @@ from collaborative_gym.learning.rllib_runner import (
     join,
 )
 from collaborative_gym.learning.team import Learner, Sizes
-from collaborative_gym.learning.worlds import Assistance
 from collaborative_gym.policies.network import Weights
 from collaborative_gym.tasks.task import Task
 

@@ -20,12 +20,12 @@ from ray.rllib.env import INPUT_ENV_SINGLE_SPACES, INPUT_ENV_SPACES
 from ray.rllib.env.env_runner import EnvRunner
 
 from collaborative_gym.envs.vector_env import Observations, VectorEnv
+from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.backend import training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.rllib_learner import ADVANTAGES, RETURNS, TeamModule
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
-    Assistance,
     arrays,
     full_episodes,
     load_worlds,

@@ -6,12 +6,12 @@ from typing import Any
 import torch
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.backend import Iteration, training_seed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
-    Assistance,
     full_episodes,
     load_worlds,
     save_worlds,

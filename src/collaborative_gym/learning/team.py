@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.learning.config import MODES, Mode
 from collaborative_gym.policies.network import Part, with_identity
+from collaborative_gym.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,17 @@ class Sizes:
     observation: Mapping[str, int]
     action: Mapping[str, int]
     gripping: bool = False
+
+    @classmethod
+    def of(cls, task: Task) -> "Sizes":
+        """Return the sizes of a task's spaces."""
+        env = VectorEnv(task, 1, num_threads=1)
+        observation, action = (
+            {agent: space.shape[0] for agent, space in spaces.items()}
+            for spaces in (env.single_observation_spaces, env.single_action_spaces)
+        )
+        env.close()
+        return cls(observation, action, task.gripping)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.learning.worlds import Assistance
+from collaborative_gym.learning.assistance import Assistance
 
 
 def hold_still(env):

@@ -1,0 +1,214 @@
+"""A run under way: learn, validate, show, save."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from collaborative_gym.evaluation import Report, evaluate
+from collaborative_gym.learning.backend import Backend, Iteration, validation_seed
+from collaborative_gym.learning.checkpoint import Checkpoint
+from collaborative_gym.learning.config import Resources
+from collaborative_gym.learning.folder import BEST, LAST
+from collaborative_gym.learning.monitor import Monitor, summarize
+from collaborative_gym.learning.settings import Settings
+from collaborative_gym.learning.skrl_backend import SkrlBackend
+from collaborative_gym.learning.team import Learner, Sizes, make_learners
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.tasks.task import Task
+
+OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
+"""Gets an iteration's row and that of the best validation so far (or nothing)."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A training run that has come to its end.
+
+    Attributes:
+      folder: where its files are.
+      settings: what it was started with.
+      steps: environment steps that it took.
+      seconds: time that it took.
+      best: means of the best validation: `validation/return`,
+        `validation/completion`, `validation/performance` and `steps`.
+    """
+
+    folder: Path
+    settings: Settings
+    steps: int
+    seconds: float
+    best: Mapping[str, float]
+
+    def policy(self) -> NetworkPolicy:
+        """Return the policy with the best validation."""
+        return NetworkPolicy.load(self.folder / POLICY_FILE)
+
+
+class Run:
+    """A run, from its start or a checkpoint.
+
+    Args:
+      folder: where its files go.
+      task: what to learn.
+      settings: how.
+      resources: what it may use.
+      started: from where it goes on, None for the start.
+
+    Raises:
+      OSError: if a file cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        task: Task,
+        *,
+        settings: Settings,
+        resources: Resources,
+        started: Checkpoint | None,
+    ):
+        self._folder = folder
+        self._task = task
+        self._settings = settings
+        self._num_threads = resources.num_threads
+        sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
+        learners = make_learners(settings.mode, sizes)
+        self._parts = [part for learner in learners for part in learner.parts]
+        self._backend = _make_backend(task, settings, resources, learners, sizes)
+        self._best = dict(started.best) if started is not None else {}
+        self._before = started.seconds if started is not None else 0.0
+        try:
+            if started is not None:
+                self._backend.load_state_dict(started.backend)
+            rows = started.rows if started is not None else ()
+            self._monitor = Monitor(folder, settings.title, rows)
+            self._since = time.monotonic()
+            if started is None:
+                self._save(LAST)
+        except BaseException:
+            self._backend.close()
+            raise
+
+    def finish(
+        self, pressed: Event, *, checkpoint_interval: int, on_row: OnRow | None
+    ) -> Result:
+        """Train up to the last step, or until Ctrl-C is `pressed`."""
+        hyperparameters = self._settings.hyperparameters
+        while self._backend.steps < hyperparameters.total_steps:
+            before, began = self._backend.steps, time.monotonic()
+            iteration = self._backend.advance()
+            self._check_finite(iteration)
+            steps = self._backend.steps
+            rate = (steps - before) / (time.monotonic() - began)
+            is_last = steps >= hyperparameters.total_steps
+            is_due = _crosses(before, steps, hyperparameters.validation_interval)
+            validation = self._validate() if is_due or is_last else None
+            row = summarize(steps, self._seconds, rate, iteration, validation)
+            self._monitor.log(row)
+            if validation is not None:
+                self._keep_best(row)
+            if _crosses(before, steps, checkpoint_interval) or is_last:
+                self._save(LAST)
+            if on_row is not None:
+                on_row(row, self._best)
+            if pressed.is_set():
+                self._save(LAST)
+                raise KeyboardInterrupt(
+                    f"stopped after {steps:,} steps; go on with --resume {self._folder}"
+                )
+        steps, seconds = self._backend.steps, self._seconds
+        return Result(self._folder, self._settings, steps, seconds, self._best)
+
+    def close(self) -> None:
+        """Close the files and free the worlds."""
+        try:
+            self._monitor.close()
+        finally:
+            self._backend.close()
+
+    @property
+    def _seconds(self) -> float:
+        return self._before + time.monotonic() - self._since
+
+    def _policy(self) -> NetworkPolicy:
+        identity = self._settings.identity
+        facts = {
+            "environment": identity.name,
+            "robots": list(identity.robot_names),
+            **self._settings.to_dict(),
+            "steps": self._backend.steps,
+        }
+        activation = self._settings.hyperparameters.activation
+        return NetworkPolicy(self._parts, self._backend.weights(), activation, facts)
+
+    def _validate(self) -> Report:
+        return evaluate(
+            self._task,
+            self._policy(),
+            episodes=self._settings.hyperparameters.validation_episodes,
+            seed=validation_seed(self._settings.seed),
+            num_threads=self._num_threads,
+        )
+
+    def _keep_best(self, row: Mapping[str, float]) -> None:
+        score = "validation/return"
+        if self._best and row[score] <= self._best[score]:
+            return
+        self._best = {
+            column: value
+            for column, value in row.items()
+            if column == "steps" or column.startswith("validation/")
+        }
+        self._policy().save(self._folder / POLICY_FILE)
+        self._save(BEST)
+
+    def _save(self, name: str) -> None:
+        Checkpoint(
+            self._settings,
+            self._backend.state_dict(),
+            self._monitor.rows,
+            self._best,
+            self._seconds,
+        ).save(self._folder / name)
+
+    def _check_finite(self, iteration: Iteration) -> None:
+        for learner, numbers in iteration.numbers.items():
+            for name, value in numbers.items():
+                if not math.isfinite(value):
+                    raise RuntimeError(
+                        f"{name} of {learner} is {value} after"
+                        f" {self._backend.steps:,} steps; the last good checkpoint is"
+                        f" {self._folder / LAST}. A lower learning rate may help"
+                    )
+
+
+def _make_backend(
+    task: Task,
+    settings: Settings,
+    resources: Resources,
+    learners: Sequence[Learner],
+    sizes: Sizes,
+) -> Backend:
+    given = (
+        task,
+        learners,
+        sizes,
+        settings.seed,
+        settings.hyperparameters,
+        resources.device,
+        resources.num_threads,
+    )
+    if settings.backend == "rllib":
+        from collaborative_gym.learning.rllib_backend import RLlibBackend
+
+        return RLlibBackend(*given, resources.num_runners, resources.ray_address)
+    return SkrlBackend(*given)
+
+
+def _crosses(before: int, after: int, interval: int) -> bool:
+    """Return whether a multiple of the interval lies between; 0 for no interval."""
+    return bool(interval) and before // interval < after // interval

@@ -1,0 +1,30 @@
+"""Ctrl-C, which a run heeds once the update at hand is done and saved."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def ctrl_c() -> Iterator[threading.Event]:
+    """Yield what Ctrl-C sets while the context lasts; a second one interrupts."""
+    pressed = threading.Event()
+
+    def press(*_: object) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    # Only the main thread may set what a signal does, and one that is ignored, as in
+    # the background, or heeded by the caller stays so.
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
+        yield pressed
+        return
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
