@@ -39,9 +39,9 @@ class LiftAlone(Lift):
     lifter: str
     angles = tuple(np.radians([-75, -60, -45, -30, -15, 0, 20, 40]))
 
-    def setup(self, scene, model, controller):
+    def setup(self, scene, sim, action_mode):
         """Find how the lifter carries the pot to each place near the target."""
-        super().setup(scene, model, controller)
+        super().setup(scene, sim, action_mode)
         placement = self.placements[self.lifter]
         base = np.array(placement.position)
         flat = (base - self.target) * (1.0, 1.0, 0.0)
@@ -69,9 +69,13 @@ class LiftAlone(Lift):
         return facts.to_target < self.config.success_radius
 
     def expert(self, sim, facts):
-        """Return actions that grip as Lift's expert does, then carry alone."""
-        actions = super().expert(sim, facts)
-        arm, scale = self.scene.arms[self.lifter], self.controller.scale(self.lifter)
+        """Return motions that grip as Lift's expert does, then carry alone."""
+        motions = {
+            agent: cg.Motion(np.zeros((sim.num_envs, arm.num_joints)))
+            for agent, arm in self.scene.arms.items()
+        }
+        own = super().expert(sim, facts)[self.lifter]
+        arm = self.scene.arms[self.lifter]
         tcp = facts.tcps[self.lifter][0]
         goals = np.array(self.goals)[: sim.num_envs]
         line = goals - self.start
@@ -83,14 +87,11 @@ class LiftAlone(Lift):
         )
         mass = np.full(sim.num_envs, self.pot_mass)
         goal = self.start + there * line
-        carried = carry(sim, arm, tcp, goal, posture, scale, mass)
-        action = actions[self.lifter]
-        holds = facts.gripping[self.lifter] > 0
-        action[:, :-1] = np.where(holds[:, None], carried, action[:, :-1])
-        for agent, other in actions.items():
-            if agent != self.lifter:
-                other[:, :-1], other[:, -1] = 0.0, -1.0
-        return actions
+        carried = carry(sim, arm, tcp, goal, posture, mass)
+        holds = facts.gripping[self.lifter][:, None]
+        change = np.where(holds, carried, own.change)
+        motions[self.lifter] = cg.Motion(change, own.grips)
+        return motions
 
 
 def arguments(name: str) -> tuple[str, tuple[str, ...] | None]:

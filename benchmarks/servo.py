@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from collaborative_gym import load_module
-from collaborative_gym.control import Controller
+from collaborative_gym.control import Controller, JointChanges
 from collaborative_gym.robots import Robot, get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
@@ -54,19 +54,20 @@ class Bench:
         self.model = scene.compile()
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.arm = scene.arms[AGENT]
-        self.controller = Controller(scene, self.model, gripping=False)
         self.sim = CpuSim(self.model, num_envs, num_threads=1)
+        mode = JointChanges(scene.arms, gripping=False)
+        self.controller = Controller(scene, self.sim, mode)
 
     def start(self, angles: np.ndarray) -> None:
         """Put the worlds at rest at these joint angles, (num_envs, joints)."""
         self.sim.reset()
         self.sim.qpos[:, self.arm.qpos] = angles
-        self.controller.start(self.sim, np.arange(self.sim.num_envs))
+        self.controller.start(np.arange(self.sim.num_envs))
         self.sim.forward()
 
     def step(self, actions: np.ndarray) -> np.ndarray:
         """Do one control step; return speeds, (num_envs, substeps, joints)."""
-        controls = self.controller.command(self.sim, {AGENT: actions})
+        controls = self.controller.command({AGENT: actions})
         speeds = np.empty((len(actions), SUBSTEPS, actions.shape[1]))
         for i in range(SUBSTEPS):
             self.sim.step(np.ascontiguousarray(controls[:, i : i + 1]))
@@ -82,7 +83,7 @@ def follow(robot: Robot) -> dict[str, np.ndarray]:
     commands = np.concatenate([np.eye(count), -np.eye(count)])
     own = np.tile(np.arange(count), 2)
     rows = np.arange(2 * count)
-    scale, limit = bench.controller.scale(AGENT), np.array(robot.velocity_limits)
+    scale, limit = bench.arm.max_change, np.array(robot.velocity_limits)
     turned, peak = [], np.zeros(2 * count)
     for sign in (1, 1, -1):
         before = bench.sim.qpos[:, bench.arm.qpos].copy()
@@ -105,7 +106,7 @@ def inertia_time(robot: Robot) -> np.ndarray:
     data = bench.sim.data(0)
     full = np.zeros((bench.model.nv, bench.model.nv))
     mujoco.mj_fullM(bench.model, data, full)
-    speed = bench.controller.scale(AGENT) / 0.1
+    speed = bench.arm.max_speed
     return np.diag(full)[bench.arm.dof] * speed / np.array(robot.torque_limits)
 
 

@@ -38,10 +38,10 @@ class SimplePick(cg.Task):
 
     def measure(self, sim):
         facts = SimpleNamespace(seen={}, tcp={}, holds={}, to_cube={}, to_target={})
-        for agent, arm in self.scene.arms.items():
+        for agent, joints in self.joints(sim).items():
             tcp, cube = sim.pose(f"{agent}/tcp"), sim.pose(f"{agent} cube/centre")
             place, holds = sim.pose(f"{agent} target")[0], self.scene.holds(sim, agent)
-            seen = {"joints": sim.qpos[:, arm.qpos], "tcp": math.pose(*tcp)}
+            seen = {"joints": joints, "tcp": math.pose(*tcp)}
             seen |= {"holds": holds[:, None], "cube": math.pose(*cube), "target": place}
             facts.seen[agent], facts.tcp[agent], facts.holds[agent] = seen, tcp, holds
             facts.to_cube[agent] = math.distance(tcp[0], cube[0])
@@ -55,26 +55,26 @@ class SimplePick(cg.Task):
         terms = {agent: {"reach": -far} for agent, far in facts.to_cube.items()}
         for agent, own in terms.items():
             own["carry"] = -facts.to_target[agent]
-            own["effort"] = -0.01 * math.norm(actions[agent][:, :-1])
+            moves, _ = self.action_mode.split(actions[agent])
+            own["effort"] = -0.01 * math.norm(moves)
             own["grip"] = 0.1 * facts.holds[agent]
         return terms
 
     def success(self, facts):
-        return np.maximum(*facts.to_target.values()) < 0.05
+        return np.max(list(facts.to_target.values()), axis=0) < 0.05
 
     def expert(self, sim, facts):
-        actions = {}
+        motions = {}
         for agent, arm in self.scene.arms.items():
             tcp, holds = facts.tcp[agent], facts.holds[agent][:, None]
             cube, target = (facts.seen[agent][it][:, :3] for it in ("cube", "target"))
             before = motion.standoff(tcp[0] - cube, DOWN, 0.01, 0.0, 0.1)
             goal = np.where(holds, target, cube - before * DOWN)
             hand, home = np.where(holds, AHEAD, DOWN), arm.robot.home
-            scale = self.controller.scale(agent)
-            move = motion.reach(sim, arm, tcp, goal, hand, home, scale)
-            grips = holds | (facts.to_cube[agent] < 0.015)[:, None]
-            actions[agent] = np.concatenate([move, np.where(grips, 1, -1)], axis=1)
-        return actions
+            change = motion.reach(sim, arm, tcp, goal, hand, home)
+            grips = facts.holds[agent] | (facts.to_cube[agent] < 0.015)
+            motions[agent] = cg.Motion(change, grips)
+        return motions
 
 
 cg.register_env(cg.EnvSpec("SimplePick-v0", SimplePick, ("sawyer", "sawyer")))

@@ -15,7 +15,7 @@ from collaborative_gym.motion.kinematics import reach
 from collaborative_gym.tasks import registry
 
 AGENTS = ("robot_1", "robot_2")
-CAMERA = {"pos": [1.5, 0, 1.2], "xyaxes": [0, 1, 0, -0.5, 0, 0.85]}
+CAMERA = {"position": [1.5, 0, 1.2], "xyaxes": [0, 1, 0, -0.5, 0, 0.85]}
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
     gripping = True
     config_class = CarryConfig
 
-    def place(self):
+    def mounts(self):
         return (
             cg.Placement((0.0, -0.407, 0.0), np.pi / 2),
             cg.Placement((0.0, 0.407, 0.0), -np.pi / 2),
@@ -58,34 +58,36 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
         for agent in self.agents:
             scene.add_grip(agent, f"cube/{agent}", threshold=0.08, width=0.02)
         scene.add_pose_sensor("cube", "cube/centre")
-        scene.spec.worldbody.add_camera(name="overview", **CAMERA)
+        scene.add_camera(**CAMERA)
 
     def remember(self, num_envs):
-        return {"highest": np.zeros(num_envs), "push": np.zeros((num_envs, 3))}
+        kind = self.xp.float64
+        return {
+            "highest": self.xp.zeros(num_envs, dtype=kind),
+            "push": self.xp.zeros((num_envs, 3), dtype=kind),
+        }
 
     def reset(self, sim, env_ids, rng):
         noise = self.config.randomization.joint_noise
-        for arm in self.scene.arms.values():
-            joints = len(arm.robot.joints)
-            draw = rng.uniform(-noise, noise, joints)
-            sim.qpos[env_ids, arm.qpos] = np.array(arm.robot.home) + draw
-        self.memory["push"][env_ids] = rng.uniform(-20.0, 20.0, 3)
+        for agent, arm in self.scene.arms.items():
+            draw = rng.uniform(-noise, noise, arm.num_joints)
+            self.scene.bend(sim, env_ids, agent, np.array(arm.robot.home) + draw)
+        self.memory["push"][env_ids] = sim.xp.asarray(rng.uniform(-20.0, 20.0, 3))
 
     def disturb(self, sim, steps):
         body = self.model.body("cube/cube").id
         is_now = (steps == 3)[:, None]
-        sim.xfrc_applied[:, body, :3] = np.where(is_now, self.memory["push"], 0.0)
+        sim.xfrc_applied[:, body, :3] = sim.xp.where(is_now, self.memory["push"], 0.0)
 
     def measure(self, sim):
         cube = sim.pose("cube")
         height = cube[0][:, 2]
-        self.memory["highest"] = np.maximum(self.memory["highest"], height)
+        highest = sim.xp.maximum(self.memory["highest"], height)
+        self.memory["highest"] = highest
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
         site = {agent: sim.pose(f"cube/{agent}") for agent in self.agents}
         return CarryFacts(
-            joints={
-                agent: sim.qpos[:, arm.qpos] for agent, arm in self.scene.arms.items()
-            },
+            joints=self.joints(sim),
             tcp=tcp,
             site=site,
             distance={
@@ -94,7 +96,7 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
             },
             cube=cube,
             height=height,
-            highest=self.memory["highest"],
+            highest=sim.xp.asarray(highest, copy=True),
         )
 
     def observe(self, facts):
@@ -124,21 +126,13 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
         return facts.height > self.config.height
 
     def expert(self, sim, facts):
-        actions = {}
+        motions = {}
         for agent, arm in self.scene.arms.items():
-            goal = facts.tcp[agent][0] + np.array([0.0, 0.0, 0.05])
-            joints = reach(
-                sim,
-                arm,
-                facts.tcp[agent],
-                goal,
-                facts.tcp[agent][1],
-                np.array(arm.robot.home),
-                self.controller.scale(agent),
-            )
-            grip = np.ones((len(joints), 1))
-            actions[agent] = np.concatenate([joints, grip], axis=1)
-        return actions
+            (place, quat), home = facts.tcp[agent], np.array(arm.robot.home)
+            goal = place + np.array([0.0, 0.0, 0.05])
+            change = reach(sim, arm, facts.tcp[agent], goal, quat, home)
+            motions[agent] = cg.Motion(change, grips=True)
+        return motions
 
 
 def cube():

@@ -1,5 +1,7 @@
 """A task that breaks a promise is told which, and what to do about it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -128,7 +130,7 @@ def test_an_observation_that_blows_up(faults):
 def test_a_reward_whose_terms_change(faults):
     def reward(self, own, facts, actions):
         terms = own(self, facts, actions)
-        if np.any(actions["robot_1"]):
+        if np.any(actions["robot_1"] > 0):
             terms["robot_1"] = {"all": sum(terms["robot_1"].values())}
         return terms
 
@@ -138,8 +140,8 @@ def test_a_reward_whose_terms_change(faults):
 
 def test_an_expert_that_acts_otherwise_in_another_batch(faults):
     def expert(self, own, sim, facts):
-        actions = own(self, sim, facts)
-        return {agent: each * 0.9**sim.num_envs for agent, each in actions.items()}
+        pace, motions = 0.9**sim.num_envs, own(self, sim, facts)
+        return {a: replace(m, change=m.change * pace) for a, m in motions.items()}
 
     found = faults(expert=expert)
     assert any("the expert does something else in another batch" in x for x in found)

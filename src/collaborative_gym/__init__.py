@@ -7,6 +7,7 @@ from collaborative_gym.pictures.opengl import choose_backend
 
 choose_backend()  # MuJoCo decides how to draw when it is imported.
 
+from collaborative_gym.control import Motion  # noqa: E402
 from collaborative_gym.envs.pettingzoo import make  # noqa: E402
 from collaborative_gym.envs.vector_env import VectorEnv, make_vec  # noqa: E402
 from collaborative_gym.plugins import load_entry_points, load_module  # noqa: E402
@@ -43,6 +44,7 @@ __all__ = [
     "EnvSpec",
     "Gripper",
     "Hyperparameters",
+    "Motion",
     "Placement",
     "Randomization",
     "Report",

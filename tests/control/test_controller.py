@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.control import Controller
+from collaborative_gym.control import Controller, JointChanges
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.cpu import CpuSim
-from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 APART = (cg.Placement((0.0, -3.0, 2.0)), cg.Placement((0.0, 3.0, 2.0)))
 """Far from each other and from the floor."""
@@ -27,16 +26,6 @@ def free(make_env):
         return env
 
     return make
-
-
-def test_actions_are_changes_of_joint_angles(make_env):
-    env = make_env(1)
-    controller = Controller(env.scene, env.model, gripping=True)
-    robot = cg.get_robot("panda")
-    expected = np.minimum(MAX_CHANGE, np.array(robot.velocity_limits) * CONTROL_DT)
-    np.testing.assert_allclose(controller.scale("robot_1"), expected)
-    assert controller.action_size("robot_1") == 8
-    assert Controller(env.scene, env.model, False).action_size("robot_1") == 7
 
 
 @pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])
@@ -124,7 +113,7 @@ def test_a_held_payload_sinks_by_less_than_two_millimetres_a_step(name):
     scene.add_tool("arm", "load", load)
     model = scene.compile()
     arm, sim = scene.arms["arm"], CpuSim(model, 8, num_threads=1)
-    controller = Controller(scene, model, gripping=False)
+    controller = Controller(scene, sim, JointChanges(scene.arms, gripping=False))
     rng = np.random.default_rng(0)
     # Postures of which joint torques leave 30 % to spare.
     sim.qpos[:, arm.qpos] = robot.home
@@ -136,11 +125,11 @@ def test_a_held_payload_sinks_by_less_than_two_millimetres_a_step(name):
             torque = np.abs(levers) * robot.payload * 9.81
             if np.all(torque < 0.7 * np.array(robot.torque_limits)):
                 break
-    controller.start(sim, np.arange(8))
+    controller.start(np.arange(8))
     sim.forward()
     heights = [sim.pose("arm/tcp")[0][:, 2].copy()]
     for _ in range(15):
-        sim.step(controller.command(sim, {"arm": np.zeros((8, 7))}))
+        sim.step(controller.command({"arm": np.zeros((8, 7))}))
         heights.append(sim.pose("arm/tcp")[0][:, 2].copy())
     sunk = -np.diff(heights, axis=0)
     # The first steps take the load on; from then on the servos carry it.
@@ -163,7 +152,7 @@ def test_random_actions_seldom_pass_a_speed_limit_by_a_tenth(free, speeds, robot
 @pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])
 def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
     env = free(8, *robots)
-    controller = Controller(env.scene, env.model, gripping=True)
+    controller = Controller(env.scene, env.sim, env.task.action_mode)
     data = mujoco.MjData(env.model)
     rng = np.random.default_rng(1)
     # Half of the worlds push steadily into their ranges, the others to and fro.
@@ -173,7 +162,7 @@ def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
         signs = np.concatenate([steady, to_and_fro], axis=1)
         actions = dict(zip(env.agents, signs, strict=True))
         before, world = env.get_state(), step % 8
-        controls = controller.command(env.sim, actions)[world]
+        controls = controller.command(actions)[world]
         mujoco.mj_setState(env.model, data, env.sim.get_state([world])[0], STATE)
         env.set_state(before)
         for control in controls:
@@ -215,10 +204,10 @@ def test_a_grip_needs_to_be_near_and_lasts_while_it_is_asked_for(make_env):
     distance = np.stack([env.facts.distance[agent][0] for agent in env.agents])
     assert (distance < 5e-3).all()
     # A grip lasts even where something has torn it open beyond its threshold.
-    controller, low = Controller(env.scene, env.model, gripping=True), free + 2
+    controller, low = Controller(env.scene, env.sim, env.task.action_mode), free + 2
     env.sim.qpos[0, low] -= 0.1
     env.sim.forward()
-    controller.command(env.sim, ask)
+    controller.command(ask)
     assert env.sim.eq_active[0, equality].tolist() == [1, 1]
     env.sim.qpos[0, low] += 0.1
     env.sim.forward()

@@ -87,19 +87,6 @@ def test_a_method_that_is_not_written(carry, monkeypatch, method):
         cg.VectorEnv(task, 1)
 
 
-def test_an_expert_that_returns_what_cannot_be_used(make_env, monkeypatch):
-    env = make_env(2)
-    env.reset(seed=0)
-    monkeypatch.setattr(type(env.task), "expert", lambda *_: None)
-    with pytest.raises(ValueError, match=r"Carry.expert\(\): actions are a NoneType"):
-        env.expert()
-    short = {agent: np.zeros((2, 7)) for agent in env.agents}
-    monkeypatch.setattr(type(env.task), "expert", lambda *_: short)
-    message = r"has shape \(2, 7\), not \(2, 8\): .* joint, and one for the grip"
-    with pytest.raises(ValueError, match=message):
-        env.expert()
-
-
 def test_a_goal_that_is_no_bool(broken):
     with pytest.raises(ValueError, match=r"Carry.success\(\) is float64"):
         broken("success", lambda task, own, facts: facts.height)

@@ -1,11 +1,11 @@
 from dataclasses import replace
 from itertools import product
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from collaborative_gym import math
+from collaborative_gym.control import JointChanges
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.motion.statics import GRAVITY, greatest_load, strongest_way
 from collaborative_gym.objects.pot import pot
@@ -30,7 +30,7 @@ def play(env, idle=None, steps=200):
     for _ in range(steps):
         actions = env.expert()
         if idle is not None:
-            actions[idle][:, :-1], actions[idle][:, -1] = 0.0, -1.0
+            actions[idle] = env.idle()[idle]
         infos = env.step(actions)[4]
     return infos
 
@@ -60,7 +60,7 @@ def facts(pot_pose=((0.0, 0.0, 1.0), LEVEL), far=0.3):
 def two_joint_task():
     """Return a task whose actions have two joint components, and that has no world."""
     task = Lift((get_robot("panda"), get_robot("panda")), LiftConfig())
-    task.controller = SimpleNamespace(joint_actions=lambda agent, action: action[:, :2])
+    task.action_mode = JointChanges({}, gripping=True)
     return task
 
 

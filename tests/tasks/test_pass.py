@@ -35,8 +35,7 @@ def play(env, steps, idle=(), each_step=lambda env: None):
     for _ in range(steps):
         actions = env.expert()
         for agent in idle:
-            actions[agent][:] = 0.0
-            actions[agent][:, -1] = -1.0
+            actions[agent] = env.idle()[agent]
         reached |= env.step(actions)[4]["success"]
         each_step(env)
     return reached

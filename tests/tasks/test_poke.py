@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from collaborative_gym import VectorEnv, math
+from collaborative_gym import Motion, VectorEnv, math
 from collaborative_gym.motion.kinematics import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
@@ -30,9 +30,11 @@ def chase(env):
     quat = math.multiply(turn / math.norm(turn)[:, None], tcp[1])
     ahead = math.rotate(math.conjugate(tcp[1]), facts.donut[0] - tcp[0])
     position = facts.stick[0] - math.rotate(quat, ahead)
-    arm, scale = env.scene.arms["robot_2"], env.task.controller.scale("robot_2")
+    arm = env.scene.arms["robot_2"]
     home = np.array(arm.robot.home)
-    return reach(env.sim, arm, tcp, position, quat, home, scale)
+    change = reach(env.sim, arm, tcp, position, quat, home)
+    motions = {"robot_1": Motion(np.zeros_like(change)), "robot_2": Motion(change)}
+    return env.task.action_mode.encode(env.sim, motions)["robot_2"]
 
 
 @pytest.mark.parametrize(
@@ -143,6 +145,6 @@ def test_no_arm_can_do_it_alone(env_id, idle):
 
 
 def test_arms_that_cannot_meet_are_refused():
-    far = Poke.place(make_task("Poke", robots=("sawyer", "sawyer")))
+    far = Poke.mounts(make_task("Poke", robots=("sawyer", "sawyer")))
     with pytest.raises(ValueError, match="panda cannot bring its tcp"):
         make("Poke", 1, robots=("panda", "panda"), placements=far)

@@ -1,5 +1,6 @@
 """From actions to servo commands and grips."""
 
+from collaborative_gym.control.actions import ActionMode, JointChanges, Motion
 from collaborative_gym.control.controller import Controller
 
-__all__ = ["Controller"]
+__all__ = ["ActionMode", "Controller", "JointChanges", "Motion"]

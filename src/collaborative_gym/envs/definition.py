@@ -11,11 +11,10 @@ from collaborative_gym.control import Controller
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.scene import Scene
+from collaborative_gym.scene import SHOULDER, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Blocks, Task, Terms
 
-_SHOULDER = np.array([0.0, 0.0, 0.3])  # m from an arm's base, about right for all
 _HAND = 0.3
 """What a hand, and what it holds, add to an arm's rated reach, in m."""
 
@@ -52,21 +51,18 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
     tried = np.arange(min(sim.num_envs, 2))
     task.memory = task.remember(sim.num_envs)
     task.reset(sim, tried, EpisodeRandom(0 * tried, tried))
-    controller.start(sim, tried)
+    controller.start(tried)
     sim.forward()
     _check_targets(name, task, scene, sim)
     facts = task.measure(sim)
     blocks = task.observe(facts)
     _check_blocks(name, task, blocks, tried, sim.num_envs)
     action_spaces = {
-        agent: Box(-1.0, 1.0, (controller.action_size(agent),), np.float32)
+        agent: Box(-1.0, 1.0, (task.action_mode.size(agent),), np.float32)
         for agent in task.agents
     }
-    idle = {
-        agent: np.zeros((sim.num_envs, *space.shape))
-        for agent, space in action_spaces.items()
-    }
-    terms = task.reward(facts, idle)
+    idle = task.action_mode.idle(sim.num_envs)
+    terms = task.reward(facts, {a: sim.xp.asarray(rows) for a, rows in idle.items()})
     _check_terms(name, task, terms, tried, sim.num_envs)
     sides = _sides(name, task)
     for method in ("success", "performing"):
@@ -100,7 +96,7 @@ def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
         room = {
             agent: task.robots[agent].reach
             + _HAND
-            - float(np.linalg.norm(place - bases[agent] - _SHOULDER))
+            - float(np.linalg.norm(place - bases[agent] - SHOULDER))
             for agent in task.agents
         }
         if max(room.values()) < 0.0:

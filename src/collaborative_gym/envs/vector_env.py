@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import Controller
+from collaborative_gym.control import Controller, JointChanges
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress
 from collaborative_gym.errors import (
@@ -117,8 +117,9 @@ class VectorEnv:
         task.build(self.scene)
         self.model = self.scene.compile()
         self.sim = CpuSim(self.model, num_envs, num_threads)
-        self._controller = Controller(self.scene, self.model, task.gripping)
-        task.setup(self.scene, self.model, self._controller)
+        self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
+        self._controller = Controller(self.scene, self.sim, self._mode)
+        task.setup(self.scene, self.sim, self._mode)
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
@@ -212,7 +213,7 @@ class VectorEnv:
         if self._is_over:
             raise RuntimeError("the episode has ended; call reset() before step()")
         actions = self._check_actions(actions)
-        controls = self._controller.command(self.sim, actions)
+        controls = self._controller.command(actions)
         self.task.disturb(self.sim, self._progress.step)
         diverged = self._advance(controls)
         facts = self.task.measure(self.sim)
@@ -250,12 +251,17 @@ class VectorEnv:
     def expert(self) -> dict[str, np.ndarray]:
         """Return the task's scripted expert's actions for the present state."""
         self._check_started("expert")
-        actions = self.task.expert(self.sim, self.facts)
+        motions = self.task.expert(self.sim, self.facts)
         try:
+            actions = self._mode.encode(self.sim, motions)
             self._check_actions(actions)
         except ValueError as error:
             raise ValueError(f"{type(self.task).__name__}.expert(): {error}") from None
         return actions
+
+    def idle(self) -> dict[str, np.ndarray]:
+        """Return actions of robots that hold still and grip nothing."""
+        return self._mode.idle(self.num_envs)
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:
         """Return a copy of these worlds' episodes, one row each; None for all."""
@@ -458,7 +464,7 @@ class VectorEnv:
         for name, array in self.task.remember(len(env_ids)).items():
             self.task.memory[name][env_ids] = array
         self.task.reset(self.sim, env_ids, EpisodeRandom(seeds, episodes))
-        self._controller.start(self.sim, env_ids)
+        self._controller.start(env_ids)
         self.sim.forward(env_ids)
 
     def _observe(self, facts: Any) -> Observations:

@@ -84,13 +84,7 @@ def evaluate(
 
 def _holding_still(policy: Policy, env: VectorEnv, idle: Sequence[str]) -> Policy:
     """Return the policy with the actions of idle agents replaced."""
-    still = {}
-    for agent in idle:
-        still[agent] = np.zeros(
-            (env.num_envs, *env.single_action_spaces[agent].shape), np.float32
-        )
-        if env.task.gripping:
-            still[agent][:, -1] = -1.0
+    still = {agent: env.idle()[agent] for agent in idle}
 
     def act(observations: Mapping[str, Array]) -> Mapping[str, Array]:
         actions = policy(observations)

@@ -17,7 +17,6 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.machine import cores, describe_machine
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.timing import CONTROL_DT
 
 _ROUNDS = 11
 """Alternations of bare physics and environment, whose median counts."""
@@ -160,10 +159,9 @@ def _step_bare(bare: batch.Batch, env: VectorEnv, rng: np.random.Generator) -> f
     controls = []
     for _ in range(_STEPS):
         control = bare.ctrl.copy()
-        for agent, arm in env.scene.arms.items():
-            greatest = env.task.controller.scale(agent) / CONTROL_DT
-            speed = rng.uniform(-greatest, greatest, (env.num_envs, len(greatest)))
-            control[:, arm.servos] = speed
+        for arm in env.scene.arms.values():
+            greatest, size = arm.max_speed, (env.num_envs, arm.num_joints)
+            control[:, arm.servos] = rng.uniform(-greatest, greatest, size)
         controls.append(control)
 
     def step() -> None:

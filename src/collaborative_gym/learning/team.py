@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from collaborative_gym.control.actions import grip_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.learning.config import MODES, Mode
@@ -92,7 +93,7 @@ class Learner:
         agents = self.agents[:1] if self.stacked else self.agents
         columns = []
         for agent in agents:
-            columns += [False] * (sizes.action[agent] - 1) + [sizes.gripping]
+            columns += list(grip_columns(sizes.action[agent], sizes.gripping))
         return np.array(columns)
 
     def num_rows(self, num_envs: int) -> int:

@@ -107,10 +107,9 @@ def reach(
     position: Array,
     orientation: Array,
     posture: Array,
-    scale: Array,
     speed: float = 0.1,
 ) -> Array:
-    """Return arm actions that bring a tcp towards a pose, by resolved-rate control.
+    """Return joint changes that bring a tcp towards a pose, by resolved-rate control.
 
     Args:
       sim: the worlds.
@@ -119,12 +118,10 @@ def reach(
       position: (num_envs, 3) where it should go.
       orientation: (num_envs, 4) quaternion or (num_envs, 3) approach direction.
       posture: joint angles to prefer, (joints,), in rad.
-      scale: joint changes that an action of 1 asks for, (joints,), in rad.
       speed: greatest motion of the tcp in this step, in m (and thrice that in rad).
 
     Returns:
-      (num_envs, joints) actions in [-1, 1]; scaled down together, so that the tcp keeps
-      its direction where one joint is too slow.
+      (num_envs, joints) in rad, not limited to what the joints can do in a step.
     """
     missing = shortened(position - tcp[0], speed)
     turn = shortened(rotation_error(tcp[1], orientation), 3 * speed)
@@ -135,39 +132,9 @@ def reach(
         jacobian, error = _without_spin(jacobian, error, math.axis_z(tcp[1]))
     angle = np.asarray(sim.qpos[:, arm.qpos])
     low, high = arm.joint_range
-    lean = np.clip(0.1 * (posture - angle), -0.5 * scale, 0.5 * scale)
-    change = joint_change(jacobian, error, lean, (low - angle, high - angle))
-    return as_action(change, scale)
-
-
-def as_action(change: Array, scale: Array) -> Array:
-    """Return the arm actions that ask for joint changes.
-
-    Args:
-      change: (num_envs, joints) in rad.
-      scale: joint changes that an action of 1 asks for, (joints,), in rad.
-
-    Returns:
-      (num_envs, joints) in [-1, 1]; scaled down together, so that the motion keeps its
-      direction where one joint is too slow.
-    """
-    share = change / scale
-    return share / np.maximum(1.0, np.abs(share).max(axis=1, keepdims=True))
-
-
-def swing(sim: Sim, arm: Arm, angles: Array, scale: Array) -> Array:
-    """Return arm actions towards joint angles, all joints arriving at once.
-
-    Args:
-      sim: the worlds.
-      arm: which to move.
-      angles: where its joints should go, (joints,), in rad.
-      scale: joint changes that an action of 1 asks for, (joints,), in rad.
-
-    Returns:
-      (num_envs, joints) actions in [-1, 1].
-    """
-    return as_action(angles - np.asarray(sim.qpos[:, arm.qpos]), scale)
+    most = 0.5 * arm.max_change
+    lean = np.clip(0.1 * (posture - angle), -most, most)
+    return joint_change(jacobian, error, lean, (low - angle, high - angle))
 
 
 def standoff(
@@ -329,7 +296,6 @@ def quickest_way(
     model: mujoco.MjModel,
     arm: Arm,
     ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
-    scale: Array,
     tries: int = 10,
 ) -> tuple[int, np.ndarray]:
     """Return the way that an arm goes quickest from its first pose to its last.
@@ -341,7 +307,6 @@ def quickest_way(
       model: the compiled world.
       arm: whose tcp.
       ways: each a sequence of poses as `solve_pose` takes them.
-      scale: joint changes of one control step at full speed, (joints,), in rad.
       tries: how many starts to try for each pose.
 
     Returns:
@@ -371,7 +336,7 @@ def quickest_way(
         else:
             found = np.array(angles[1:])
             room = np.minimum(found - low, high - found).min()
-            steps = (np.abs(np.diff(found, axis=0)) / scale).max(axis=1).sum()
+            steps = (np.abs(np.diff(found, axis=0)) / arm.max_change).max(axis=1).sum()
             cost = steps + (1e3 * (0.2 - room) if room < 0.2 else 0.0)
             if cost < least:
                 best, least = (i, found), cost

@@ -13,7 +13,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import aim, as_action, joint_change
+from collaborative_gym.motion.kinematics import aim, joint_change
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
@@ -273,10 +273,9 @@ def carry(
     tcp: Array,
     goal: Array,
     posture: Array,
-    scale: Array,
     mass: Array,
 ) -> np.ndarray:
-    """Return arm actions that bring a tcp and its load to a goal, keeping to a posture.
+    """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
     Torques other than those of the load are let go, as arms that hold one thing would
     else press against each other. Without a load the posture counts less and less the
@@ -288,11 +287,10 @@ def carry(
       tcp: (num_envs, 3) where it is.
       goal: (num_envs, 3) where it should be after the step, in m.
       posture: (num_envs, joints) angles to keep to, in rad.
-      scale: (joints,) changes that an action of 1 asks for, in rad.
       mass: (num_envs,) of the load at the tcp in kg, 0 for none.
 
     Returns:
-      (num_envs, joints) actions in [-1, 1].
+      (num_envs, joints) in rad, not limited.
     """
     translation, _ = sim.jacobian(arm.hand, tcp)
     angle, robot = np.asarray(sim.qpos[:, arm.qpos]), arm.robot
@@ -300,14 +298,13 @@ def carry(
     is_loaded = mass[:, None] > 0
     nearness = np.minimum(1.0, math.distance(goal, tcp) / 0.05)[:, None]
     lean = np.where(is_loaded, 0.4, 0.4 * nearness) * (posture - angle)
-    lean = np.clip(lean, -0.5 * scale, 0.5 * scale)
+    lean = np.clip(lean, -0.5 * arm.max_change, 0.5 * arm.max_change)
     room = low - angle, high - angle
     change = joint_change(translation[:, :, arm.dof], goal - tcp, lean, room)
     stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
     torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
     excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
-    change = change - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
-    return as_action(change, scale)
+    return change - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
 
 
 def _strengthen(

@@ -1,6 +1,6 @@
 """Robots and objects put together into one compiled world."""
 
-from collaborative_gym.scene.handles import Arm, Grip, Placement
+from collaborative_gym.scene.handles import SHOULDER, Arm, Grip, Placement
 from collaborative_gym.scene.scene import Scene
 
-__all__ = ["Arm", "Grip", "Placement", "Scene"]
+__all__ = ["SHOULDER", "Arm", "Grip", "Placement", "Scene"]

@@ -8,6 +8,10 @@ import numpy as np
 
 from collaborative_gym.errors import check_number, check_numbers
 from collaborative_gym.robots.robot import Robot
+from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
+
+SHOULDER = np.array([0.0, 0.0, 0.3])
+"""From an arm's base to its shoulder, about right for all arms, in m."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,8 @@ class Arm:
       servos: its servos in `ctrl`; their integrated targets in `act`.
       fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
       joint_range: lower and upper joint angles, (2, joints), in rad.
+      max_speed: joint speeds that an action may ask for, (joints,), in rad/s.
+      max_change: what the joints turn by it in a control step, (joints,), in rad.
       tcp: site id of its tool centre point.
       hand: id of the body that carries the tcp.
     """
@@ -55,6 +61,8 @@ class Arm:
     act: slice
     fingers: slice
     joint_range: np.ndarray
+    max_speed: np.ndarray
+    max_change: np.ndarray
     tcp: int
     hand: int
 
@@ -100,6 +108,7 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
         if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
     ]
     tcp = model.site(f"{agent}/{robot.tcp}")
+    limits = np.array(robot.velocity_limits)
     return Arm(
         robot=robot,
         qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
@@ -108,6 +117,8 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
         act=_as_slice([int(model.actuator_actadr[i]) for i in servos]),
         fingers=_as_slice(fingers) if fingers else slice(0, 0),
         joint_range=np.array([joint.range for joint in joints]).T,
+        max_speed=np.minimum(MAX_CHANGE / CONTROL_DT, limits),
+        max_change=np.minimum(MAX_CHANGE, limits * CONTROL_DT),
         tcp=tcp.id,
         hand=int(tcp.bodyid[0]),
     )

@@ -9,6 +9,7 @@ targets moved through the state of each world.
 from collections.abc import Sequence
 
 import mujoco
+import numpy as np
 from numpy.typing import ArrayLike
 
 from collaborative_gym.errors import unknown
@@ -167,6 +168,15 @@ class Scene:
             solimp=[0.99, 0.995, 0.001, 0.5, 2.0],
         )
 
+    def add_camera(self, position: ArrayLike, xyaxes: ArrayLike) -> None:
+        """Choose from where pictures show the world; without, a view of all is found.
+
+        Args:
+          position: of the camera, (3,), in m.
+          xyaxes: (6,) directions to the right and upwards in the picture.
+        """
+        self.spec.worldbody.add_camera(name=CAMERA, pos=position, xyaxes=xyaxes)
+
     def add_pose_sensor(self, name: str, site: str) -> None:
         """Let `Sim.pose(name)` read a site's position and orientation."""
         kinds = mujoco.mjtSensor
@@ -231,7 +241,7 @@ class Scene:
           ValueError: if nothing of that name can be put elsewhere.
         """
         if name in self._mocap:
-            sim.mocap_pos[env_ids, self._mocap[name]] = position
+            sim.mocap_pos[env_ids, self._mocap[name]] = sim.xp.asarray(position)
             return
         if name not in self._free:
             names = [*self._mocap, *self._free]
@@ -240,9 +250,22 @@ class Scene:
                 " has a free joint, and a target once it is added by `add_target`"
             )
         start = self._free[name]
-        sim.qpos[env_ids, start : start + 3] = position
+        sim.qpos[env_ids, start : start + 3] = sim.xp.asarray(position)
         if quat is not None:
-            sim.qpos[env_ids, start + 3 : start + 7] = quat
+            sim.qpos[env_ids, start + 3 : start + 7] = sim.xp.asarray(quat)
+
+    def bend(self, sim: Sim, env_ids: EnvIds, agent: str, angles: ArrayLike) -> None:
+        """Put an arm at joint angles in these worlds, kept within the joints' ranges.
+
+        Args:
+          sim: the worlds.
+          env_ids: which of them.
+          agent: whose arm.
+          angles: (worlds, joints) or (joints,), in rad.
+        """
+        arm = self.arms[agent]
+        angles = np.clip(angles, *arm.joint_range)
+        sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(angles)
 
     def holds(self, sim: Sim, agent: str) -> Array:
         """Return in which worlds a grip of the agent holds, (num_envs,) booleans.
@@ -254,7 +277,11 @@ class Scene:
             raise ValueError(
                 f"{agent} has no grip; give it one by add_grip when the world is built"
             )
-        return (sim.eq_active[:, self._grip_ids[agent]] > 0).any(axis=1)
+        first, *others = self._grip_ids[agent]
+        holds = sim.eq_active[:, first] > 0
+        for other in others:
+            holds = holds | (sim.eq_active[:, other] > 0)
+        return holds
 
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""

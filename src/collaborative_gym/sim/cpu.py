@@ -97,7 +97,8 @@ class CpuSim:
             read = [key.rpartition(".") for key in self._sensors]
             names = [own for own, _, part in read if part == first]
             raise UnknownName(unknown(kind, name, names))
-        return self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
+        pair = self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
+        return pair[0].copy(), pair[1].copy()
 
     def jacobian(self, body: int, point: Array) -> tuple[np.ndarray, np.ndarray]:
         return self._batch.jac(body, point)

@@ -72,7 +72,7 @@ class Sim(Protocol):
         ...
 
     def pose(self, name: str) -> tuple[Array, Array]:
-        """Return position (num_envs, 3) and quaternion w x y z (num_envs, 4).
+        """Return position (num_envs, 3) and quaternion w x y z (num_envs, 4), copies.
 
         Raises:
           KeyError: if there is no place of that name; so does `velocity`.
@@ -80,7 +80,10 @@ class Sim(Protocol):
         ...
 
     def velocity(self, name: str) -> tuple[Array, Array]:
-        """Return linear and angular velocity in the world frame, (num_envs, 3) each."""
+        """Return copies of linear and angular velocity in the world frame.
+
+        Each is (num_envs, 3), in m/s and rad/s.
+        """
         ...
 
     def jacobian(self, body: int, point: Array) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym import math
-from collaborative_gym.control import Controller
+from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion import kinematics
 from collaborative_gym.objects.ball import RADIUS, ball
@@ -47,7 +47,7 @@ from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, columns
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
 _REST_HEIGHT = THICKNESS / 2 + RADIUS
@@ -108,7 +108,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     success_after = 5
     performance_from_start = True
 
-    def place(self) -> tuple[Placement, ...]:
+    def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.7 of each reach behind the handles, facing each other."""
         return tuple(
             Placement(
@@ -139,14 +139,11 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("board", f"{first}/board/board")
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
-        scene.spec.worldbody.add_camera(
-            name="overview", pos=[4.2, 0, 2.1], xyaxes=[0, 1, 0, -0.32, 0, 1]
-        )
+        scene.add_camera((4.2, 0, 2.1), (0, 1, 0, -0.32, 0, 1))
 
-    def setup(
-        self, scene: Scene, model: mujoco.MjModel, controller: Controller
-    ) -> None:
-        super().setup(scene, model, controller)
+    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode)
+        model = sim.model
         self._data = mujoco.MjData(model)
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
@@ -162,10 +159,11 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             )
 
     def remember(self, num_envs: int) -> dict[str, Array]:
-        memory: dict[str, Array] = {"fell": np.zeros(num_envs, bool)}
+        memory: dict[str, Array] = {"fell": self.xp.zeros(num_envs, dtype=bool)}
         if self.config.push > 0:
             # Force and its point along the board's x and y, for every step.
-            memory["pushes"] = np.zeros((num_envs, self.config.max_episode_steps, 3))
+            shape = num_envs, self.config.max_episode_steps, 3
+            memory["pushes"] = self.xp.zeros(shape, dtype=self.xp.float64)
         return memory
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
@@ -185,7 +183,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
-            self.memory["pushes"][env_ids] = rng.within(span, size)
+            self.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
 
     def _take_hold(
         self, qpos: np.ndarray, moved: np.ndarray, near: dict[str, np.ndarray]
@@ -224,9 +222,10 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         if self.config.push > 0:
-            push = self.memory["pushes"][np.arange(sim.num_envs), steps]
+            push = self.memory["pushes"][sim.xp.arange(sim.num_envs), steps]
             force = push[:, 0]
-            point = np.stack([push[:, 1], push[:, 2], np.zeros(len(push))], axis=1)
+            along = [push[:, 1], push[:, 2], sim.xp.zeros_like(force)]
+            point = sim.xp.stack(along, axis=1)
             lever = math.rotate(sim.pose("board")[1], point)
             sim.xfrc_applied[:, self._board, 2] = force
             sim.xfrc_applied[:, self._board, 3] = lever[:, 1] * force
@@ -242,23 +241,21 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             | (xp.abs(offset[:, 1]) > LENGTH / 2)
             | (offset[:, 2] < THICKNESS / 2)
         )
-        self.memory["fell"] = self.memory["fell"] | off
+        fell = self.memory["fell"] | off
+        self.memory["fell"] = fell
         return BalanceFacts(
-            joints={
-                agent: sim.qpos[:, arm.qpos] for agent, arm in self.scene.arms.items()
-            },
+            joints=self.joints(sim),
             ball=ball_pose,
             ball_velocity=sim.velocity("ball"),
             board=board_pose,
             offset=offset,
             distance=math.norm(offset),
-            fell=self.memory["fell"],
+            fell=xp.asarray(fell, copy=True),
         )
 
     def observe(self, facts: BalanceFacts) -> dict[str, Blocks]:
-        joints = {f"{agent} joints": facts.joints[agent] for agent in self.agents}
         blocks = {
-            **joints,
+            **columns("joints", facts.joints),
             "ball": math.pose(*facts.ball),
             "ball linear velocity": facts.ball_velocity[0],
             "ball angular velocity": facts.ball_velocity[1],
@@ -282,7 +279,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def performing(self, facts: BalanceFacts) -> Array:
         return ~facts.fell
 
-    def expert(self, sim: Sim, facts: BalanceFacts) -> dict[str, Array]:
+    def expert(self, sim: Sim, facts: BalanceFacts) -> dict[str, Motion]:
         """Bring the board to its nominal place, tilted so that the ball rolls inwards.
 
         Both arms do their part of the board's motion, at the pace of the slower one.
@@ -292,16 +289,14 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         turn = kinematics.rotation_error(quat, _wanted_orientation(facts))
         turn = np.clip(turn, -_LARGEST_TURN, _LARGEST_TURN)
         next_quat = math.multiply(math.from_rotation_vector(turn), quat)
-        shares = {}
+        motions = {}
         for agent in self.agents:
             grasp = self._grasp(agent, place + missing, next_quat)
-            shares[agent] = self._share(sim, agent, grasp)
-        most = [np.abs(share).max(axis=1) for share in shares.values()]
-        slowest = np.maximum(1.0, np.maximum(*most))[:, None]
-        return {agent: share / slowest for agent, share in shares.items()}
+            motions[agent] = Motion(self._change(sim, agent, grasp), in_step=True)
+        return motions
 
-    def _share(self, sim: Sim, agent: str, grasp: tuple[Array, Array]) -> np.ndarray:
-        """Return the action that puts a tcp at a grasp, not limited to [-1, 1]."""
+    def _change(self, sim: Sim, agent: str, grasp: tuple[Array, Array]) -> np.ndarray:
+        """Return the joint changes that put a tcp at a grasp."""
         arm = self.scene.arms[agent]
         place, quat = sim.pose(f"{agent}/tcp")
         turn = kinematics.rotation_error(quat, grasp[1])
@@ -309,10 +304,11 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         jacobian = np.concatenate(sim.jacobian(arm.hand, place), axis=1)[:, :, arm.dof]
         angle = np.asarray(sim.qpos[:, arm.qpos])
         low, high = arm.joint_range
-        scale = self.controller.scale(agent)
-        lean = np.clip(0.1 * (self._posture[agent] - angle), -0.3 * scale, 0.3 * scale)
-        room = (low - angle, high - angle)
-        return kinematics.joint_change(jacobian, error, lean, room) / scale
+        most = 0.3 * arm.max_change
+        lean = np.clip(0.1 * (self._posture[agent] - angle), -most, most)
+        return kinematics.joint_change(
+            jacobian, error, lean, (low - angle, high - angle)
+        )
 
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -16,13 +16,14 @@ would not do: an arm can swing the pot past the target for a moment by its momen
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import and_
 
-import mujoco
 import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym import math
-from collaborative_gym.control import Controller
+from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import shortened, solve_pose, standoff
@@ -35,7 +36,7 @@ from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms, columns
 
 _TABLE_HEIGHT = 0.64
 _START = np.array([0.0, 0.0, 0.7])
@@ -119,7 +120,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     gripping = True
     config_class = LiftConfig
 
-    def place(self) -> tuple[Placement, ...]:
+    def mounts(self) -> tuple[Placement, ...]:
         """Return arms face to face, the weaker one nearer to the pot.
 
         What an arm can carry falls about as one over its distance. So both are put
@@ -160,9 +161,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             scene.add_grip(agent, handle, threshold, HANDLE_WIDTH)
         radius = self.config.success_radius
         scene.add_target("target", radius, (0.35, 0.8, 0.35, 0.2))
-        scene.spec.worldbody.add_camera(
-            name="overview", pos=(3.5, 0.0, 2.0), xyaxes=(0, 1, 0, -0.28, 0, 1)
-        )
+        scene.add_camera((3.5, 0.0, 2.0), (0, 1, 0, -0.28, 0, 1))
 
     @property
     def _handles(self) -> dict[str, str]:
@@ -181,10 +180,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self.pot_mass = self.weighing.pot_mass if given is None else given
         self._ways = dict(zip(self.agents, self.weighing.ways, strict=True))
 
-    def setup(
-        self, scene: Scene, model: mujoco.MjModel, controller: Controller
-    ) -> None:
-        super().setup(scene, model, controller)
+    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode)
+        model = sim.model
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
             arm, way = scene.arms[agent], self._ways[agent]
@@ -209,7 +207,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         roll, pitch = math.roll_pitch(pose[1])
         xp = array_namespace(roll)
         return LiftFacts(
-            joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
+            joints=self.joints(sim),
             gripping={agent: self.scene.holds(sim, agent) for agent in self.agents},
             handles=handles,
             tcps=tcps,
@@ -225,44 +223,46 @@ class Lift(Task[LiftConfig, LiftFacts]):
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
         xp = array_namespace(facts.target)
-        blocks = {f"{agent} joints": facts.joints[agent] for agent in self.agents}
-        for agent in self.agents:
-            holds = xp.astype(facts.gripping[agent], facts.target.dtype)
-            blocks[f"{agent} gripping"] = holds[:, None]
-        for agent in self.agents:
-            blocks[f"{agent} handle"] = math.pose(*facts.handles[agent])
-        for agent in self.agents:
-            blocks[f"{agent} tcp"] = math.pose(*facts.tcps[agent])
-        blocks["pot"] = math.pose(*facts.pot)
-        blocks["target"] = facts.target
-        return {agent: blocks for agent in self.agents}
+        kind = facts.target.dtype
+        grips = {a: xp.astype(g, kind)[:, None] for a, g in facts.gripping.items()}
+        handles = {agent: math.pose(*pose) for agent, pose in facts.handles.items()}
+        tcps = {agent: math.pose(*pose) for agent, pose in facts.tcps.items()}
+        blocks = {
+            **columns("joints", facts.joints),
+            **columns("gripping", grips),
+            **columns("handle", handles),
+            **columns("tcp", tcps),
+            "pot": math.pose(*facts.pot),
+            "target": facts.target,
+        }
+        return dict.fromkeys(self.agents, blocks)
 
     def reward(self, facts: LiftFacts, actions: dict[str, Array]) -> dict[str, Terms]:
         xp = array_namespace(facts.to_target)
         terms = {}
         for agent in self.agents:
-            action, near = actions[agent], facts.to_handle[agent]
-            wants = (action[:, -1] > 0) & (near < self.config.picking_threshold)
+            moves, grips = self.action_mode.split(actions[agent])
+            near = facts.to_handle[agent]
+            wants = grips & (near < self.config.picking_threshold)
             terms[agent] = {
                 "reach": -near,
                 "lift": -2.0 * facts.to_target,
                 "tilt": -0.2 * facts.tilt,
-                "effort": -0.01
-                * math.norm(self.controller.joint_actions(agent, action)),
+                "effort": -0.01 * math.norm(moves),
                 "grip": 0.1 * xp.astype(wants, near.dtype),
             }
         return terms
 
     def success(self, facts: LiftFacts) -> Array:
-        first, second = (facts.gripping[agent] for agent in self.agents)
-        return (facts.to_target < self.config.success_radius) & first & second
+        near = facts.to_target < self.config.success_radius
+        return reduce(and_, facts.gripping.values(), near)
 
-    def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, np.ndarray]:
-        """Return actions of arms that grip, wait for each other and lift together."""
+    def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
+        """Return motions of arms that grip, wait for each other and lift together."""
         holds = facts.gripping
-        lifting = np.logical_and(*holds.values())
+        lifting = reduce(and_, holds.values())
         goals = self._lifted_handles(facts)
-        actions = {}
+        motions = {}
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
             handle, tcp = facts.handles[agent][0], facts.tcps[agent][0]
             way = self._ways[agent]
@@ -275,13 +275,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
             drawn = handle + np.clip(aside, -0.01, 0.01)
             goal = np.where(holds[agent][:, None], drawn, aligned)
             goal = np.where(lifting[:, None], goals[agent], goal)
-            posture, scale = way.at(progress), self.controller.scale(agent)
             mass = np.where(lifting, self.pot_mass * self.weighing.shares[i], 0.0)
-            arm_action = carry(sim, arm, tcp, goal, posture, scale, mass)
+            change = carry(sim, arm, tcp, goal, way.at(progress), mass)
             near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
-            grip = np.where(near, 1.0, -1.0)[:, None]
-            actions[agent] = np.concatenate([arm_action, grip], axis=1)
-        return actions
+            motions[agent] = Motion(change, near)
+        return motions
 
     def _lifted_handles(self, facts: LiftFacts) -> dict[str, np.ndarray]:
         """Return where each handle goes next on the pot's way to the target."""

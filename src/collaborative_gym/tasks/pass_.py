@@ -20,22 +20,21 @@ default randomisation draws, for every pair of Sawyer, Panda and Jaco.
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym import math
-from collaborative_gym.control import Controller
+from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import quickest_way, reach, standoff, swing
+from collaborative_gym.motion.kinematics import quickest_way, reach, standoff
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms, columns
 
 _CUBE = "cube/centre"
 _CUBE_SIZE = 0.04  # m
@@ -43,7 +42,6 @@ _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
-_SHOULDER = np.array([0.0, 0.0, 0.3])  # m from an arm's base, about right for all
 _CLOSE = {"robot_1": 0.012, "robot_2": 0.02}  # m at which the expert grips
 _FUNNEL = 0.01, 0.005, 0.12  # m, of the expert's `standoff` from the cube
 
@@ -101,7 +99,7 @@ class Pass(Task[PassConfig, PassFacts]):
     gripping = True
     config_class = PassConfig
 
-    def place(self) -> tuple[Placement, ...]:
+    def mounts(self) -> tuple[Placement, ...]:
         """Return places that are the farther apart the longer the reach."""
         placements = []
         for side, robot in zip((-1, 1), self.robots.values(), strict=True):
@@ -132,19 +130,15 @@ class Pass(Task[PassConfig, PassFacts]):
         scene.add_target("target", self.config.success_radius)
         scene.add_grip(giver, _CUBE, self.config.picking_threshold, _GRIP_WIDTH)
         scene.add_grip(taker, _CUBE, self.config.handover_threshold, _GRIP_WIDTH)
-        scene.spec.worldbody.add_camera(
-            name="overview", pos=[3.3, 0, 2.05], xyaxes=[0, 1, 0, -0.38, 0, 0.9]
-        )
+        scene.add_camera((3.3, 0, 2.05), (0, 1, 0, -0.38, 0, 0.9))
 
-    def setup(
-        self, scene: Scene, model: mujoco.MjModel, controller: Controller
-    ) -> None:
-        super().setup(scene, model, controller)
+    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode)
         self._meeting = meeting = self._find_meeting()
         giver, taker = self.agents
         above = self._cube_start - 0.25 * _DOWN
         aside = meeting + 0.3 * _ACROSS - 0.1 * _DOWN
-        radial = self._target - np.array(self.placements[taker].position) - _SHOULDER
+        radial = self._target - np.array(self.placements[taker].position) - SHOULDER
         ends = [_OUT, radial / math.norm(radial), -_ACROSS]
         ways = {giver: [], taker: []}
         # A hand that is turned by half a turn about its approach grips as well.
@@ -156,8 +150,7 @@ class Pass(Task[PassConfig, PassFacts]):
             ways[taker] += [[*before, (self._target, end)] for end in ends]
         self._angles, self._hands = {}, {}
         for agent, arm in scene.arms.items():
-            scale = controller.scale(agent)
-            i, self._angles[agent] = quickest_way(model, arm, ways[agent], scale)
+            i, self._angles[agent] = quickest_way(sim.model, arm, ways[agent])
             self._hands[agent] = [hand[None] for _, hand in ways[agent][i]]
 
     def _find_meeting(self) -> np.ndarray:
@@ -165,7 +158,7 @@ class Pass(Task[PassConfig, PassFacts]):
         place = (self._cube_start + self._target) / 2
         for _ in range(50):
             for agent, placement in self.placements.items():
-                shoulder = np.array(placement.position) + _SHOULDER
+                shoulder = np.array(placement.position) + SHOULDER
                 arm = place - shoulder
                 easy = 0.8 * self.robots[agent].reach
                 place = shoulder + arm * min(1.0, easy / math.norm(arm))
@@ -185,7 +178,7 @@ class Pass(Task[PassConfig, PassFacts]):
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
         cube_pose, target = sim.pose(_CUBE), sim.pose("target")[0]
         return PassFacts(
-            joints={a: sim.qpos[:, arm.qpos] for a, arm in self.scene.arms.items()},
+            joints=self.joints(sim),
             tcp=tcp,
             holds={agent: self.scene.holds(sim, agent) for agent in self.agents},
             to_cube={a: math.distance(tcp[a][0], cube_pose[0]) for a in self.agents},
@@ -196,11 +189,16 @@ class Pass(Task[PassConfig, PassFacts]):
 
     def observe(self, facts: PassFacts) -> dict[str, Blocks]:
         xp = array_namespace(facts.target)
-        shared = {f"{a} end effector": math.pose(*facts.tcp[a]) for a in self.agents}
-        for agent in self.agents:
-            holds = xp.astype(facts.holds[agent], facts.target.dtype)
-            shared[f"{agent} gripping"] = holds[:, None]
-        shared |= {"cube": math.pose(*facts.cube), "target": facts.target}
+        kind = facts.target.dtype
+        shared = {
+            **columns("end effector", {a: math.pose(*p) for a, p in facts.tcp.items()}),
+            **columns(
+                "gripping",
+                {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()},
+            ),
+            "cube": math.pose(*facts.cube),
+            "target": facts.target,
+        }
         return {a: {"joints": facts.joints[a], **shared} for a in self.agents}
 
     def reward(self, facts: PassFacts, actions: dict[str, Array]) -> dict[str, Terms]:
@@ -211,10 +209,10 @@ class Pass(Task[PassConfig, PassFacts]):
         handing = facts.to_cube[taker] < self.config.handover_threshold
         grip, shared = {}, {}
         for agent, action in actions.items():
-            moves = self.controller.joint_actions(agent, action)
+            moves, grips = self.action_mode.split(action)
             arrived = xp.where(self.success(facts), zero + 1.0, zero)
             shared[agent] = {"effort": -0.01 * math.norm(moves), "success": arrived}
-            grip[agent] = xp.where(action[:, -1] > 0.0, zero + 0.1, zero)
+            grip[agent] = xp.where(grips, zero + 0.1, zero)
         incentive = xp.where(picking, grip[giver], zero)
         return {
             giver: {
@@ -236,11 +234,11 @@ class Pass(Task[PassConfig, PassFacts]):
         near = facts.to_target < self.config.success_radius
         return near & facts.holds[self.agents[1]]
 
-    def expert(self, sim: Sim, facts: PassFacts) -> dict[str, np.ndarray]:
+    def expert(self, sim: Sim, facts: PassFacts) -> dict[str, Motion]:
         return {"robot_1": self._give(sim, facts), "robot_2": self._take(sim, facts)}
 
-    def _give(self, sim: Sim, facts: PassFacts) -> np.ndarray:
-        """Return robot_1's actions: pick from above, bring to the meeting, let go."""
+    def _give(self, sim: Sim, facts: PassFacts) -> Motion:
+        """Return robot_1's motion: pick from above, bring to the meeting, let go."""
         giver, taker = self.agents
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds, taken = facts.holds[giver][:, None], facts.holds[taker][:, None]
@@ -250,12 +248,12 @@ class Pass(Task[PassConfig, PassFacts]):
         angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
         lifted = position[:, 2:] > self._cube_start[2] + 0.03
         swings = holds & lifted & ~taken
-        moves = self._move(sim, facts, giver, goal, hand, angles, swings)
-        grips = (holds | (facts.to_cube[giver] < _CLOSE[giver])[:, None]) & ~taken
-        return np.concatenate([moves, np.where(grips, 1.0, -1.0)], axis=1)
+        change = self._move(sim, facts, giver, goal, hand, angles, swings)
+        grips = facts.holds[giver] | (facts.to_cube[giver] < _CLOSE[giver])
+        return Motion(change, grips & ~facts.holds[taker])
 
-    def _take(self, sim: Sim, facts: PassFacts) -> np.ndarray:
-        """Return robot_2's actions: wait at the meeting, grip, carry to the target."""
+    def _take(self, sim: Sim, facts: PassFacts) -> Motion:
+        """Return robot_2's motion: wait at the meeting, grip, carry to the target."""
         giver, taker = self.agents
         (position, quat), holds = facts.tcp[taker], facts.holds[taker][:, None]
         is_there = math.distance(facts.cube[0], self._meeting) < 0.03
@@ -268,17 +266,17 @@ class Pass(Task[PassConfig, PassFacts]):
         hand = np.where(carries, quat, self._hands[taker][1])
         angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
         swings = carries & (math.distance(position, facts.target) > 0.2)[:, None]
-        moves = self._move(sim, facts, taker, goal, hand, angles, swings)
-        grips = holds | (facts.to_cube[taker] < _CLOSE[taker])[:, None]
-        return np.concatenate([moves, np.where(grips, 1.0, -1.0)], axis=1)
+        change = self._move(sim, facts, taker, goal, hand, angles, swings)
+        grips = facts.holds[taker] | (facts.to_cube[taker] < _CLOSE[taker])
+        return Motion(change, grips)
 
     def _move(
         self, sim: Sim, facts: PassFacts, agent: str, goal, hand, angles, swings
     ) -> np.ndarray:
-        """Return arm actions straight to a pose, or to the angles where `swings`."""
-        arm, scale = self.scene.arms[agent], self.controller.scale(agent)
-        straight = reach(sim, arm, facts.tcp[agent], goal, hand, angles, scale)
-        return np.where(swings, swing(sim, arm, angles, scale), straight)
+        """Return joint changes straight to a pose, or to the angles where `swings`."""
+        arm = self.scene.arms[agent]
+        straight = reach(sim, arm, facts.tcp[agent], goal, hand, angles)
+        return np.where(swings, angles - facts.joints[agent], straight)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))

@@ -27,7 +27,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym import math
-from collaborative_gym.control import Controller
+from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import reach, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
@@ -87,7 +87,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
 
     config_class = TaskConfig
 
-    def place(self) -> tuple[Placement, ...]:
+    def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.8 of both reaches apart, turned 60 degrees to each other."""
         robots = self.robots.values()
         half = 0.4 * sum(robot.reach for robot in robots)
@@ -106,21 +106,20 @@ class Poke(Task[TaskConfig, PokeFacts]):
         scene.add_pose_sensor("stick", f"{_STICK}/stick/stick")
         scene.add_pose_sensor("donut", f"{_DONUT}/donut/donut")
         *_, (eye, axes) = _lay_out(self.placements, self.robots)
-        scene.spec.worldbody.add_camera(name="overview", pos=eye, xyaxes=axes)
+        scene.add_camera(eye, axes)
 
-    def setup(
-        self, scene: Scene, model: mujoco.MjModel, controller: Controller
-    ) -> None:
-        super().setup(scene, model, controller)
+    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode)
         start, self._goal, _ = _lay_out(self.placements, self.robots)
         self._start: dict[str, np.ndarray] = {}
         self._spread: dict[str, np.ndarray] = {}
         self._posture: dict[str, np.ndarray] = {}
         for agent, arm in scene.arms.items():
-            angles = solve_pose(model, arm, *start[agent], arm.robot.home)
+            angles = solve_pose(sim.model, arm, *start[agent], arm.robot.home)
             self._start[agent] = angles
-            self._spread[agent] = _spread(model, arm, angles)
-            self._posture[agent] = solve_pose(model, arm, *self._goal[agent], angles)
+            self._spread[agent] = _spread(sim.model, arm, angles)
+            goal = self._goal[agent]
+            self._posture[agent] = solve_pose(sim.model, arm, *goal, angles)
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -130,16 +129,15 @@ class Poke(Task[TaskConfig, PokeFacts]):
             moved = rng.within(moves, len(moves))
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
             angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
-            sim.qpos[env_ids, arm.qpos] = np.clip(angles, *arm.joint_range)
+            self.scene.bend(sim, env_ids, agent, angles)
 
     def measure(self, sim: Sim) -> PokeFacts:
         stick_pose, donut_pose = sim.pose("stick"), sim.pose("donut")
         into_ring = math.conjugate(donut_pose[1])
         offset = math.rotate(into_ring, stick_pose[0] - donut_pose[0])
         axis = math.rotate(into_ring, math.axis_z(stick_pose[1]))
-        arms = self.scene.arms
         return PokeFacts(
-            joints={agent: sim.qpos[:, arm.qpos] for agent, arm in arms.items()},
+            joints=self.joints(sim),
             stick=stick_pose,
             donut=donut_pose,
             offset=offset,
@@ -177,7 +175,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def success(self, facts: PokeFacts) -> Array:
         return facts.is_threaded & (facts.distance < _SUCCESS_DISTANCE)
 
-    def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Array]:
+    def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Motion]:
         """Present the ring, wait behind the hole until lined up with it, then go in."""
         normal = math.axis_z(facts.donut[1])
         beside = math.norm(facts.offset[:, :2])
@@ -192,17 +190,12 @@ class Poke(Task[TaskConfig, PokeFacts]):
         position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
         present, turned = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[_DONUT])
         goals = {_STICK: (position, normal), _DONUT: (present, turned)}
-        return {
-            agent: reach(
-                sim,
-                arm,
-                sim.pose(f"{agent}/tcp"),
-                *goals[agent],
-                posture=self._posture[agent],
-                scale=self.controller.scale(agent),
-            )
-            for agent, arm in self.scene.arms.items()
-        }
+        motions = {}
+        for agent, arm in self.scene.arms.items():
+            tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
+            change = reach(sim, arm, tcp, *goals[agent], posture=posture)
+            motions[agent] = Motion(change)
+        return motions
 
 
 def is_threaded(offset: Array, axis: Array) -> Array:

@@ -3,12 +3,11 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
-import mujoco
 import numpy as np
 
-from collaborative_gym.control import Controller
+from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.errors import check_count, check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -90,6 +89,16 @@ def name_agents(count: int) -> tuple[str, ...]:
     return tuple(f"robot_{i + 1}" for i in range(count))
 
 
+def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
+    """Return blocks that show what every agent has, such as "robot_1 joints".
+
+    Args:
+      what: what they show.
+      by_agent: (num_envs, k) each, or (num_envs,) booleans.
+    """
+    return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
+
+
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)
 FactsT = TypeVar("FactsT")
 
@@ -148,7 +157,7 @@ class Task(Generic[ConfigT, FactsT]):
         """
         placements = self.config.placements
         if placements is None:
-            placements = self.place()
+            placements = self.mounts()
         if len(placements) != len(self.agents):
             raise ValueError(
                 f"got {len(placements)} placements for {len(self.agents)} robots; give"
@@ -156,8 +165,8 @@ class Task(Generic[ConfigT, FactsT]):
             )
         return dict(zip(self.agents, placements, strict=True))
 
-    def place(self) -> tuple[Placement, ...]:
-        """Return where arms of this reach and base height go.
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return where arms of this reach and base height are mounted.
 
         Unless a task says otherwise they stand in a row, facing +x and 1.4 m apart,
         so that each is at ease with what is 0.8 m in front of the row.
@@ -177,20 +186,28 @@ class Task(Generic[ConfigT, FactsT]):
         """Fill the scene with arms and objects."""
         raise self._missing("build")
 
-    def setup(
-        self, scene: Scene, model: mujoco.MjModel, controller: Controller
-    ) -> None:
-        """Keep what later calls need of the compiled world, such as start poses."""
+    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+        """Keep what later calls need of the compiled world, such as start poses.
+
+        Args:
+          scene: the compiled scene.
+          sim: its worlds.
+          action_mode: what actions mean; its `split` tells moves from grips.
+        """
         self.scene = scene
-        self.model = model
-        self.controller = controller
+        self.model = sim.model
+        self.xp = sim.xp
+        self.action_mode = action_mode
 
     def remember(self, num_envs: int) -> dict[str, Array]:
-        """Return a fresh `memory` for that many worlds."""
+        """Return a fresh `memory` for that many worlds, arrays of `self.xp`."""
         return {}
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         """Write the start of an episode into these worlds, and only these.
+
+        What is drawn is NumPy's; `start_arms` and the scene's `place` and `bend` make
+        it what the worlds need.
 
         Args:
           sim: the worlds, these ones just reset to the model's initial state.
@@ -218,7 +235,14 @@ class Task(Generic[ConfigT, FactsT]):
         for agent, arm in self.scene.arms.items():
             start = np.array(arm.robot.home) if angles is None else angles[agent]
             noise = rng.within(self.config.randomization.joint_noise, arm.num_joints)
-            sim.qpos[env_ids, arm.qpos] = np.clip(start + noise, *arm.joint_range)
+            self.scene.bend(sim, env_ids, agent, start + noise)
+
+    def joints(self, sim: Sim) -> dict[str, Array]:
+        """Return copies of the arms' joint angles by agent, (num_envs, joints)."""
+        copied = {}
+        for agent, arm in self.scene.arms.items():
+            copied[agent] = sim.xp.asarray(sim.qpos[:, arm.qpos], copy=True)
+        return copied
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         """Write what pushes the worlds during the coming control step.
@@ -262,8 +286,11 @@ class Task(Generic[ConfigT, FactsT]):
         """
         return None
 
-    def expert(self, sim: Sim, facts: FactsT) -> dict[str, Any]:
-        """Return actions of a scripted expert, which may look at the whole state."""
+    def expert(self, sim: Sim, facts: FactsT) -> dict[str, Motion]:
+        """Return what a scripted expert does, by agent; it may look at all there is.
+
+        Experts compute with NumPy, and so play on NumPy's worlds only.
+        """
         raise self._missing("expert")
 
     def _missing(self, method: str) -> NotImplementedError:

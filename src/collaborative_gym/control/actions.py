@@ -1,0 +1,143 @@
+"""What the numbers of an action mean: how it divides, and how motions become actions.
+
+An action has components that move the arm, and where a task has gripping, one more,
+which grips above 0. Nobody else knows that.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.math import Array
+from collaborative_gym.scene import Arm
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.timing import CONTROL_DT
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What an expert wants of an arm in one control step, whatever actions mean.
+
+    Experts compute with NumPy.
+
+    Attributes:
+      change: of the joint angles, (num_envs, joints), in rad. Where it is more than the
+        arm can make, it is scaled down as a whole, so that the motion keeps its
+        direction.
+      grips: in which worlds to grip, (num_envs,) booleans, or the same in all.
+      in_step: whether all arms that are in step slow down with the slowest of them, as
+        arms must that hold one thing.
+    """
+
+    change: np.ndarray
+    grips: np.ndarray | bool = False
+    in_step: bool = False
+
+
+def grip_columns(size: int, gripping: bool) -> np.ndarray:
+    """Return which of an action's components grip, (size,) booleans."""
+    return np.arange(size) == (size - 1 if gripping else size)
+
+
+class ActionMode:
+    """How an arm's motion is written into an action; subclasses say of what.
+
+    Args:
+      arms: the arms by agent.
+      gripping: whether actions have a grip component.
+      xp: namespace of the worlds' arrays.
+    """
+
+    def __init__(self, arms: Mapping[str, Arm], gripping: bool, xp: Any = np):
+        self.arms = arms
+        self.gripping = gripping
+        self.xp = xp
+
+    def num_moves(self, agent: str) -> int:
+        """Return how many components of an agent's action move its arm."""
+        raise NotImplementedError
+
+    def changes(self, sim: Sim, agent: str, moves: Array) -> Array:
+        """Return the joint changes that components in [-1, 1] ask for, in rad."""
+        raise NotImplementedError
+
+    def moves(self, sim: Sim, agent: str, changes: np.ndarray) -> np.ndarray:
+        """Return the components that ask for joint changes, not limited to [-1, 1]."""
+        raise NotImplementedError
+
+    def size(self, agent: str) -> int:
+        """Return the number of components of an agent's action."""
+        return self.num_moves(agent) + self.gripping
+
+    def split(self, action: Array) -> tuple[Array, Array]:
+        """Return an action's components that move, and in which worlds it grips.
+
+        Args:
+          action: (num_envs, size).
+
+        Returns:
+          (num_envs, moves) in [-1, 1] and (num_envs,) booleans.
+        """
+        if self.gripping:
+            return action[:, :-1], action[:, -1] > 0.0
+        return action, self.xp.zeros(action.shape[0], dtype=bool)
+
+    def idle(self, num_envs: int) -> dict[str, np.ndarray]:
+        """Return actions of agents that hold still and grip nothing."""
+        idle = {agent: np.zeros((num_envs, self.size(agent))) for agent in self.arms}
+        for action in idle.values() if self.gripping else ():
+            action[:, -1] = -1.0
+        return idle
+
+    def encode(self, sim: Sim, motions: Mapping[str, Motion]) -> dict[str, np.ndarray]:
+        """Return the actions, (num_envs, size) in [-1, 1] by agent, that make motions.
+
+        Raises:
+          ValueError: if they are not motions of these arms; says what to give.
+        """
+        self._check(sim, motions)
+        moves = {a: self.moves(sim, a, motions[a].change) for a in self.arms}
+        most = {a: np.abs(move).max(axis=1) for a, move in moves.items()}
+        together = [most[agent] for agent in self.arms if motions[agent].in_step]
+        actions = self.idle(sim.num_envs)
+        for agent, action in actions.items():
+            pace = np.max(together if motions[agent].in_step else [most[agent]], axis=0)
+            share = moves[agent] / np.maximum(1.0, pace)[:, None]
+            action[:, : share.shape[1]] = share
+            if self.gripping:
+                action[:, -1] = np.where(motions[agent].grips, 1.0, -1.0)
+        return actions
+
+    def _check(self, sim: Sim, motions: Mapping[str, Motion]) -> None:
+        for agent, arm in self.arms.items():
+            motion = motions.get(agent) if isinstance(motions, Mapping) else motions
+            if not isinstance(motion, Motion):
+                raise ValueError(
+                    f"what {agent} is to do is of type {type(motion).__name__}; return"
+                    " a Motion (joint changes, grips) for each agent"
+                )
+            shape = sim.num_envs, arm.num_joints
+            if np.shape(motion.change) != shape:
+                raise ValueError(
+                    f"the change of {agent} has shape {np.shape(motion.change)}, not"
+                    f" {shape}: one number for each world and joint, in rad"
+                )
+
+
+class JointChanges(ActionMode):
+    """A change of each joint's angle, as a share of the largest in a control step."""
+
+    def __init__(self, arms: Mapping[str, Arm], gripping: bool, xp: Any = np):
+        super().__init__(arms, gripping, xp)
+        self._speeds = {agent: xp.asarray(arm.max_speed) for agent, arm in arms.items()}
+
+    def num_moves(self, agent: str) -> int:
+        return self.arms[agent].num_joints
+
+    def changes(self, sim: Sim, agent: str, moves: Array) -> Array:
+        return moves * self._speeds[agent] * CONTROL_DT
+
+    def moves(self, sim: Sim, agent: str, changes: np.ndarray) -> np.ndarray:
+        return changes / self.arms[agent].max_change
