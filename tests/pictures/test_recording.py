@@ -1,3 +1,6 @@
+import re
+import shutil
+import subprocess
 import sys
 
 import numpy as np
@@ -92,6 +95,72 @@ def test_nothing_is_left_after_an_error(carry, tmp_path, name, error):
     with pytest.raises(error):
         recording.record(carry(), tmp_path / name, policy, size=SIZE)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Return a folder of its own file system, on which 64 kB have room."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
+    if (
+        not shutil.which("mount")
+        or subprocess.run(mount, capture_output=True).returncode
+    ):
+        pytest.skip("only root may mount a small disk")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def noise(height=240, width=320, count=30):
+    """Yield pictures that no encoder makes small."""
+    draw = np.random.default_rng(0)
+    for _ in range(count):
+        yield draw.integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.gif", "a.png"])
+def test_a_full_disk_is_told_and_leaves_what_was_there(small_disk, name):
+    path = small_disk / name
+    path.write_text("old")
+    with pytest.raises(OSError, match=f"^cannot write {path}: .*No space left on dev"):
+        if name == "a.png":
+            recording.contact_sheet(list(noise(count=2)), ["a", "b"], path)
+        else:
+            recording._FORMATS[path.suffix].write(path, noise(), 20)
+    assert path.read_text() == "old"
+    assert list(small_disk.iterdir()) == [path]
+
+
+LIMITED = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from collaborative_gym.pictures import recording
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+path, draw = Path(sys.argv[1]), np.random.default_rng(0)
+frames = (draw.integers(0, 256, (96, 128, 3), dtype=np.uint8) for _ in range(9))
+try:
+    recording._FORMATS[path.suffix].write(path, frames, 20)
+except OSError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it knows no such limit")
+@pytest.mark.parametrize(
+    ("name", "why"), [("a.mp4", "ffmpeg failed: .+"), ("a.gif", "File too large")]
+)
+def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
+    path = tmp_path / name
+    path.write_text("old")
+    child = subprocess.run(
+        [sys.executable, "-c", LIMITED, path], capture_output=True, text=True
+    )
+    assert re.fullmatch(f"cannot write {path}: {why}\n", child.stdout), child.stderr
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_picture_shows_the_robots_at_work(carry):

@@ -1,18 +1,21 @@
 """Videos and pictures of policies at work."""
 
+import io
+import subprocess
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, unknown
-from collaborative_gym.files import replacing
+from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
 from collaborative_gym.policies import Policy, as_policy
 from collaborative_gym.robots import Robot
@@ -38,7 +41,7 @@ class _Format:
     """A kind of video file.
 
     Attributes:
-      write: writes frames at a rate in 1/s to a path.
+      write: writes frames at a rate in 1/s to a path, whole or not at all.
       shots: frames per control step, so that the video plays in real time.
       size: default width and height in pixels.
     """
@@ -110,8 +113,7 @@ def record(
             )
         names = [_name(each) for each in policies]
         frames = _side_by_side(films, names) if len(films) > 1 else films[0]
-        with replacing(output) as partial:
-            kind.write(partial, frames, round(kind.shots / CONTROL_DT))
+        kind.write(output, frames, round(kind.shots / CONTROL_DT))
     return output
 
 
@@ -122,7 +124,7 @@ def check_ready() -> None:
       ImportError: if the extra `video` is not installed.
       RuntimeError: if no off-screen renderer can start; says what to install.
     """
-    for module in ("imageio_ffmpeg", "imageio", "PIL"):
+    for module in ("imageio_ffmpeg", "PIL"):
         _import(module)
     check_renderer()
 
@@ -204,7 +206,7 @@ def contact_sheet(
         sheet.paste(image_module.fromarray(pixels), (x, y + band))
     output = Path(output)
     with replacing(output) as partial:
-        sheet.save(partial, format="PNG")
+        _save(sheet, partial, output, format="PNG")
     return output
 
 
@@ -292,25 +294,59 @@ def _name(policy: AnyPolicy) -> str:
     return getattr(policy, "__name__", type(policy).__name__)
 
 
-def _write_mp4(path: Path, frames: Frames, rate: int) -> None:
-    _import("imageio_ffmpeg")
-    writer = _import("imageio.v2").get_writer(
-        path, fps=rate, codec="libx264", pixelformat="yuv420p", macro_block_size=2
-    )
-    with writer:
-        for frame in frames:
-            writer.append_data(frame)
+def _write_mp4(output: Path, frames: Frames, rate: int) -> None:
+    program = _import("imageio_ffmpeg").get_ffmpeg_exe()
+    with replacing(output) as partial, TemporaryFile() as said:
+        first = next(frames)
+        command = [
+            *(program, "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
+            *("-s", f"{first.shape[1]}x{first.shape[0]}", "-r", str(rate), "-i", "-"),
+            *("-codec:v", "libx264", "-crf", "25", "-pix_fmt", "yuv420p", partial),
+        ]
+        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+        try:
+            _feed(encoder, chain([first], frames))
+            if status := encoder.wait():
+                said.seek(0)
+                words = said.readline().decode(errors="replace").rpartition("] ")[-1]
+                why = words.strip() or f"it ended with status {status}"
+                raise OSError(f"cannot write {output}: ffmpeg failed: {why}")
+        finally:
+            encoder.kill()
+            encoder.wait()
 
 
-def _write_gif(path: Path, frames: Frames, rate: int) -> None:
+def _feed(encoder: subprocess.Popen[bytes], frames: Iterable[np.ndarray]) -> None:
+    """Give an encoder frames to their end, or until it ends, which its status tells."""
+    assert encoder.stdin is not None
+    for frame in frames:
+        try:
+            encoder.stdin.write(frame.tobytes())
+        except OSError:
+            break
+    with suppress(OSError):
+        encoder.stdin.close()
+
+
+def _write_gif(output: Path, frames: Frames, rate: int) -> None:
     image = _import("PIL.Image")
-    # One palette for all frames: a palette of its own for each makes colours flicker.
-    first = image.fromarray(next(frames)).quantize(dither=image.Dither.NONE)
-    rest: Iterable[Any] = (
-        image.fromarray(frame).quantize(palette=first, dither=image.Dither.NONE)
-        for frame in frames
-    )
-    first.save(path, save_all=True, append_images=rest, duration=1000 // rate, loop=0)
+    with replacing(output) as partial:
+        # One palette for all frames: one for each makes colours flicker.
+        first = image.fromarray(next(frames)).quantize(dither=image.Dither.NONE)
+        rest: Iterable[Any] = (
+            image.fromarray(frame).quantize(palette=first, dither=image.Dither.NONE)
+            for frame in frames
+        )
+        options = {"append_images": rest, "duration": 1000 // rate, "loop": 0}
+        _save(first, partial, output, format="GIF", save_all=True, **options)
+
+
+def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
+    """Write a picture to a part file; errors name the file that was asked for."""
+    content = io.BytesIO()  # Frames are drawn meanwhile, whose errors are others.
+    image.save(content, **options)
+    with naming(output):
+        partial.write_bytes(content.getvalue())
 
 
 _FORMATS = {
