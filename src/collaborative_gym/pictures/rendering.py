@@ -1,16 +1,37 @@
 """Off-screen pictures of a world."""
 
+import os
 import warnings
+import weakref
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from collaborative_gym.errors import check_count
 from collaborative_gym.scene.surroundings import CAMERA
+
+T = TypeVar("T")
+
+_drawing = ThreadPoolExecutor(1, "drawing")
+"""The thread that draws. It begins with the first picture."""
+
+_drawn_in: set[int] = set()
+"""The process that has drawn, and those forked off since that tried to."""
+
+_inherited: list[Any] = []
+"""Renderers of a process that this one was forked off from, which are never freed."""
 
 
 class Camera:
     """An off-screen renderer that looks through a world's `overview` camera.
+
+    Any thread may use it. A graphics context belongs to one thread, so that all of a
+    process's pictures are drawn in the same one, one after the other.
 
     Args:
       model: the world, from `Scene.compile_to_draw`.
@@ -18,33 +39,27 @@ class Camera:
       height: of the pictures, in pixels.
 
     Raises:
-      ValueError: if the picture is larger than the model's off-screen buffer.
-      RuntimeError: if no renderer can start.
+      TypeError: if a side is no integer.
+      ValueError: if a side is below 1, or above that of the model's off-screen buffer.
+      RuntimeError: if no renderer can start, as in a process forked off from one that
+        has drawn.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int):
-        limit = model.vis.global_.offwidth, model.vis.global_.offheight
-        if not (0 < width <= limit[0] and 0 < height <= limit[1]):
-            raise ValueError(
-                f"a picture of {width} x {height} pixels cannot be drawn; its sides are"
-                f" at least 1 and at most {limit[0]} x {limit[1]}"
-            )
-        self.size = (width, height)
+        visual = model.vis.global_
+        self.size = (
+            check_count("width", width, 1, visual.offwidth),
+            check_count("height", height, 1, visual.offheight),
+        )
         self._model = model
         self._data = mujoco.MjData(model)
-        try:
-            with warnings.catch_warnings(action="ignore"):  # The error says it all.
-                self._renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:
-            raise RuntimeError(
-                "no off-screen renderer can start here; on Debian or Ubuntu install one"
-                " with 'apt-get install libegl1 libgl1-mesa-dri' and set MUJOCO_GL=egl"
-                f" (MuJoCo says: {error})"
-            ) from error
         # Group 2 is what is seen, group 3 what collides.
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = (1, 1, 1, 0, 0, 0)
         self._options.sitegroup[:] = 0
+        self._renderer = _in_thread(_start, model, *self.size)
+        # Where it is given up unclosed, whichever thread finds it may not free it.
+        self._free = weakref.finalize(self, _free, self._renderer, os.getpid())
 
     def picture(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:
         """Return a world as a (height, width, 3) uint8 picture.
@@ -52,17 +67,23 @@ class Camera:
         Args:
           qpos: its positions.
           mocap_pos: the places of its targets.
+
+        Raises:
+          RuntimeError: in a process that was forked off since the first picture.
         """
+        return _in_thread(self._draw, qpos, mocap_pos)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._free()
+
+    def _draw(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:
         self._data.qpos[:], self._data.mocap_pos[:] = qpos, mocap_pos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._renderer.update_scene(self._data, CAMERA, self._options)
-        return self._renderer.render().copy()
-
-    def close(self) -> None:
-        """Free the renderer."""
-        self._renderer.close()
+        return self._renderer.render()
 
 
 def check_renderer() -> None:
@@ -72,3 +93,40 @@ def check_renderer() -> None:
       RuntimeError: if no renderer can start; says what to install.
     """
     Camera(mujoco.MjSpec().compile(), 64, 64).close()
+
+
+def _start(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
+    try:
+        with warnings.catch_warnings(action="ignore"):  # The error says it all.
+            return mujoco.Renderer(model, height, width)
+    except Exception as error:
+        raise RuntimeError(
+            "no off-screen renderer can start here; on Debian or Ubuntu install one"
+            " with 'apt-get install libegl1 libgl1-mesa-dri' and set MUJOCO_GL=egl"
+            f" (MuJoCo says: {error})"
+        ) from error
+
+
+def _in_thread(job: Callable[..., T], *arguments: Any) -> T:
+    """Return what a job returns that is done in the thread that draws.
+
+    Raises:
+      RuntimeError: in a process that was forked off since pictures were drawn: graphics
+        would hang there.
+    """
+    _drawn_in.add(os.getpid())
+    if len(_drawn_in) > 1:
+        raise RuntimeError(
+            "pictures were drawn before this process was forked, and cannot be drawn in"
+            " it too; start it with multiprocessing.get_context('spawn')"
+        )
+    return _drawing.submit(job, *arguments).result()
+
+
+def _free(renderer: mujoco.Renderer, process: int) -> None:
+    """Free a renderer in the thread that draws, but not in a process forked off."""
+    if process != os.getpid():
+        _inherited.append(renderer)
+        return
+    with suppress(RuntimeError):  # At the end of a process no job can begin any more.
+        _drawing.submit(renderer.close)

@@ -1,0 +1,122 @@
+"""Drawing in threads, in forked processes, and at the end of a process."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from collaborative_gym.pictures.rendering import Camera
+
+WORLDS = """
+import gc, os, sys, threading
+import mujoco
+import numpy as np
+from collaborative_gym.pictures.rendering import Camera
+
+def world(color):
+    spec = mujoco.MjSpec()
+    box = spec.worldbody.add_body(name="box")
+    box.add_freejoint()
+    box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2] * 3, rgba=[*color, 1])
+    spec.worldbody.add_camera(name="overview", pos=[0, 0, 2])
+    spec.worldbody.add_light(pos=[0, 0, 3], castshadow=False)
+    return spec.compile()
+
+still = [0, 0, 0, 1, 0, 0, 0], np.zeros((0, 3))
+models = [world(color) for color in ([1, 0, 0], [0, 1, 0])]
+cameras = [Camera(model, 64, 48) for model in models]
+expected = [camera.picture(*still) for camera in cameras]
+assert expected[0].std() > 10 and (expected[0] != expected[1]).any()
+"""
+
+THREADS = """
+failed = []
+
+def draw(camera, picture):
+    for _ in range(50):
+        if (camera.picture(*still) != picture).any():
+            failed.append(camera)
+
+pairs = [*zip(cameras, expected), *zip(cameras, expected)]
+threads = [threading.Thread(target=draw, args=pair) for pair in pairs]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+assert not failed
+
+# One is closed, and one given up, in another thread than the one that made it.
+del thread, threads, pairs
+first, cameras[:] = cameras[0], cameras[1:]
+for end in (first.close, cameras.clear):
+    thread = threading.Thread(target=end)
+    thread.start()
+    thread.join()
+gc.collect()
+again = Camera(models[0], 64, 48)  # It stays open to the end of the process.
+assert (again.picture(*still) == expected[0]).all()
+print("done")
+"""
+
+FORK = """
+child = os.fork()
+if child == 0:
+    for draw in (cameras[0].picture, lambda *_: Camera(models[0], 64, 48)):
+        try:
+            draw(*still)
+        except RuntimeError as error:
+            print(error, flush=True)
+    cameras[0].close()
+    cameras.clear()
+    gc.collect()
+    os._exit(0)
+assert os.waitpid(child, 0)[1] == 0
+assert (cameras[0].picture(*still) == expected[0]).all()
+"""
+
+
+def run(script):
+    """Return what a process prints that runs a script."""
+    arguments = [sys.executable, "-c", WORLDS + script]
+    process = subprocess.run(arguments, capture_output=True, text=True, timeout=120)
+    assert process.returncode == 0, process.stderr
+    return process.stdout
+
+
+def test_threads_draw_and_free_without_a_crash():
+    assert run(THREADS) == "done\n"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="it cannot fork")
+def test_a_forked_process_is_told_that_it_cannot_draw():
+    lines = run(FORK).splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        assert line.startswith("pictures were drawn before this process was forked")
+        assert line.endswith("multiprocessing.get_context('spawn')")
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "error", "words"),
+    [
+        (0, 48, ValueError, "width must be 1 to 640, got 0"),
+        (64, -1, ValueError, "height must be 1 to 480, got -1"),
+        (641, 48, ValueError, "width must be 1 to 640, got 641"),
+        (64.0, 48, TypeError, "width must be an integer, got 64.0"),
+        (64, True, TypeError, "height must be an integer, got True"),
+        ("64", 48, TypeError, "width must be an integer, got '64'"),
+        (None, 48, TypeError, "width must be an integer, got None"),
+    ],
+)
+def test_a_size_that_cannot_be_is_refused(width, height, error, words):
+    with pytest.raises(error, match=f"^{words}$"):
+        Camera(mujoco.MjSpec().compile(), width, height)
+
+
+def test_sizes_of_numpy_are_sizes():
+    camera = Camera(mujoco.MjSpec().compile(), np.int64(64), np.uint8(48))
+    assert camera.size == (64, 48)
+    camera.close()
