@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 
-from collaborative_gym.errors import UnknownName
+from collaborative_gym.errors import UnknownName, check_name
 
 GROUP = "collaborative_gym.tasks"
 """Entry points of this group name modules that register tasks, ids and arms."""
@@ -40,8 +40,11 @@ def load_module(name: str) -> ModuleType:
     Raises:
       FileNotFoundError: if there is no such file.
       KeyError: if there is no such module.
-      ValueError: if another module of that name is loaded already.
+      TypeError: if the name is no string.
+      ValueError: if another module of that name is loaded already, or the file is no
+        Python.
     """
+    check_name("module", name)
     if not name.endswith(".py"):
         return _import(name)
     path = Path(name).resolve()
@@ -62,8 +65,10 @@ def load_module(name: str) -> ModuleType:
     sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)
-    except BaseException:
+    except BaseException as error:
         del sys.modules[path.stem]
+        if isinstance(error, SyntaxError):
+            raise ValueError(_told(name, error)) from error
         raise
     _loaded[path] = module
     return module
@@ -101,7 +106,18 @@ def load_entry_points() -> None:
             )
 
 
+def _told(name: str, error: SyntaxError) -> str:
+    """Return where a file is no Python, and what is there."""
+    text = (error.text or "").strip()
+    line = f", line {error.lineno}: {error.msg}: {text}" if error.lineno else ""
+    return f"module {name} is no Python{line or f': {error.msg}'}"
+
+
 def _import(name: str) -> ModuleType:
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise ValueError(
+            f"module {name!r} is neither a path that ends in .py nor a dotted name"
+        )
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

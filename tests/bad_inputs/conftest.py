@@ -56,7 +56,7 @@ class Shared:
     def scene(self):
         """A world with an arm and a pot."""
         scene = cg.Scene()
-        scene.add_robot("robot_1", cg.get_robot("panda"), cg.Placement((0, 0, 0)))
+        scene.add_robot("robot_1", cg.get_robot("panda"), cg.Placement((0, 0, 1)))
         scene.add("cube", objects.cube())
         return scene
 

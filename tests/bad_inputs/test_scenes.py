@@ -11,7 +11,7 @@ import collaborative_gym as cg
 from collaborative_gym import objects
 
 PANDA = cg.get_robot("panda")
-HOME = cg.Placement((0.0, 0.0, 0.0))
+HOME = cg.Placement((0.0, 0.0, 0.65))
 BELOW, HUGE = (-1, -1e-9), (1e300, 10**400)
 
 
@@ -110,7 +110,7 @@ SCENE = [
         "scene",
         "position",
         lambda s, v: s.env.scene.place(s.env.sim, [0], "pot", v),
-        ["a", None, (0, 0), THING],
+        ["a", (0, 0), THING],
     ),
     *table(
         "scene", "grip", lambda s, v: s.env.scene.holds(s.env.sim, v), ["robot_9", None]
@@ -135,7 +135,8 @@ SIZES = [
 
 
 def _object(make, name):
-    return lambda shared, value: make(**{name: value})
+    mass = {"mass": 1.0} if make is objects.pot else {}
+    return lambda shared, value: make(**{**mass, name: value})
 
 
 OBJECTS = [
@@ -239,7 +240,7 @@ BROKEN = {
     "raising": "1 / 0\n",
     "tabs": "if True:\n\tx = 1\n        y = 2\n",
     "null": "x = 1\0\n",
-    "latin": b"# \xff\xfe\n",
+    "latin": b"x = '\xff\xfe'\n",
     "named": "raise KeyError('colour')\n",
 }
 

@@ -2,6 +2,8 @@
 
 import mujoco
 
+from collaborative_gym.errors import check_number
+
 RADIUS = 0.04  # m
 
 
@@ -14,7 +16,12 @@ def ball(mass: float = 0.02) -> mujoco.MjSpec:
 
     Args:
       mass: in kg.
+
+    Raises:
+      TypeError: if a number is none.
+      ValueError: if it makes no sense.
     """
+    check_number("mass", mass, at_least=1e-6, at_most=1e4)
     spec = mujoco.MjSpec()
     spec.modelname = "ball"
     spec.add_texture(

@@ -3,6 +3,8 @@
 import mujoco
 import numpy as np
 
+from collaborative_gym.errors import check_number
+
 WIDTH = 0.8  # m, along x
 LENGTH = 1.5  # m, along y
 THICKNESS = 0.04  # m
@@ -29,7 +31,13 @@ def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
     Args:
       mass: in kg, all of it in the plate.
       marked_radius: of a disc painted on the middle of the plate, in m; 0 for none.
+
+    Raises:
+      TypeError: if a number is none.
+      ValueError: if it makes no sense.
     """
+    check_number("mass", mass, at_least=1e-6, at_most=1e4)
+    check_number("marked_radius", marked_radius, at_least=0.0, at_most=10.0)
     spec = mujoco.MjSpec()
     spec.modelname = "board"
     spec.compiler.degree = False

@@ -2,6 +2,8 @@
 
 import mujoco
 
+from collaborative_gym.errors import check_number
+
 _RGBA = (0.90, 0.45, 0.13, 1.0)
 
 # A grip holds the cube at a point and leaves its turning free. This damping (N m s/rad
@@ -19,7 +21,13 @@ def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
     Args:
       size: edge length, metres.
       mass: in kg.
+
+    Raises:
+      TypeError: if a number is none.
+      ValueError: if it makes no sense.
     """
+    check_number("size", size, at_least=0.001, at_most=10.0)
+    check_number("mass", mass, at_least=1e-6, at_most=1e4)
     spec = mujoco.MjSpec()
     spec.modelname = "cube"
     body = spec.worldbody.add_body(name="cube")

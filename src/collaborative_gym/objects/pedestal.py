@@ -4,6 +4,8 @@ import itertools
 
 import mujoco
 
+from collaborative_gym.errors import check_number
+
 _BLACK = (0.06, 0.06, 0.065, 1.0)
 _GREY = (0.14, 0.14, 0.15, 1.0)
 
@@ -26,11 +28,11 @@ def pedestal(height: float) -> mujoco.MjSpec:
         pedestal has 0.9149 (the mesh offset in sawyer_description).
 
     Raises:
-      ValueError: if `height` is below 0.7, where the cabinet would stand in the arm's
-        way.
+      TypeError: if `height` is no number.
+      ValueError: if it is below 0.7, where the cabinet would stand in the arm's way, or
+        above 100.
     """
-    if height < 0.7:
-        raise ValueError(f"a pedestal is at least 0.7 m high, got height={height}")
+    check_number("height", height, at_least=0.7, at_most=100.0)
 
     spec = mujoco.MjSpec()
     spec.modelname = "pedestal"

@@ -2,7 +2,10 @@
 
 import mujoco
 
+from collaborative_gym.errors import check_number
+
 _SIDE = 0.12  # m, from the original environment
+_MOST_BALANCE = 0.059  # m; the contents are at least 2 mm wide
 _HANDLE_SIZE = (0.06, 0.01, 0.01)  # m, half lengths, from the original environment
 _HANDLE_Z = 0.05  # m above the pot's centre
 _GRIP_Y = 0.14  # m from the pot's centre to where a handle is gripped
@@ -35,13 +38,11 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
       balance: y of the centre of mass, in m: the contents may lie to one side.
 
     Raises:
-      ValueError: if `mass` is not positive, or `balance` is outside the pot.
+      TypeError: if a number is none.
+      ValueError: if there is no such mass, or `balance` is outside the pot.
     """
-    if not mass > 0.0 or not abs(balance) < _SIDE / 2:
-        raise ValueError(
-            f"a pot of mass={mass} kg with balance={balance} m; the mass must be"
-            f" positive and the balance within {_SIDE / 2} m"
-        )
+    check_number("mass", mass, at_least=1e-6, at_most=1e4)
+    check_number("balance", balance, at_least=-_MOST_BALANCE, at_most=_MOST_BALANCE)
     spec = mujoco.MjSpec()
     spec.modelname = "pot"
     body = spec.worldbody.add_body(name="pot")

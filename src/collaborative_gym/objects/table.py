@@ -2,6 +2,8 @@
 
 import mujoco
 
+from collaborative_gym.errors import check_number
+
 _TOP_THICKNESS = 0.03  # m, our choice
 _LEG_RADIUS = 0.025  # m, our choice
 _LEG_INSET = 0.05  # m from the edge of the top to a leg's axis, our choice
@@ -25,8 +27,12 @@ def table(
       height: z of the top's upper face, metres above the floor.
 
     Raises:
-      ValueError: if the top is too small or too low for the legs.
+      TypeError: if a number is none.
+      ValueError: if the top is too small or too low for the legs, or a side is longer
+        than 100 m.
     """
+    for name, given in (("length", length), ("width", width), ("height", height)):
+        check_number(name, given, at_most=100.0)
     shortest_side = 2 * (_LEG_INSET + _LEG_RADIUS)
     if min(length, width) < shortest_side or height <= _TOP_THICKNESS:
         raise ValueError(

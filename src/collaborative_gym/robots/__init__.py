@@ -1,6 +1,6 @@
 """The arms, by name."""
 
-from collaborative_gym.errors import look_up
+from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
 from collaborative_gym.robots.robot import Gripper, Robot
@@ -26,6 +26,7 @@ def register_robot(robot: Robot) -> None:
     Raises:
       ValueError: if the name is taken.
     """
+    check_kind("robot", robot, Robot, "a Robot")
     if robot.name in _ROBOTS:
         raise ValueError(
             f"robot {robot.name!r} is registered already; give yours another name"

@@ -1,7 +1,6 @@
 """What can be wrong about an arm, said when its value is made."""
 
 from itertools import pairwise
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -36,8 +35,6 @@ def check_gripper(gripper: "Gripper") -> None:
         return
     positions = gripper.open_position, gripper.closed_position
     gaps = gripper.open_gap, gripper.closed_gap
-    if not all(isfinite(value) for value in (*positions, *gaps, gripper.force)):
-        raise ValueError(f"the numbers of a gripper must be finite, got {gripper}")
     if positions[0] == positions[1]:
         raise ValueError(
             "a gripper's open_position must differ from its closed_position, got"
@@ -54,17 +51,11 @@ def check_gripper(gripper: "Gripper") -> None:
 
 def check_values(robot: "Robot") -> None:
     """Raise ValueError if a value cannot be right whatever the model file holds."""
-    if not robot.name:
-        raise wrong(robot, "give it a name")
     if robot.stand not in STANDS:
         raise wrong(robot, unknown("stand", robot.stand, STANDS))
     count = len(robot.joints)
     if not count or len(set(robot.joints)) < count:
         raise wrong(robot, f"joints must name each arm joint once, got {robot.joints}")
-    for field in ("payload", "reach"):
-        value = getattr(robot, field)
-        if not (isfinite(value) and value > 0):
-            raise wrong(robot, f"{field} must be above 0, got {value}")
     optional = ("torque_limits", "armature", "damping", "stiffness")
     for field in ("home", "velocity_limits", *optional):
         values = getattr(robot, field)
@@ -77,12 +68,10 @@ def check_values(robot: "Robot") -> None:
             )
         for joint, value in zip(robot.joints, values, strict=True):
             least = {"home": -np.inf, "armature": 0.0}.get(field, 1e-9)
-            if not (isfinite(value) and value >= least):
-                bound = {"home": "", "armature": " and at least 0"}
+            if value < least:
+                bound = "at least 0" if field == "armature" else "above 0"
                 raise wrong(
-                    robot,
-                    f"{field} of joint {joint!r} must be finite"
-                    f"{bound.get(field, ' and above 0')}, got {value}",
+                    robot, f"{field} of joint {joint!r} must be {bound}, got {value}"
                 )
 
 

@@ -7,6 +7,12 @@ from typing import Any, Literal
 
 import mujoco
 
+from collaborative_gym.errors import (
+    check_kind,
+    check_name,
+    check_number,
+    check_numbers,
+)
 from collaborative_gym.robots.checks import (
     check_gripper,
     check_values,
@@ -23,6 +29,14 @@ _PER_JOINT = (
     "armature",
     "damping",
     "stiffness",
+)
+
+_GRIPPER_NUMBERS = (
+    "open_position",
+    "closed_position",
+    "open_gap",
+    "closed_gap",
+    "force",
 )
 
 _STIFFNESS = 8.0
@@ -57,10 +71,14 @@ class Gripper:
 
     def __post_init__(self) -> None:
         _freeze(self, joints=_names(self.joints))
+        for field_name in _GRIPPER_NUMBERS:
+            given = getattr(self, field_name)
+            _freeze(self, **{field_name: check_number(field_name, given)})
         check_gripper(self)
 
     def position(self, gap: float) -> float:
         """Return the joint position at which the fingers are `gap` metres apart."""
+        gap = check_number("gap", gap)
         if not self.joints:
             return self.open_position
         gap = min(max(gap, self.closed_gap), self.open_gap)
@@ -132,6 +150,11 @@ class Robot:
     )
 
     def __post_init__(self) -> None:
+        check_name("name", self.name)
+        check_kind("model_file", self.model_file, (str, Path), "a path")
+        check_kind("title", self.title, str, "a string")
+        check_kind("gripper", self.gripper, Gripper, "a Gripper")
+        check_name("tcp", self.tcp)
         _freeze(
             self,
             model_file=Path(self.model_file).absolute(),
@@ -140,8 +163,11 @@ class Robot:
             _overlaps=(),
         )
         for field_name in _PER_JOINT:
-            values = getattr(self, field_name)
-            _freeze(self, **{field_name: tuple(float(value) for value in values)})
+            values = check_numbers(field_name, getattr(self, field_name))
+            _freeze(self, **{field_name: values})
+        for field_name in ("payload", "reach"):
+            value = check_number(field_name, getattr(self, field_name), above=0)
+            _freeze(self, **{field_name: value})
         check_values(self)
         spec = self.spec()
         if not self.torque_limits:
@@ -176,6 +202,7 @@ def _freeze(value: Any, **fields: Any) -> None:
 
 
 def _names(given: Sequence[str]) -> tuple[str, ...]:
-    if isinstance(given, str):
-        raise TypeError(f"joints must be a sequence of names, got {given!r}")
+    check_kind("joints", given, (tuple, list), "a sequence of names")
+    for name in given:
+        check_name("each of joints", name)
     return tuple(given)

@@ -12,7 +12,15 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from collaborative_gym.errors import unknown
+from collaborative_gym.errors import (
+    check_flag,
+    check_kind,
+    check_name,
+    check_number,
+    check_numbers,
+    shown,
+    unknown,
+)
 from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
@@ -73,6 +81,12 @@ class Scene:
           stand: whether to put the arm's own stand under it; without, the task has
             something there already.
         """
+        self._check_free("agent", agent)
+        check_kind("robot", robot, Robot, "a Robot, as get_robot returns it")
+        check_kind("placement", placement, Placement, "a Placement")
+        check_flag("stand", stand)
+        if holds is not None:
+            check_number("holds", holds, at_least=0.0)
         child = robot.spec()
         gripper = robot.gripper
         if holds is None:
@@ -102,13 +116,24 @@ class Scene:
         position: ArrayLike = (0.0, 0.0, 0.0),
         quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
     ) -> None:
-        """Put an object into the world under the prefix `name/`."""
+        """Put an object into the world under the prefix `name/`.
+
+        Raises:
+          TypeError: if an argument is of another kind.
+          ValueError: if the name is taken, or a place or turn is none.
+        """
+        self._check_free("name", name)
+        check_kind("child", child, mujoco.MjSpec, "an MjSpec")
+        position = check_numbers("position", position, 3)
+        quat = check_numbers("quat", quat, 4)
         frame = self.spec.worldbody.add_frame(pos=position, quat=quat)
         self.spec.attach(child, frame=frame, prefix=f"{name}/")
         self._objects.append(name)
 
     def add_tool(self, agent: str, name: str, child: mujoco.MjSpec) -> None:
         """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
+        self._check_arm(agent)
+        check_kind("child", child, mujoco.MjSpec, "an MjSpec")
         tcp = self.spec.site(f"{agent}/{self.robots[agent].tcp}")
         self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
 
@@ -116,6 +141,8 @@ class Scene:
         self, name: str, radius: float, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)
     ) -> None:
         """Add a marker of a goal; `place` moves it and `Sim.pose` reads it."""
+        self._check_free("name", name)
+        radius = check_number("radius", radius, at_least=0.001, at_most=100.0)
         body = self.spec.worldbody.add_body(name=name, mocap=True)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -135,10 +162,10 @@ class Scene:
         Raises:
           ValueError: if there is no such arm or site.
         """
-        if agent not in self.robots:
-            raise ValueError(
-                f"a grip: {unknown('arm', agent, self.robots)}; add_robot comes first"
-            )
+        self._check_arm(agent)
+        self._check_site(site)
+        threshold = check_number("threshold", threshold, at_least=0.0)
+        width = check_number("width", width, at_least=0.0)
         grip = Grip(agent, site, threshold, width)
         if not any(site == other.site for other in self.grips):
             self.add_pose_sensor(site, site)
@@ -157,6 +184,8 @@ class Scene:
 
     def add_weld(self, site: str, other: str) -> None:
         """Hold two sites together in position and orientation."""
+        self._check_site(site)
+        self._check_site(other)
         self.spec.add_equality(
             name=f"{site} welded to {other}",
             type=mujoco.mjtEq.mjEQ_WELD,
@@ -238,21 +267,27 @@ class Scene:
             none.
 
         Raises:
-          ValueError: if nothing of that name can be put elsewhere.
+          ValueError: if nothing of that name can be put elsewhere, or not there.
         """
-        if name in self._mocap:
-            sim.mocap_pos[env_ids, self._mocap[name]] = sim.xp.asarray(position)
-            return
-        if name not in self._free:
-            names = [*self._mocap, *self._free]
+        names = [*self._mocap, *self._free]
+        if name not in names:
             raise ValueError(
                 f"{unknown('movable object', name, names)}; an object moves freely that"
                 " has a free joint, and a target once it is added by `add_target`"
             )
-        start = self._free[name]
-        sim.qpos[env_ids, start : start + 3] = sim.xp.asarray(position)
-        if quat is not None:
-            sim.qpos[env_ids, start + 3 : start + 7] = sim.xp.asarray(quat)
+        try:
+            if name in self._mocap:
+                sim.mocap_pos[env_ids, self._mocap[name]] = sim.xp.asarray(position)
+                return
+            start = self._free[name]
+            sim.qpos[env_ids, start : start + 3] = sim.xp.asarray(position)
+            if quat is not None:
+                sim.qpos[env_ids, start + 3 : start + 7] = sim.xp.asarray(quat)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{name!r} cannot be put at position {shown(position)} with quat"
+                f" {shown(quat)}; give (3,) and (4,) numbers, or a row for each world"
+            ) from error
 
     def bend(self, sim: Sim, env_ids: EnvIds, agent: str, angles: ArrayLike) -> None:
         """Put an arm at joint angles in these worlds, kept within the joints' ranges.
@@ -298,6 +333,18 @@ class Scene:
             ids.append(int(model.equality(grip.name).id))
         self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
         self._free = find_free(model, self._objects)
+
+    def _check_free(self, argument: str, name: str) -> None:
+        """Raise unless an agent, object or target can have this name."""
+        check_name(argument, name)
+        if name in {*self.robots, *self._objects, *self._targets}:
+            raise ValueError(f"{argument} {name!r} is taken; give another")
+
+    def _check_arm(self, agent: str) -> None:
+        if agent not in self.robots:
+            raise ValueError(
+                f"{unknown('arm', agent, self.robots)}; add_robot comes first"
+            )
 
     def _check_site(self, site: str) -> None:
         names = [element.name for element in self.spec.sites if element.name]

@@ -10,6 +10,7 @@ import gymnasium
 from collaborative_gym.errors import (
     UnknownName,
     check_kind,
+    check_name,
     look_up,
     shown,
     unknown,
@@ -45,6 +46,8 @@ def register_task(name: str, task: type[Task]) -> None:
     Raises:
       ValueError: if the name is taken.
     """
+    check_name("name", name)
+    _check_task(task)
     if name in _TASKS:
         raise ValueError(f"task {name!r} is registered already")
     _TASKS[name] = task
@@ -56,6 +59,13 @@ def register_env(spec: EnvSpec) -> None:
     Raises:
       ValueError: if the id is taken, or not of the form `Name-v0`.
     """
+    check_kind("environment", spec, EnvSpec, "an EnvSpec")
+    check_name("the id", spec.env_id)
+    _check_task(spec.task)
+    check_kind("robots", spec.robots, (tuple, list), "a sequence of names")
+    for robot in spec.robots:
+        check_name("each of robots", robot)
+    check_kind("settings", spec.settings, Mapping, "a dictionary")
     if not re.fullmatch(r"([\w:.-]+/)?[\w:.-]+-v\d+", spec.env_id):
         raise ValueError(
             f"environment id {spec.env_id!r} is not a name and a version, as in"
@@ -170,6 +180,11 @@ def as_task(
             "a task has its own robots and randomization; pass them to make_task"
         )
     return env
+
+
+def _check_task(task: Any) -> None:
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise TypeError(f"task must be a subclass of Task, got {shown(task)}")
 
 
 def _configure(task: type[Task], settings: dict[str, Any]):
