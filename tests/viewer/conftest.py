@@ -16,7 +16,7 @@ def make_session(make_env):
 
     def make(policy="expert", **settings):
         env = make_env(**settings)
-        session = Session(env, load_policy(policy, env))
+        session = Session(env, load_policy(policy, env), print)
         session.speed = FASTEST
         return session
 

@@ -2,7 +2,7 @@ import socket
 
 import pytest
 
-from collaborative_gym.viewer.address import free_port, is_loopback, shown
+from collaborative_gym.viewer.address import free_port, is_loopback, name_for_browser
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.0.1", "::1", "localhost"])
@@ -17,7 +17,7 @@ def test_others_reach_another_address(host):
 
 def test_a_browser_gets_an_address_that_it_can_open():
     hosts = ["127.0.0.1", "::1", "0.0.0.0", "::"]
-    assert [shown(host) for host in hosts] == [
+    assert [name_for_browser(host) for host in hosts] == [
         "127.0.0.1",
         "[::1]",
         "localhost",

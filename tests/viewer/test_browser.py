@@ -61,10 +61,10 @@ def serve(start):
 
     def serve(env_id, policy="expert"):
         env = make_vec(env_id, 1, num_threads=1)
-        session = Session(env, load_policy(policy, env))
+        session = Session(env, load_policy(policy, env), print)
         session.pause()
         page = Page(session, env_id, "127.0.0.1", 0)
-        served.append((start(session, page.show), page))
+        served.append((start(session, page.refresh), page))
         return session, page
 
     yield serve

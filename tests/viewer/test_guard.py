@@ -331,7 +331,7 @@ def malformed(page):
 
 def test_what_no_page_sends_is_dropped(page, tab, wait_until, capfd):
     session = page._session
-    page.show()
+    page.refresh()
     label, content = page._play.label, page._panel.content
     for message in malformed(page):
         send(tab, message)
@@ -345,12 +345,12 @@ def test_what_no_page_sends_is_dropped(page, tab, wait_until, capfd):
         damaged = bytearray(sane)
         damaged[draw.randrange(len(sane))] = draw.randrange(256)
         tab.send(bytes(damaged[: draw.randrange(1, 2 * len(sane))]))
-    page.show()
+    page.refresh()
     assert (page._play.label, page._panel.content) == (label, content)
     assert not session.is_paused and session.perturb is None
     send(tab, update(page._play, {"value": True}))  # It is still heard.
     wait_until(lambda: session.is_paused)
-    page.show()
+    page.refresh()
     assert capfd.readouterr() == ("", "")
 
 
@@ -363,7 +363,7 @@ def test_a_message_that_says_two_things_says_one(page, tab, wait_until):
     tab.send(b"\x84" + b"".join(parts) + props)
     send(tab, update(page._speed, {"value": 2}))
     wait_until(lambda: page._session.speed == 2)
-    page.show()  # Which writes to the button.
+    page.refresh()  # Which writes to the button.
 
 
 def test_what_is_too_large_ends_the_connection(page, wait_until):

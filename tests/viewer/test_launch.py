@@ -17,7 +17,7 @@ class Face:
     url, is_public, was_closed = "http://somewhere", False, False
 
     def __init__(self, session):
-        self.show = session.end
+        self.refresh = session.end
 
     def close(self):
         self.was_closed = True
@@ -146,13 +146,13 @@ from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.window import Window
 
 env = make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
-session = Session(env, load_policy("expert", env))
+session = Session(env, load_policy("expert", env), print)
 window = Window(session)
 space, right, backspace, enter, up, down = 32, 262, 259, 257, 265, 264
 keys = [up, up, down, space, enter, right, right]
 
 def show():
-    window.show()
+    window.refresh()
     if keys:
         window._press(keys.pop(0))
     elif session.reading.episode == 1 and session.reading.time > 0.15:

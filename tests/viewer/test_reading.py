@@ -1,9 +1,10 @@
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import collaborative_gym as cg
 from collaborative_gym.viewer import reading
 
 
@@ -25,9 +26,11 @@ def played(make_env):
     def played(steps, **settings):
         env = make_env(**settings)
         _, infos = env.reset()
+        latest = replace(reading.read(env, infos, None), previous="so")
         for _ in range(steps):
             _, _, _, _, infos = env.step(env.expert())
-        return env, infos, reading.read(env, infos, "so")
+            latest = reading.read(env, infos, latest)
+        return env, infos, latest
 
     return played
 
@@ -35,7 +38,9 @@ def played(make_env):
 def test_a_start_has_measures_and_no_rewards(played):
     env, _, start = played(0)
     assert (start.episode, start.seed, start.time) == (0, 0, 0.0)
-    assert (start.success, start.rewards, start.previous) == (False, {}, "so")
+    assert (start.rewards, start.previous, start.trouble) == ({}, "so", "")
+    assert start.sides == {"side_1": ("robot_1", "robot_2")}
+    assert (start.success, start.returns) == ({"side_1": False}, {"side_1": 0.0})
     names = ["distance robot_1", "distance robot_2", "height", "highest"]
     assert list(start.measures) == names
     assert start.measures["height"] == env.facts.height[0]
@@ -53,7 +58,7 @@ def test_a_step_has_every_named_term_of_the_reward(played):
 
 def test_success_is_said(played):
     _, infos, after = played(11)
-    assert infos["success"][0] and after.success is True
+    assert infos["success"][0] and after.success == {"side_1": True}
     assert ("success", "yes") in after.rows
 
 
@@ -67,6 +72,66 @@ def test_rows_show_it_all_with_sums(played):
     assert list(rows)[-2:] == ["previous", "  so"]
 
 
+def test_what_was_earned_is_summed_from_each_start(make_env):
+    env = make_env()
+    _, infos = env.reset()
+    latest, earned = reading.read(env, infos, None), 0.0
+    for _ in range(15):  # The episode ends after 12.
+        _, rewards, _, _, infos = env.step(env.expert())
+        latest = reading.read(env, infos, latest)
+        earned += sum(reward[0] for reward in rewards.values())
+        if infos["ended"][0]:
+            assert infos["metrics"]["return"][0] == pytest.approx(earned)
+            earned = 0.0
+        assert latest.returns == {"side_1": pytest.approx(earned, rel=1e-4)}
+        assert dict(latest.rows)["return"] == f"{latest.returns['side_1']:.1f}"
+    assert env.progress["step"][0] == 3
+
+
+@pytest.fixture
+def duel(carry):
+    """Return a world: one arm wants the cube high, whereupon it is over, one low."""
+    parts = {
+        "sides": (("robot_2",), ("robot_1",)),
+        "reward": lambda self, facts, actions: {
+            "robot_1": {"height": -facts.height},
+            "robot_2": {"height": facts.height},
+        },
+        "success": lambda self, facts: (facts.height > 0.6, facts.height < 0.4),
+        "over": lambda self, facts: facts.height > 0.6,
+    }
+    base = carry()
+    task = type("Duel", (type(base),), parts)
+    return cg.VectorEnv(task([cg.get_robot("panda")] * 2, base.config), 1)
+
+
+def test_sides_are_told_apart(duel):
+    env = duel
+    _, infos = env.reset()
+    latest, terminated = reading.read(env, infos, None), {"robot_1": [False]}
+    assert latest.success == {"side_1": False, "side_2": False}
+    while not terminated["robot_1"][0]:
+        before = latest
+        _, _, terminated, _, infos = env.step(env.expert())
+        latest = reading.read(env, infos, before)
+    assert before.returns["side_1"] > 0.5
+    assert before.returns["side_2"] == pytest.approx(-before.returns["side_1"])
+    assert before.rows[2:8] == [
+        ("side_1", "robot_2"),
+        ("  success", "no"),
+        ("  return", f"{before.returns['side_1']:.1f}"),
+        ("side_2", "robot_1"),
+        ("  success", "no"),
+        ("  return", f"{before.returns['side_2']:.1f}"),
+    ]
+    seconds, earned = infos["step"][0] / 10, infos["metrics"]["return"]
+    assert reading.sum_up(infos, env.sides, True) == (
+        f"episode 0: over after {seconds:.1f} s; side_1 success after {seconds:.1f} s,"
+        f" return {earned['side_1'][0]:.1f}; side_2 no success,"
+        f" return {earned['side_2'][0]:.1f}"
+    )
+
+
 def test_measures_are_the_facts_that_are_one_number_each(make_env):
     env = make_env()
     _, infos = env.reset()
@@ -77,7 +142,7 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
         to_target=np.array([2.0]),
         is_held=np.array([True]),
     )
-    measures = reading.read(env, infos, "").measures
+    measures = reading.read(env, infos, None).measures
     assert measures == {
         "to cube robot_1": 0.5,
         "to cube robot_2": 0.25,
@@ -86,19 +151,19 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
     }
     assert measures["is held"] is True
     env.facts = {"of": "another kind"}
-    assert reading.read(env, infos, "").measures == {}
+    assert reading.read(env, infos, None).measures == {}
 
 
 def test_an_episode_is_summed_up(played):
-    _, infos, _ = played(12)
+    env, infos, _ = played(12)
     assert infos["ended"][0]
     seconds, earned = infos["metrics"]["time_to_success"], infos["metrics"]["return"]
     expected = f"episode 0: success after {seconds[0]:.1f} s, return {earned[0]:.1f}"
-    assert reading.sum_up(infos) == expected
+    assert reading.sum_up(infos, env.sides, False) == expected
     infos["metrics"]["time_to_success"][0] = np.nan
-    assert "no success" in reading.sum_up(infos)
+    assert "no success" in reading.sum_up(infos, env.sides, False)
     infos["diverged"][0] = True
-    assert "the physics diverged" in reading.sum_up(infos)
+    assert "the physics diverged" in reading.sum_up(infos, env.sides, False)
 
 
 @pytest.mark.parametrize("kind", [dict, SimpleNamespace])
@@ -106,4 +171,4 @@ def test_facts_need_not_be_a_dataclass(make_env, monkeypatch, kind):
     env = make_env()
     _, infos = env.reset(seed=0)
     monkeypatch.setattr(env, "facts", kind(to_cube={"robot_1": np.array([0.5])}))
-    assert reading.read(env, infos, "").measures == {"to cube robot_1": 0.5}
+    assert reading.read(env, infos, None).measures == {"to cube robot_1": 0.5}

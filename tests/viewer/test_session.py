@@ -158,18 +158,43 @@ def test_let_go_leaves_no_bit_of_the_pull(make_session, unwatched):
     np.testing.assert_array_equal(positions(session), expected[1])
 
 
-def test_a_policy_that_fails_ends_it(make_env):
-    def fail(observations):
-        raise ValueError("no idea")
+def test_a_policy_that_fails_is_told_and_may_go_on(make_env, start, wait_until):
+    env, calls, warned = make_env(), [], []
 
-    env, shown = make_env(), []
-    session = Session(env, fail)
-    with pytest.raises(ValueError, match="no idea"):
-        session.run(lambda: shown.append(1))
-    env.step(env.expert())  # It is nobody's any more.
-    assert shown == []
+    def fail_once(observations):
+        calls.append(None)
+        if len(calls) == 3:
+            raise ZeroDivisionError("no idea")
+        return env.expert() if len(calls) != 6 else {"robot_1": np.zeros((1, 8))}
+
+    session = Session(env, fail_once, warned.append)
+    start(session)
+    wait_until(lambda: session.is_paused)
+    assert warned == ["the policy failed: ZeroDivisionError: no idea"]
+    assert session.reading.rows[:2] == [
+        ("stopped", ""),
+        ("  ZeroDivisionError: no idea", ""),
+    ]
+    assert session.reading.time == pytest.approx(0.2)
+    session.play()
+    wait_until(lambda: session.is_paused)
+    assert len(calls) == 6 and "actions are for robot_1; give one" in warned[1]
+    session.reset()
+    wait_until(lambda: session.reading.time == 0)
+    assert session.reading.trouble == ""
+
+
+def test_what_fails_to_draw_ends_it(make_session):
+    session = make_session()
+
+    def fail():
+        raise ValueError("no picture")
+
+    with pytest.raises(ValueError, match="no picture"):
+        session.run(fail)
+    session.env.step(session.env.expert())  # It is nobody's any more.
 
 
 def test_it_plays_one_world(make_env):
     with pytest.raises(ValueError, match="plays 1 world, got 2"):
-        Session(make_env(2), lambda observations: {})
+        Session(make_env(2), lambda observations: {}, print)

@@ -90,7 +90,7 @@ def test_two_tabs_watch_and_a_closed_one_stops_nothing(
 ):
     session = make_session(max_episode_steps=1000)
     page = make_page(session)
-    end = start(session, page.show)
+    end = start(session, page.refresh)
     with closing(watch(page)) as one, closing(watch(page)) as other:
         assert receives(one, 5) > 100_000  # The scene, and what moves.
         assert receives(other, 5) > 100_000
@@ -123,7 +123,7 @@ def test_every_body_is_where_the_world_has_it(make_session, make_page):
     page = make_page(session)
     for _ in range(3):
         session.env.step(session.env.expert())
-    page.show()
+    page.refresh()
     data = session.env.sim.data(0)
     assert len(page._frames) > 15
     for body, frame in page._frames.items():
@@ -134,7 +134,7 @@ def test_every_body_is_where_the_world_has_it(make_session, make_page):
 def test_the_panel_says_what_the_reading_says(make_session, make_page):
     session = make_session()
     page = make_page(session)
-    page.show()
+    page.refresh()
     for name, value in session.reading.rows:
         assert f">{name}<" in page._panel.content and value in page._panel.content
 

@@ -86,6 +86,21 @@ class Camera:
         return self._renderer.render()
 
 
+def overview(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the `overview` camera stands and what it looks at, (3,) in m each.
+
+    Args:
+      model: the world.
+      data: its state, whose camera is current.
+    """
+    camera = data.camera(CAMERA)
+    forward = -camera.xmat.reshape(3, 3)[:, 2]
+    distance = np.dot(model.stat.center - camera.xpos, forward)
+    return camera.xpos, camera.xpos + distance * forward
+
+
 def check_renderer() -> None:
     """Raise if no pictures can be drawn here.
 

@@ -13,7 +13,7 @@ def is_loopback(host: str) -> bool:
     return all(ipaddress.ip_address(where[0]).is_loopback for *_, where in found)
 
 
-def shown(host: str) -> str:
+def name_for_browser(host: str) -> str:
     """Return an address as a browser on this machine wants it."""
     if host in ("0.0.0.0", "::"):
         return "localhost"

@@ -49,7 +49,7 @@ def view(
     task = make_task(env_id, robots, randomization)
     env = VectorEnv(task, 1, seed=seed, num_threads=1)
     with closing(env):
-        session = Session(env, load_policy(policy, env))
+        session = Session(env, load_policy(policy, env), warn)
         face = None if web else _window(session, tell)
         if face is None:
             face = _page(session, f"{env_id}, {policy}", host, port)
@@ -60,7 +60,7 @@ def view(
                 )
             tell(f"open {face.url} in a browser; Ctrl-C ends it")
         with closing(face):
-            session.run(face.show)
+            session.run(face.refresh)
 
 
 def _window(session: Session, tell: Callable[[str], object]) -> Any:

@@ -1,12 +1,13 @@
 """What a viewer's panel says of the present state."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.timing import CONTROL_DT
 
 
 @dataclass(frozen=True)
@@ -17,28 +18,38 @@ class Reading:
       episode: index of the episode within its seed.
       seed: its seed.
       time: since its start, in s.
-      success: whether the goal is met now.
+      sides: the agents of each side, by its name.
+      success: whether each side's goal is met now.
+      returns: what each side has earned since the start.
       rewards: the last control step's named terms, by agent; at a start there are none.
       measures: distances and whatever else the task measures, by name.
       previous: how the episode before ended, a sentence; empty at the first.
+      trouble: why it cannot go on, a sentence; empty where it can.
     """
 
     episode: int
     seed: int
     time: float
-    success: bool
+    sides: Mapping[str, tuple[str, ...]]
+    success: Mapping[str, bool]
+    returns: Mapping[str, float]
     rewards: Mapping[str, Mapping[str, float]]
     measures: Mapping[str, float | bool]
     previous: str
+    trouble: str = ""
 
     @property
     def rows(self) -> list[tuple[str, str]]:
         """The reading as rows of name and value; the heading of a part has no value."""
-        rows = [
-            (f"episode of seed {self.seed}", str(self.episode)),
-            ("time", f"{self.time:.1f} s"),
-            ("success", _word(self.success)),
-        ]
+        rows = [("stopped", ""), (f"  {self.trouble}", "")] if self.trouble else []
+        rows.append((f"episode of seed {self.seed}", str(self.episode)))
+        rows.append(("time", f"{self.time:.1f} s"))
+        for side, agents in self.sides.items():
+            if len(self.sides) > 1:
+                rows.append((side, ", ".join(agents)))
+            indent = "  " * (len(self.sides) > 1)
+            rows.append((f"{indent}success", _word(self.success[side])))
+            rows.append((f"{indent}return", f"{self.returns[side]:.1f}"))
         for agent, terms in self.rewards.items():
             rows.append((f"reward of {agent}", f"{sum(terms.values()):.3f}"))
             rows += [(f"  {name}", _word(term)) for name, term in terms.items()]
@@ -52,23 +63,43 @@ class Reading:
         return rows
 
 
-def read(env: VectorEnv, infos: Mapping[str, Any], previous: str) -> Reading:
-    """Return what there is to say of a batch of one world."""
+def read(env: VectorEnv, infos: Mapping[str, Any], before: Reading | None) -> Reading:
+    """Return what there is to say of a batch of one world.
+
+    Args:
+      env: the world.
+      infos: of its last step or reset.
+      before: the reading of the step before, or None.
+    """
     place = env.progress
     has_begun = place["step"][0] > 0
     terms = infos.get("reward_terms", {}) if has_begun else {}
+    rewards = {
+        agent: {name: float(term[0]) for name, term in named.items()}
+        for agent, named in terms.items()
+    }
+    earned = before.returns if before is not None and place["step"][0] > 1 else {}
+    success = _by_side(env.sides, infos["success"])
     return Reading(
         episode=int(place["episode"][0]),
         seed=int(place["seed"][0]),
         time=float(place["step"][0]) * env.control_dt,
-        success=bool(has_begun and infos["success"][0]),
-        rewards={
-            agent: {name: float(term[0]) for name, term in named.items()}
-            for agent, named in terms.items()
+        sides=env.sides,
+        success={side: bool(has_begun and is_met[0]) for side, is_met in success},
+        returns={
+            side: earned.get(side, 0.0)
+            + sum(sum(rewards.get(agent, {}).values()) for agent in agents)
+            for side, agents in env.sides.items()
         },
+        rewards=rewards,
         measures=dict(_measures(env.facts)),
-        previous=previous,
+        previous="" if before is None else before.previous,
     )
+
+
+def _by_side(sides: Iterable[str], told: Any) -> list[tuple[str, Any]]:
+    """Return what is told of each side, which is by name only where there are more."""
+    return [(side, told[side] if isinstance(told, Mapping) else told) for side in sides]
 
 
 def _measures(facts: Any) -> Iterator[tuple[str, float | bool]]:
@@ -89,15 +120,25 @@ def _word(value: float | bool) -> str:
     return f"{value:.3f}"
 
 
-def sum_up(infos: Mapping[str, Any]) -> str:
-    """Return how the episode ended whose last step gave these infos."""
+def sum_up(infos: Mapping[str, Any], sides: Iterable[str], is_over: bool) -> str:
+    """Return how an episode ended.
+
+    Args:
+      infos: of its last step.
+      sides: the names of the sides.
+      is_over: whether it ended before its time.
+    """
     metrics = infos["metrics"]
-    time_to_success = metrics["time_to_success"][0]
-    if infos["diverged"][0]:
-        result = "the physics diverged"
-    elif np.isnan(time_to_success):
-        result = "no success"
-    else:
-        result = f"success after {time_to_success:.1f} s"
-    episode, earned = metrics["episode"][0], metrics["return"][0]
-    return f"episode {episode}: {result}, return {earned:.1f}"
+    times = _by_side(sides, metrics["time_to_success"])
+    returns = _by_side(sides, metrics["return"])
+    results = [f"over after {infos['step'][0] * CONTROL_DT:.1f} s"] if is_over else []
+    for (side, time), (_, earned) in zip(times, returns, strict=True):
+        if infos["diverged"][0]:
+            result = "the physics diverged"
+        elif np.isnan(time[0]):
+            result = "no success"
+        else:
+            result = f"success after {time[0]:.1f} s"
+        name = f"{side} " if len(times) > 1 else ""
+        results.append(f"{name}{result}, return {earned[0]:.1f}")
+    return f"episode {metrics['episode'][0]}: {'; '.join(results)}"

@@ -4,11 +4,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 import mujoco
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.plugins import place_of
 from collaborative_gym.policies import Policy
 from collaborative_gym.viewer.reading import read, sum_up
 from collaborative_gym.viewer.spring import Spring
@@ -34,7 +36,8 @@ class Session:
 
     Args:
       env: the world, a batch of one.
-      policy: who commands the robots.
+      policy: who commands the robots. Where it fails, the session says so and pauses.
+      warn: takes what went wrong, a sentence.
 
     Attributes:
       env: the world.
@@ -43,22 +46,23 @@ class Session:
         the same bits as in every other environment.
     """
 
-    def __init__(self, env: VectorEnv, policy: Policy):
+    def __init__(self, env: VectorEnv, policy: Policy, warn: Callable[[str], object]):
         if env.num_envs != 1:
             raise ValueError(f"a session plays 1 world, got {env.num_envs}")
         self.env = env
         self.perturb: mujoco.MjvPerturb | None = None
         self._policy = policy
+        self._warn = warn
         self._speed = 1.0
         self._is_paused = False
         self._has_ended = False
         self._requests: deque[_Request] = deque()
         self._asked = threading.Event()
         self._spring = Spring(env)
-        self._show: Callable[[], object] = lambda: None
+        self._refresh: Callable[[], object] = lambda: None
         self._due = self._shown = 0.0
         self._observations, infos = env.reset()
-        self.reading = read(env, infos, "")
+        self.reading = read(env, infos, None)
 
     @property
     def is_paused(self) -> bool:
@@ -111,14 +115,14 @@ class Session:
         self._has_ended = True
         self._asked.set()
 
-    def run(self, show: Callable[[], object]) -> None:
+    def run(self, refresh: Callable[[], object]) -> None:
         """Play until `end`.
 
         Args:
-          show: called whenever there may be something new to draw, also while paused,
-            and in this thread, so that it may read the world.
+          refresh: called whenever there may be something new to draw, also while
+            paused, and in this thread, so that it may read the world.
         """
-        self._show = show
+        self._refresh = refresh
         self._due = time.perf_counter()
         self.env.watch(self._after_physics, self.env.substeps)
         try:
@@ -154,20 +158,36 @@ class Session:
         else:
             begun = self.env.reset()
         self._observations, infos = begun
-        self.reading = read(self.env, infos, reading.previous)
+        self.reading = read(self.env, infos, reading)
         self._draw()
 
     def _step(self) -> None:
-        actions = self._policy(self._observations)
-        self._spring.pull(self.perturb)
-        self._observations, _, _, _, infos = self.env.step(actions)
-        previous = self.reading.previous
+        try:
+            actions = self._policy(self._observations)
+            self._spring.pull(self.perturb)
+            self._observations, _, terminated, _, infos = self.env.step(actions)
+        except Exception as error:
+            if self._has_ended:  # It was no policy that failed, but what draws it.
+                raise
+            self._stop(error)
+            return
+        before = self.reading
         if infos["ended"][0]:
             self._spring.forget()
-            previous = sum_up(infos)
-        self.reading = read(self.env, infos, previous)
+            is_over = any(ended[0] for ended in terminated.values())
+            before = replace(before, previous=sum_up(infos, self.env.sides, is_over))
+        self.reading = read(self.env, infos, before)
         if self._is_paused:
             self._draw()
+
+    def _stop(self, error: Exception) -> None:
+        """Pause, and say what failed; whoever plays on tries again."""
+        self._is_paused = True
+        place = place_of(error)
+        trouble = f"{type(error).__name__}: {error}{f' ({place})' if place else ''}"
+        self.reading = replace(self.reading, trouble=trouble)
+        self._warn(f"the policy failed: {trouble}")
+        self._draw()
 
     def _after_physics(self) -> None:
         """Draw, wait until it is time for the next physics step, and pull in it."""
@@ -182,4 +202,8 @@ class Session:
 
     def _draw(self) -> None:
         self._shown = time.perf_counter()
-        self._show()
+        try:
+            self._refresh()
+        except BaseException:
+            self._has_ended = True
+            raise

@@ -11,8 +11,8 @@ import numpy as np
 import viser
 
 from collaborative_gym import math
-from collaborative_gym.pictures.rendering import CAMERA
-from collaborative_gym.viewer.address import free_port, is_loopback, shown
+from collaborative_gym.pictures.rendering import CAMERA, overview
+from collaborative_gym.viewer.address import free_port, is_loopback, name_for_browser
 from collaborative_gym.viewer.guard import PULL, start_server
 from collaborative_gym.viewer.reading import Reading
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
@@ -57,7 +57,7 @@ class Page:
         with redirect_stdout(io.StringIO()):  # It announces itself.
             self._server = start_server(host, port)
         self.is_public = not is_loopback(host)
-        self.url = f"http://{shown(host)}:{self._server.get_port()}"
+        self.url = f"http://{name_for_browser(host)}:{self._server.get_port()}"
         try:
             self._set_scene()
             self._add_panel(title)
@@ -65,7 +65,7 @@ class Page:
             self.close()
             raise
 
-    def show(self) -> None:
+    def refresh(self) -> None:
         """Bring all pages up to date. Only the session's thread may call this."""
         sim, data = self._session.env.sim, self._data
         data.qpos[:], data.mocap_pos[:] = sim.qpos[0], sim.mocap_pos[0]
@@ -86,7 +86,9 @@ class Page:
     def _set_scene(self) -> None:
         model, data, scene = self._model, self._data, self._server.scene
         mujoco.mj_forward(model, data)
-        self._look_from_overview()
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = overview(model, data)
+        camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
         self._lights = _light(scene, model)
         self._frames: dict[int, viser.FrameHandle] = {}
         for body in range(model.nbody):
@@ -103,14 +105,6 @@ class Page:
                 for node in add_geom(scene, f"{name}/{geom}", model, geom):
                     if is_free:
                         node.on_drag("left", modifier=PULL)(pull)
-
-    def _look_from_overview(self) -> None:
-        camera, overview = self._server.initial_camera, self._data.camera(CAMERA)
-        forward = -overview.xmat.reshape(3, 3)[:, 2]
-        distance = float(np.dot(self._model.stat.center - overview.xpos, forward))
-        camera.position = overview.xpos
-        camera.look_at = overview.xpos + distance * forward
-        camera.fov = float(np.radians(self._model.camera(CAMERA).fovy[0]))
 
     def _puller(self, body: int, frame: viser.FrameHandle) -> Callable[[Any], Any]:
         """Return what follows the mice that pull at a body."""

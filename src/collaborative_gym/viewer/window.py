@@ -10,7 +10,7 @@ import glfw  # MuJoCo's window stands on it.
 import mujoco
 import numpy as np
 
-from collaborative_gym.pictures.rendering import CAMERA
+from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 
 _FASTER = 1.25
@@ -58,10 +58,16 @@ class Window:
             show_right_ui=False,
         )
         self._threads = set(threading.enumerate()) - others
-        _look_from_overview(model, self._data, self._window.cam)
+        mujoco.mj_forward(model, self._data)
+        # A free camera where the task's own stands, so that the mouse can turn it.
+        camera, (position, target) = self._window.cam, overview(model, self._data)
+        forward = target - position
+        camera.lookat[:], camera.distance = target, np.linalg.norm(forward)
+        camera.azimuth = np.degrees(np.arctan2(forward[1], forward[0]))
+        camera.elevation = np.degrees(np.arcsin(forward[2] / camera.distance))
         self._window.opt.sitegroup[:] = 0
 
-    def show(self) -> None:
+    def refresh(self) -> None:
         """Bring the window up to date. Only the session's thread may call this."""
         session, window, data = self._session, self._window, self._data
         if not window.is_running():
@@ -109,20 +115,6 @@ def _text(place: int, rows: Iterable[tuple[str, str]]) -> tuple[int, int, str, s
     names, values = zip(*rows, strict=True)
     font = mujoco.mjtFontScale.mjFONTSCALE_100
     return font, place, "\n".join(names), "\n".join(values)
-
-
-def _look_from_overview(
-    model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera
-) -> None:
-    """Put a free camera where the task's own stands, so that the mouse can turn it."""
-    mujoco.mj_forward(model, data)
-    overview = data.camera(CAMERA)
-    forward = -overview.xmat.reshape(3, 3)[:, 2]
-    distance = float(np.dot(model.stat.center - overview.xpos, forward))
-    camera.lookat[:] = overview.xpos + distance * forward
-    camera.distance = distance
-    camera.azimuth = np.degrees(np.arctan2(forward[1], forward[0]))
-    camera.elevation = np.degrees(np.arcsin(forward[2]))
 
 
 def _check_display() -> None:
