@@ -1,6 +1,7 @@
 """A small task with all that a task can have, so that the core is tested on its own."""
 
 import csv
+import os
 from dataclasses import dataclass
 
 import gymnasium
@@ -13,6 +14,9 @@ import collaborative_gym as cg
 from collaborative_gym import math
 from collaborative_gym.motion.kinematics import reach
 from collaborative_gym.tasks import registry
+
+# Before any test imports Ray: what it starts is to listen on loopback alone.
+os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
 
 AGENTS = ("robot_1", "robot_2")
 CAMERA = {"position": [1.5, 0, 1.2], "xyaxes": [0, 1, 0, -0.5, 0, 0.85]}

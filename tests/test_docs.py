@@ -71,7 +71,7 @@ registry._configure = lambda task, settings: configure(
 arguments = sys.argv[1:]
 # What takes long and is tested elsewhere is only parsed.
 Reproduce.run = lambda self: None
-if "rllib" in arguments or "--output" not in arguments:
+if "ray" in arguments or "--output" not in arguments:
     Train.run = lambda self: None
 if arguments[0] == "--env":
     arguments[0] = "view"

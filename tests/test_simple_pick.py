@@ -84,12 +84,12 @@ def test_commands_take_it(command, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["skrl", "rllib"])
+@pytest.mark.parametrize("backend", ["skrl", "ray"])
 def test_it_is_trained(command, tmp_path, backend):
-    pytest.importorskip("ray" if backend == "rllib" else "skrl")
+    pytest.importorskip("ray" if backend == "ray" else "skrl")
     small = "--total-steps 64 --num-envs 4 --rollout-steps 8 --minibatch-size 32"
     rest = "--validation-episodes 2 --hidden-sizes 16 16 --output run"
-    runners = ("--num-runners", "1") if backend == "rllib" else ()
+    runners = ("--num-collectors", "1") if backend == "ray" else ()
     options = *small.split(), *rest.split(), "--backend", backend, *runners
     trained = command("train", ID, *options)
     assert trained.returncode == 0, trained.stderr

@@ -176,7 +176,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Carry Poke", "name one environment to train, or pass --all"),
         ("Cary", "did you mean 'Carry'?"),
         ("Carry --device gpu", "no device 'gpu'; give cpu or cuda"),
-        ("Carry --backend jax", "backends: rllib, skrl"),
+        ("Carry --backend jax", "backends: ray, skrl"),
         ("Carry --robots panda", "needs 2 robots, got 1"),
         ("Carry --randomization none", "default, paper"),
         ("Carry --seed -1", "seed must be at least 0"),

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from collaborative_gym.learning.collector import Job, Player
 from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
@@ -22,14 +23,34 @@ def seeded():
         yield
 
 
+class Pupil(PPOLearner):
+    """A learner that collects for itself."""
+
+    def __init__(self, learner, sizes, numbers):
+        super().__init__(learner, sizes, numbers, "cpu")
+        job = Job(None, (learner,), sizes, 0, numbers)
+        self.player = Player(learner, job, numbers.num_envs)
+        self.rng = np.random.default_rng(0)
+        self.player.start(self.rng)
+        self.record = self.player.record
+
+    def act(self, observations):
+        self.player.load(self.acting())
+        return self.player.act(observations, self.rng)
+
+    def update(self, following):
+        return self.learn([self.player.finish(following)])
+
+
 @pytest.fixture
 def make(tiny):
     """Return a function that makes the learners of a mode."""
 
     def make(mode, num_envs=4, sizes=SIZES, **changes):
         numbers = tiny(num_envs=num_envs, **changes)
-        learners = make_learners(mode, sizes)
-        return [PPOLearner(learner, sizes, numbers, "cpu") for learner in learners]
+        return [
+            Pupil(learner, sizes, numbers) for learner in make_learners(mode, sizes)
+        ]
 
     return make
 
@@ -56,7 +77,7 @@ def practise(learners, updates=2, num_envs=4, rollout_steps=8):
                 truncated = dict.fromkeys(AGENTS, rng.random(num_envs) < 0.2)
                 learner.record(rewards, following, never(num_envs), truncated)
         for learner in learners:
-            learner.update()
+            learner.update(following)
 
 
 def means(learners, observations):
@@ -176,7 +197,7 @@ def test_the_last_observations_value_counts_where_time_is_up_alone(make, mode, i
         learner.record(
             rewards[t], final[t], terminated, dict.fromkeys(AGENTS, ended[t])
         )
-    learner.update()
+    learner.update(final[-1])
     expected, advantage = np.zeros_like(value), 0.0
     for t in reversed(range(steps)):
         over = learner.learner.per_row(ended[t])
@@ -212,7 +233,7 @@ def test_it_learns_what_is_rewarded(make, mode):
                 over = dict.fromkeys(AGENTS, np.ones(64, bool))
                 learner.record(rewards, drawn(rng, 64), never(64), over)
         for learner in learners:
-            learner.update()
+            learner.update(observations)
     assert np.mean(earned[-8:]) > 0.5 * np.mean(earned[:8])
 
 
@@ -225,7 +246,7 @@ def test_an_update_tells_its_losses_and_rates(make, entropy):
     for _ in range(8):
         learner.act(observations)
         learner.record(rewards, observations, never(4), never(4))
-    numbers = learner.update()
+    numbers = learner.update(observations)
     assert (numbers["entropy_loss"] == 0.0) == (entropy == 0.0)
     names = "policy_loss value_loss entropy_loss std kl learning_rate weight_norm"
     assert set(numbers) == set(names.split())

@@ -10,11 +10,11 @@ import torch
 
 import collaborative_gym as cg
 from collaborative_gym.learning import run as running
-from collaborative_gym.learning.backend import training_seed, validation_seed
+from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import MODES, Hyperparameters, Resources
 from collaborative_gym.learning.folder import BEST, LAST
-from collaborative_gym.learning.skrl_backend import SkrlBackend
+from collaborative_gym.learning.seeds import training_seed, validation_seed
 from collaborative_gym.policies.network import NetworkPolicy
 
 TIMES = ("seconds", "steps_per_second")
@@ -216,7 +216,7 @@ def test_what_was_half_written_is_removed(train_tiny):
         ({"seed": 1}, "seed is 1, not 0"),
         ({"robots": ("panda", "jaco")}, "robot_2 is jaco, not panda"),
         ({"randomization": "paper"}, "randomization.joint_noise is 0.0, not"),
-        ({"backend": "rllib"}, "backend is rllib, not skrl"),
+        ({"backend": "ray"}, "backend is ray, not skrl"),
         ({"hidden_sizes": (8, 8)}, r"hidden_sizes is \(8, 8\), not \(16, 16\)"),
         ({"discount": 0.5}, "discount is 0.5, not [0-9.]+"),
         ({"total_steps": 64}, "total_steps is 64, not 128"),
@@ -264,7 +264,8 @@ def test_a_folder_with_a_run_is_not_overwritten(train_tiny, hashes, tmp_path):
     ("options", "error", "message"),
     [
         ({"mode": "alone"}, ValueError, "no mode 'alone'; modes: centralized"),
-        ({"backend": "jax"}, ValueError, "no backend 'jax'; backends: rllib, skrl"),
+        ({"backend": "jax"}, ValueError, "no backend 'jax'; backends: ray, skrl"),
+        ({"backend": "rllib"}, ValueError, "'ray' collects on many machines"),
         ({"seed": -1}, ValueError, "seed must be at least 0"),
         ({"seed": 1 << 40}, ValueError, "a training seed must be below 2"),
         ({"resources": Resources(device="gpu")}, ValueError, "give cpu or cuda"),
@@ -353,7 +354,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
     train_tiny, tmp_path, monkeypatch
 ):
     seeds = {"trained": set(), "validated": set()}
-    evaluate, advance = running.evaluate, SkrlBackend.advance
+    evaluate, advance = running.evaluate, Backend.advance
 
     def validating(task, policy, episodes, seed, **options):
         report = evaluate(task, policy, episodes, seed, **options)
@@ -366,7 +367,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
         return iteration
 
     monkeypatch.setattr(running, "evaluate", validating)
-    monkeypatch.setattr(SkrlBackend, "advance", learning)
+    monkeypatch.setattr(Backend, "advance", learning)
     for seed in (0, 5):
         train_tiny(tmp_path / f"{seed}", seed=seed)
     assert seeds["trained"] == {training_seed(0), training_seed(5)}

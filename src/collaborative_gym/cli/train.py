@@ -59,7 +59,8 @@ class Train(Command):
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much starts differ: default, or paper for the thesis's fixed
         starts.
-      backend: skrl (default), or rllib for more than one machine.
+      backend: skrl (default), or ray to collect in several processes, also on other
+        machines.
       checkpoint_interval: environment steps between two checkpoints.
       resources: what the run may use.
       hyperparameters: how it learns.

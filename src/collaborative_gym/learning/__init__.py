@@ -1,1 +1,1 @@
-"""Learning to work together: training runs on skrl or RLlib."""
+"""Learning to work together: training runs on skrl, here or with Ray."""

@@ -1,14 +1,15 @@
-"""What the training loop drives: something that collects and learns."""
+"""What the training loop drives: collectors, and learners that learn from them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+import torch
+
+from collaborative_gym.learning.assistance import Assistance
+from collaborative_gym.learning.collector import Collected, Collectors
+from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.policies.network import Weights
-from collaborative_gym.rng import check_seed
-
-_TRAINING, _VALIDATION = 1 << 40, 1 << 41
-"""Added to a run's seed. So no policy is trained on the episodes by which it is chosen,
-and neither are those that `evaluate` plays for a seed that people use."""
 
 
 @dataclass(frozen=True)
@@ -27,47 +28,93 @@ class Iteration:
     numbers: dict[str, dict[str, float]]
 
 
-class Backend(Protocol):
-    """Collects from worlds of one task and learns.
+class Backend:
+    """Collects from worlds of one task, here or elsewhere, and learns in this process.
+
+    It draws from torch's own generators, which the caller seeds.
+
+    Args:
+      learners: a learner for each group of robots that the mode has.
+      collectors: who has the worlds.
+      assistance: share of the weight that is carried at first.
 
     Attributes:
       steps: environment steps done so far, over all worlds.
     """
 
-    steps: int
+    def __init__(
+        self,
+        learners: Sequence[PPOLearner],
+        collectors: Collectors,
+        *,
+        assistance: float = 0.0,
+    ):
+        self.steps = 0
+        self._iteration = 0
+        self._learners = {each.learner.name: each for each in learners}
+        self._collectors = collectors
+        self._assistance = Assistance(assistance)
+
+    def collect(self) -> list[Collected]:
+        """Return one rollout of every collector that lives; the worlds go on."""
+        actors = {name: each.acting() for name, each in self._learners.items()}
+        return self._collectors.collect(actors, self._iteration, self._assistance)
 
     def advance(self) -> Iteration:
-        """Collect one rollout in every world, and learn from it."""
-        ...
+        """Collect one rollout in every world, and learn from it.
+
+        Raises:
+          RuntimeError: if the task fails in a collector elsewhere, or none answers.
+        """
+        collected = self.collect()
+        episodes = [row for each in collected for row in each.episodes]
+        self._assistance.adapt(episodes)
+        numbers = {
+            name: learner.learn([each.rollouts[name] for each in collected])
+            for name, learner in self._learners.items()
+        }
+        self._iteration += 1
+        self.steps += sum(each.steps for each in collected)
+        return Iteration(episodes, numbers)
 
     def weights(self) -> dict[str, Weights]:
         """Return what the networks have learned so far, by name."""
-        ...
+        found: dict[str, Weights] = {}
+        for learner in self._learners.values():
+            found |= learner.weights()
+        return found
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that is needed to go on: tensors, numbers and texts, nested."""
-        ...
+        """Return all that is needed to go on: tensors, numbers and texts, nested.
+
+        On CPUs it goes on bit for bit, where no collector is lost.
+        """
+        learners = self._learners.items()
+        cuda = torch.cuda.is_initialized()
+        return {
+            "steps": self.steps,
+            "iteration": self._iteration,
+            "assistance": self._assistance.share,
+            "learners": {name: each.state_dict() for name, each in learners},
+            "generator": torch.get_rng_state(),
+            "cuda_generators": torch.cuda.get_rng_state_all() if cuda else [],
+            "worlds": self._collectors.state_dict(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
-        ...
+        """Go on from what `state_dict` returned.
+
+        With another number of collectors than it had, the worlds begin new episodes.
+        """
+        for name, learner in self._learners.items():
+            learner.load_state_dict(state["learners"][name])
+        self._collectors.load_state_dict(state["worlds"])
+        self.steps, self._iteration = state["steps"], state["iteration"]
+        self._assistance.share = state["assistance"]
+        torch.set_rng_state(state["generator"])
+        if torch.cuda.is_initialized() and state["cuda_generators"]:
+            torch.cuda.set_rng_state_all(state["cuda_generators"])
 
     def close(self) -> None:
         """Free what it holds. No other call is allowed afterwards."""
-        ...
-
-
-def training_seed(seed: int) -> int:
-    """Return the seed of a run's training episodes."""
-    return _TRAINING + _checked(seed)
-
-
-def validation_seed(seed: int) -> int:
-    """Return the seed of a run's validation episodes."""
-    return _VALIDATION + _checked(seed)
-
-
-def _checked(seed: int) -> int:
-    if check_seed(seed) >= _TRAINING:
-        raise ValueError(f"a training seed must be below 2**40, got {seed}")
-    return seed
+        self._collectors.close()

@@ -172,23 +172,25 @@ class Resources:
 
     Attributes:
       device: of torch, such as cpu or cuda.
-      num_threads: physics threads, 0 for one per CPU.
+      num_threads: physics threads, 0 for one per CPU; with the backend ray those of
+        each collector, 0 for one.
       torch_threads: torch's threads, 0 for one per CPU. With networks this small a
         second one gains nothing, and on a busy machine it costs much. Another number
         may change the last bits of what is learned.
-      num_runners: processes that collect, with RLlib; 0 for the trainer itself.
-      ray_address: a running Ray cluster to join, with RLlib; none for one of its own.
+      num_collectors: processes that collect, with the backend ray; 0 for one per CPU.
+      ray_address: a running Ray cluster to join, as HOST:PORT, with the backend ray;
+        none for a Ray of its own.
     """
 
     device: str = "cpu"
     num_threads: int = 0
     torch_threads: int = 1
-    num_runners: int = 0
+    num_collectors: int = 0
     ray_address: str | None = None
 
     def __post_init__(self):
         check_kind("device", self.device, str, "a name, cpu or cuda")
-        for name in ("num_threads", "torch_threads", "num_runners"):
+        for name in ("num_threads", "torch_threads", "num_collectors"):
             check_count(name, getattr(self, name), 0, _MOST_THREADS)
         if self.ray_address is not None:
             check_kind("ray_address", self.ray_address, str, "a text, or None")

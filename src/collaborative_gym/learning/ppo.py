@@ -1,6 +1,6 @@
 """A learner on skrl's PPO."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import nn
 
+from collaborative_gym.learning.collector import ActorState, Rollout
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.networks import (
     LOG_STD_LIMITS,
@@ -31,9 +32,12 @@ _LOSSES = {
 }
 """What skrl calls the numbers that an update reports."""
 
+_ESTIMATES = "returns", "advantages"
+"""Columns that skrl fills in itself."""
+
 
 class PPOLearner:
-    """Networks, optimiser and memory of one learner, on rows of its agents.
+    """Networks and optimiser of one learner, on rows of its agents.
 
     Args:
       learner: whom it commands, and how.
@@ -50,8 +54,8 @@ class PPOLearner:
         device: str,
     ):
         self.learner = learner
-        self._sizes = sizes
         self._device = device
+        self._discount = hyperparameters.discount
         rows = learner.num_rows(hyperparameters.num_envs)
         size = learner.observation_size(sizes)
         observations = Box(-np.inf, np.inf, (size,), np.float32)
@@ -59,10 +63,8 @@ class PPOLearner:
         spaces = {"observation_space": observations, "action_space": actions}
         self._policy = _Policy(learner, sizes, hyperparameters, device, spaces)
         self._value = _Value(size, hyperparameters, device, spaces)
-        self._memory = RandomMemory(
-            memory_size=hyperparameters.rollout_steps, num_envs=rows, device=device
-        )
-        self._agent = PPO(
+        self._memory = _Memory(memory_size=1, device=device)
+        self._agent = _PPO(
             models={"policy": self._policy, "value": self._value},
             memory=self._memory,
             device=device,
@@ -70,65 +72,33 @@ class PPOLearner:
             **spaces,
         )
         self._agent.init()
-        self._agent.enable_training_mode(True)
         # All that an update changes; skrl itself leaves the scheduler out.
         self._modules: dict[str, Any] = {
             **self._agent.checkpoint_modules,
             "scheduler": self._agent.scheduler,
         }
 
-    def act(self, observations: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return sampled actions by agent."""
-        self._observations = self._tensor(self.learner.observations(observations))
-        with torch.no_grad():
-            self._actions, _ = self._agent.act(
-                self._observations, None, timestep=0, timesteps=0
-            )
-        return self.learner.actions(self._actions.cpu().numpy(), self._sizes)
+    def acting(self) -> ActorState:
+        """Return what players act with."""
+        state = self._policy.actor.state_dict()
+        actor = {name: each.cpu() for name, each in state.items()}
+        mean, std = self._normalization()
+        return {"actor": actor, "mean": mean.cpu(), "std": std.cpu()}
 
-    def record(
-        self,
-        rewards: Mapping[str, np.ndarray],
-        final_observations: Mapping[str, np.ndarray],
-        terminated: Mapping[str, np.ndarray],
-        truncated: Mapping[str, np.ndarray],
-    ) -> None:
-        """Keep what came of the last actions, by agent as `VectorEnv.step` gives it.
-
-        Args:
-          rewards: (num_envs,) each.
-          final_observations: those before the ended worlds were reset.
-          terminated: (num_envs,) bool each, where nothing more was to come.
-          truncated: (num_envs,) bool each, where time was up and the last observation's
-            value counts on.
-        """
-        agent = self.learner.agents[0]  # A world ends for all of its agents.
-        over = self._tensor(self.learner.per_row(terminated[agent]))[:, None]
-        late = self._tensor(self.learner.per_row(truncated[agent]))[:, None]
-        earned = self._tensor(self.learner.rewards(rewards).astype(np.float32))
-        self._agent.record_transition(
-            observations=self._observations,
-            states=None,  # type: ignore[arg-type]  # There are none, and skrl allows it.
-            actions=self._actions,
-            rewards=earned[:, None],
-            next_observations=self._tensor(
-                self.learner.observations(final_observations)
-            ),
-            next_states=None,  # type: ignore[arg-type]
-            terminated=over,
-            truncated=late & ~over,
-            infos=None,
-            timestep=0,
-            timesteps=0,
-        )
-
-    def update(self) -> dict[str, float]:
-        """Learn from what was recorded, and return the losses and rates by name."""
+    def learn(self, rollouts: Sequence[Rollout]) -> dict[str, float]:
+        """Learn from rollouts, one beside the other, and return losses and rates."""
+        columns = [self._columns(rollout) for rollout in rollouts]
+        joined = {
+            name: torch.cat([each[name] for each in columns], dim=1)
+            for name in columns[0]
+        }
         agent = self._agent
         agent.enable_models_training_mode(True)
-        agent.update(timestep=0, timesteps=0)
+        last = joined.pop("next_observations")[0]
+        unknown = {name: torch.empty_like(joined["values"]) for name in _ESTIMATES}
+        self._memory.hold(joined | unknown)
+        agent.learn(last)
         agent.enable_models_training_mode(False)
-        self._memory.reset()
         # skrl leaves out a loss that has no weight.
         numbers = {
             name: float(agent.tracking_data.get(tag, [0.0])[-1])
@@ -144,9 +114,7 @@ class PPOLearner:
 
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
-        scaler = self._modules["observation_preprocessor"]
-        std = scaler.running_variance.float().sqrt() + scaler.epsilon
-        return self._policy.actor.weights(scaler.running_mean, std)
+        return self._policy.actor.weights(*self._normalization())
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that an update changes."""
@@ -157,12 +125,62 @@ class PPOLearner:
         for name, module in self._modules.items():
             module.load_state_dict(state[name])
 
-    def _tensor(self, array: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(array)).to(self._device)
+    def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what is taken from observations, and what they are divided by then."""
+        scaler = self._modules["observation_preprocessor"]
+        std = scaler.running_variance.float().sqrt() + scaler.epsilon
+        return scaler.running_mean.float(), std
+
+    @torch.no_grad()
+    def _columns(self, rollout: Rollout) -> dict[str, torch.Tensor]:
+        """Return what skrl learns from, (steps, rows, ...) each."""
+        # Copies, since what Ray hands over must not be written to.
+        kept = {
+            name: torch.tensor(array, device=self._device)
+            for name, array in vars(rollout).items()
+        }
+        finals, late = kept.pop("final_observations"), kept["truncated"]
+        kept["rewards"][late] += self._discount * self._values(finals)[:, 0]
+        observations = kept.pop("observations")
+        # Step by step, so that little is held at once.
+        values = torch.stack([self._values(rows) for rows in observations])
+        kept = {n: x if x.ndim == 3 else x[..., None] for n, x in kept.items()}
+        return {
+            **kept,
+            "observations": observations[:-1],
+            "values": values[:-1],
+            "next_observations": observations[-1:],
+        }
+
+    def _values(self, observations: torch.Tensor) -> torch.Tensor:
+        rows = self._modules["observation_preprocessor"](observations)
+        found, _ = self._value.act({"observations": rows}, role="value")
+        return self._modules["value_preprocessor"](found, inverse=True)
+
+
+class _Memory(RandomMemory):
+    """Holds what one update learns from, of any number of rows."""
+
+    def hold(self, columns: dict[str, torch.Tensor]) -> None:
+        """Hold these, (steps, rows, ...) each, in place of others."""
+        self.tensors = columns
+        self.tensors_view = {name: each.flatten(0, 1) for name, each in columns.items()}
+
+    def __len__(self) -> int:
+        return len(self.tensors_view["actions"])
+
+
+class _PPO(PPO):
+    """skrl's PPO on rollouts that others collect."""
+
+    def learn(self, next_observations: torch.Tensor) -> None:
+        """Learn from what its memory holds, after which these were observed."""
+        self._current_next_observations = next_observations
+        self.update(timestep=0, timesteps=0)
 
 
 class _Policy(GaussianMixin, Model):
-    """The learner's actor, as skrl knows policies, with noise that may last."""
+    """The learner's actor, as skrl knows policies."""
 
     def __init__(
         self,
@@ -176,23 +194,6 @@ class _Policy(GaussianMixin, Model):
         low, high = LOG_STD_LIMITS
         GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
         self.actor = Actor(learner, sizes, hyperparameters)
-        stays = hyperparameters.persistence(learner.is_grip(sizes))
-        self._persistence = torch.from_numpy(stays).float().to(device)
-        rows = learner.num_rows(hyperparameters.num_envs)
-        self.noise: torch.Tensor
-        self.register_buffer("noise", torch.randn(rows, self.num_actions))
-
-    def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
-        """Return actions that the policy's noise moves away from their mean."""
-        actions, outputs = super().act(dict(inputs), role=role)
-        if "taken_actions" in inputs:
-            return actions, outputs
-        fresh = (1.0 - self._persistence**2).sqrt() * torch.randn_like(self.noise)
-        self.noise = self._persistence * self.noise + fresh
-        normal = self.distribution(role=role)
-        actions = normal.mean + normal.stddev * self.noise
-        outputs["log_prob"] = normal.log_prob(actions).sum(dim=1, keepdim=True)
-        return actions, outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
@@ -273,7 +274,8 @@ def _config(
         value_clip=0.0,
         entropy_loss_scale=hyperparameters.entropy,
         value_loss_scale=hyperparameters.value_weight,
-        # Where time is up, the last value counts on.
+        # Where time is up, the last value counts on: it is part of the reward already,
+        # and what follows is of another episode.
         time_limit_bootstrap=True,
     )
     config.experiment.write_interval = 0

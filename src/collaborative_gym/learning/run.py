@@ -8,13 +8,15 @@ from pathlib import Path
 from threading import Event
 
 from collaborative_gym.evaluation import Report, evaluate
-from collaborative_gym.learning.backend import Backend, Iteration, validation_seed
+from collaborative_gym.learning.backend import Backend, Iteration
 from collaborative_gym.learning.checkpoint import Checkpoint
+from collaborative_gym.learning.collector import Job, OwnCollector
 from collaborative_gym.learning.config import Resources
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.monitor import Monitor, summarize
+from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.seeds import validation_seed
 from collaborative_gym.learning.settings import Settings
-from collaborative_gym.learning.skrl_backend import SkrlBackend
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE
@@ -193,20 +195,24 @@ def _make_backend(
     learners: Sequence[Learner],
     sizes: Sizes,
 ) -> Backend:
-    given = (
-        task,
-        learners,
-        sizes,
-        settings.seed,
-        settings.hyperparameters,
-        resources.device,
-        resources.num_threads,
+    numbers = settings.hyperparameters
+    job = Job(
+        task, tuple(learners), sizes, settings.seed, numbers, resources.num_threads
     )
-    if settings.backend == "rllib":
-        from collaborative_gym.learning.rllib_backend import RLlibBackend
+    if settings.backend == "ray":
+        from collaborative_gym.learning.ray_collectors import RayCollectors
 
-        return RLlibBackend(*given, resources.num_runners, resources.ray_address)
-    return SkrlBackend(*given)
+        address = resources.ray_address
+        collectors = RayCollectors(job, resources.num_collectors, address)
+    elif resources.num_collectors or resources.ray_address:
+        raise ValueError("num_collectors and ray_address go with the backend ray")
+    else:
+        collectors = OwnCollector(job)
+    return Backend(
+        [PPOLearner(each, sizes, numbers, resources.device) for each in learners],
+        collectors,
+        assistance=numbers.assistance,
+    )
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:

@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from collaborative_gym.errors import check_kind, unknown
-from collaborative_gym.learning.backend import training_seed
 from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
+from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Sizes, make_learners
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task
 
-BACKENDS = ("skrl", "rllib")
+BACKENDS = ("skrl", "ray")
 
 _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
 """Hyperparameters that a run may go on with another value of; steps only of more."""
@@ -108,6 +108,10 @@ def settle(
         action_sizes=sizes.action,
         hyperparameters=hyperparameters or recipe(task.name),
     )
+    if settings.backend == "rllib":
+        raise ValueError(
+            "there is no backend 'rllib' any more; 'ray' collects on many machines"
+        )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)

@@ -61,7 +61,7 @@ def train(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for `recipe(env)`.
-      backend: "skrl" or "rllib"; None for "skrl".
+      backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
       on_row: called after each iteration with its numbers.
@@ -70,7 +70,7 @@ def train(
       BlockingIOError: if a run is under way in the folder.
       FileExistsError: if there is a run in the folder already.
       FileNotFoundError: if there is nothing to resume.
-      ImportError: if the extra `train`, or `rllib`, is not installed.
+      ImportError: if the extra `train`, or `ray`, is not installed.
       KeyboardInterrupt: once the update during which Ctrl-C came is done and saved;
         at once if it comes again.
       KeyError: if a name is unknown.

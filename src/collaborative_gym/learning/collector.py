@@ -1,0 +1,326 @@
+"""Collects what a run learns from: worlds, and players that act in them."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from collaborative_gym.envs.vector_env import Observations, VectorEnv
+from collaborative_gym.learning.assistance import Assistance
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
+from collaborative_gym.learning.seeds import training_seed
+from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.worlds import (
+    full_episodes,
+    load_worlds,
+    save_worlds,
+)
+from collaborative_gym.policies.network import OBSERVATION_LIMIT
+
+_BLOCK, _STARTS = 1 << 28, 1 << 10
+"""Episodes between the first of two collectors, and collectors between two rollouts, so
+that one which starts anew plays episodes that nobody has played."""
+
+ActorState = Mapping[str, Any]
+"""What a player acts with: the state of its `actor`, and the `mean` and `std` by which
+its observations are normalized."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all collectors of a run do.
+
+    Attributes:
+      task: what to learn.
+      learners: who learns what.
+      sizes: of the agents' spaces.
+      seed: of the run.
+      hyperparameters: how it learns.
+      num_threads: physics threads of a collector, 0 for one per CPU.
+    """
+
+    task: Any
+    learners: tuple[Learner, ...]
+    sizes: Sizes
+    seed: int
+    hyperparameters: Hyperparameters
+    num_threads: int = 0
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What a learner's rows saw, did and earned in the worlds of one collector.
+
+    Attributes:
+      observations: (steps + 1, rows, k) float32, the last after the last step.
+      actions: (steps, rows, a) float32.
+      log_prob: of the actions, (steps, rows) float32.
+      rewards: (steps, rows) float32.
+      terminated: where an episode ended and nothing more was to come, (steps, rows).
+      truncated: where its time was up alone, (steps, rows).
+      final_observations: where it was, (ends, k) float32 in the order of `truncated`.
+    """
+
+    observations: np.ndarray
+    actions: np.ndarray
+    log_prob: np.ndarray
+    rewards: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    final_observations: np.ndarray
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What one collector brought.
+
+    Attributes:
+      steps: environment steps, over all its worlds.
+      rollouts: by learner's name.
+      episodes: a row for each episode that ended and was played in full.
+    """
+
+    steps: int
+    rollouts: dict[str, Rollout]
+    episodes: list[dict[str, Any]]
+
+
+class Collectors(Protocol):
+    """One collector in this process, or many elsewhere."""
+
+    def collect(
+        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+    ) -> list[Collected]:
+        """Collect one rollout in every world; see `Collector.collect`."""
+        ...
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of each collector's worlds, by its number as text."""
+        ...
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        ...
+
+    def close(self) -> None:
+        """Free what they hold. No other call is allowed afterwards."""
+        ...
+
+
+class Player:
+    """Acts for a learner's rows, with noise that may last, and keeps what came of it.
+
+    Args:
+      learner: for whom.
+      job: what is done.
+      num_envs: worlds that it acts in.
+
+    Attributes:
+      noise: that of the last actions in standard deviations, (rows, a) float32.
+    """
+
+    noise: np.ndarray
+
+    def __init__(self, learner: Learner, job: Job, num_envs: int):
+        self.learner = learner
+        self._sizes = job.sizes
+        self._shape = learner.num_rows(num_envs), learner.action_size(job.sizes)
+        self._actor = Actor(learner, job.sizes, job.hyperparameters)
+        stays = job.hyperparameters.persistence(learner.is_grip(job.sizes))
+        self._stays = stays.astype(np.float32)
+        self._fresh = np.sqrt(1.0 - stays**2).astype(np.float32)
+        self._steps: list[tuple[np.ndarray, ...]] = []
+        self._results: list[tuple[np.ndarray, ...]] = []
+        self._finals: list[np.ndarray] = []
+
+    def start(self, rng: np.random.Generator) -> None:
+        """Draw the noise that the first actions follow."""
+        self.noise = rng.standard_normal(self._shape, np.float32)
+
+    def load(self, state: ActorState) -> None:
+        """Act with these networks from now on."""
+        self._actor.load_state_dict(state["actor"])
+        self._mean, self._std = state["mean"], state["std"]
+        log_std = self._actor.log_std.detach().clamp(*LOG_STD_LIMITS)
+        self._spread = log_std.exp().numpy()
+        self._density = -log_std.numpy() - 0.5 * math.log(2.0 * math.pi)
+
+    def act(
+        self, observations: Observations, rng: np.random.Generator
+    ) -> dict[str, np.ndarray]:
+        """Return sampled actions by agent."""
+        rows = self.learner.observations(observations)
+        with torch.no_grad():
+            seen = (torch.from_numpy(rows) - self._mean) / self._std
+            seen.clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+            mean = self._actor(seen).numpy()
+        fresh = rng.standard_normal(self._shape, np.float32)
+        self.noise = self._stays * self.noise + self._fresh * fresh
+        actions = mean + self._spread * self.noise
+        log_prob = (self._density - 0.5 * self.noise**2).sum(axis=1)
+        self._steps.append((rows, actions, log_prob))
+        return self.learner.actions(actions, self._sizes)
+
+    def record(
+        self,
+        rewards: Mapping[str, np.ndarray],
+        final_observations: Observations,
+        terminated: Mapping[str, np.ndarray],
+        truncated: Mapping[str, np.ndarray],
+    ) -> None:
+        """Keep what came of the last actions, by agent as `VectorEnv.step` gives it.
+
+        Args:
+          rewards: (num_envs,) each.
+          final_observations: those before the ended worlds were reset.
+          terminated: (num_envs,) bool each, where nothing more was to come.
+          truncated: (num_envs,) bool each, where time was up and the last observation's
+            value counts on.
+        """
+        agent = self.learner.agents[0]  # A world ends for all of its agents.
+        over = self.learner.per_row(terminated[agent])
+        late = self.learner.per_row(truncated[agent]) & ~over
+        earned = self.learner.rewards(rewards).astype(np.float32)
+        self._results.append((earned, over, late))
+        if late.any():
+            self._finals.append(self.learner.observations(final_observations)[late])
+
+    def finish(self, observations: Observations) -> Rollout:
+        """Return all that was kept, and begin anew; `observations` are the next."""
+        rows, actions, log_prob = zip(*self._steps, strict=True)
+        last = self.learner.observations(observations)
+        earned, over, late = map(np.stack, zip(*self._results, strict=True))
+        finals = np.concatenate([last[:0], *self._finals])
+        self._steps, self._results, self._finals = [], [], []
+        return Rollout(
+            np.stack([*rows, last]),
+            np.stack(actions),
+            np.stack(log_prob),
+            earned,
+            over,
+            late,
+            finals,
+        )
+
+
+class Collector:
+    """A share of a run's worlds, and a player for each learner.
+
+    It keeps nothing that cannot be lost: networks come with each call, and one that is
+    started anew begins episodes that nobody has played.
+
+    Args:
+      job: what to do.
+      index: which one it is, from 0.
+      count: how many share the worlds.
+    """
+
+    def __init__(self, job: Job, index: int = 0, count: int = 1):
+        self._job = job
+        self._index = index
+        share = len(range(index, job.hyperparameters.num_envs, count))
+        seed = training_seed(job.seed)
+        self.env = VectorEnv(job.task, share, seed=seed, num_threads=job.num_threads)
+        self._players = [Player(learner, job, share) for learner in job.learners]
+        self._observations: Observations | None = None
+
+    def collect(
+        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+    ) -> Collected:
+        """Collect one rollout in each of these worlds.
+
+        What comes of it depends on the worlds and the arguments, and on no generator's
+        state.
+
+        Args:
+          actors: what to act with, by learner's name.
+          iteration: how many rollouts the run has had.
+          assistance: what is carried meanwhile.
+        """
+        rng = np.random.default_rng([self._job.seed, iteration, self._index])
+        for player in self._players:
+            player.load(actors[player.learner.name])
+        observations = self._observations or self._start(iteration, rng)
+        steps = self._job.hyperparameters.rollout_steps
+        episodes: list[dict[str, Any]] = []
+        for _ in range(steps):
+            actions: dict[str, np.ndarray] = {}
+            for player in self._players:
+                actions |= player.act(observations, rng)
+            assistance.carry(self.env)
+            observations, rewards, *ends, infos = self.env.step(actions)
+            for player in self._players:
+                player.record(rewards, infos["final_observation"], *ends)
+            episodes += full_episodes(infos)
+        self._observations = observations
+        rollouts = {
+            each.learner.name: each.finish(observations) for each in self._players
+        }
+        return Collected(steps * self.env.num_envs, rollouts, episodes)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the worlds, nothing before the first rollout."""
+        if self._observations is None:
+            return {}
+        noise = {
+            each.learner.name: torch.from_numpy(each.noise) for each in self._players
+        }
+        return {**save_worlds(self.env), "noise": noise}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        if not state:
+            self._observations = None
+            return
+        for player in self._players:
+            player.noise = state["noise"][player.learner.name].numpy()
+        self._observations = load_worlds(self.env, state)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self.env.close()
+
+    def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
+        """Start episodes that no collector has played."""
+        for player in self._players:
+            player.start(rng)
+        first = (iteration * _STARTS + self._index) * _BLOCK
+        observations, _ = self.env.reset(
+            seed=training_seed(self._job.seed),
+            episodes=range(first, first + self.env.num_envs),
+            stagger=True,
+        )
+        return observations
+
+
+class OwnCollector:
+    """All worlds in this process.
+
+    Args:
+      job: what to do.
+    """
+
+    def __init__(self, job: Job):
+        self._collector = Collector(job)
+
+    def collect(
+        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+    ) -> list[Collected]:
+        """Collect one rollout in every world."""
+        return [self._collector.collect(actors, iteration, assistance)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state of the worlds."""
+        return {"0": self._collector.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned; after another number begin anew."""
+        self._collector.load_state_dict(state["0"] if len(state) == 1 else {})
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._collector.close()

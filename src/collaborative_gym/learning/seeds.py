@@ -1,0 +1,23 @@
+"""Seeds of the episodes that a run plays, apart from those that people use."""
+
+from collaborative_gym.rng import check_seed
+
+_TRAINING, _VALIDATION = 1 << 40, 1 << 41
+"""Added to a run's seed. So no policy is trained on the episodes by which it is chosen,
+and neither are those that `evaluate` plays for a seed that people use."""
+
+
+def training_seed(seed: int) -> int:
+    """Return the seed of a run's training episodes."""
+    return _TRAINING + _checked(seed)
+
+
+def validation_seed(seed: int) -> int:
+    """Return the seed of a run's validation episodes."""
+    return _VALIDATION + _checked(seed)
+
+
+def _checked(seed: int) -> int:
+    if check_seed(seed) >= _TRAINING:
+        raise ValueError(f"a training seed must be below 2**40, got {seed}")
+    return seed

@@ -1,0 +1,141 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from collaborative_gym.learning.assistance import Assistance
+from collaborative_gym.learning.collector import Collector, Job
+from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.team import Sizes, make_learners
+
+LENGTH, WORLDS, STEPS = 12, 4, 8
+NOTHING = Assistance(0.0)
+
+
+@pytest.fixture
+def make(carry, tiny):
+    """Return a function that makes a collector of the small task, and its learners."""
+    sizes = Sizes.of(carry())
+    made = []
+
+    def make(mode="collaborative", index=0, count=1, seed=0, **changes):
+        numbers = tiny(**changes)
+        job = Job(carry(), make_learners(mode, sizes), sizes, seed, numbers, 1)
+        made.append(Collector(job, index, count))
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            learners = [
+                PPOLearner(each, sizes, numbers, "cpu") for each in job.learners
+            ]
+        return made[-1], learners
+
+    yield make
+    for collector in made:
+        collector.close()
+
+
+def acting(learners):
+    return {each.learner.name: each.acting() for each in learners}
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_rollout_has_what_was_seen_done_and_seen_last(make, mode):
+    collector, learners = make(mode)
+    collected = [collector.collect(acting(learners), i, NOTHING) for i in range(3)]
+    assert [each.steps for each in collected] == [WORLDS * STEPS] * 3
+    for learner in learners:
+        found = [each.rollouts[learner.learner.name] for each in collected]
+        rows = learner.learner.num_rows(WORLDS)
+        for rollout in found:
+            assert rollout.observations.shape[:2] == (STEPS + 1, rows)
+            assert rollout.rewards.shape == rollout.log_prob.shape == (STEPS, rows)
+            assert not rollout.terminated.any()
+            assert len(rollout.final_observations) == rollout.truncated.sum()
+            # The next step begins elsewhere where an episode ended.
+            after = rollout.observations[1:][rollout.truncated]
+            assert (rollout.final_observations != after).any(axis=1).all()
+        for now, following in pairwise(found):
+            np.testing.assert_array_equal(
+                now.observations[-1], following.observations[0]
+            )
+        assert sum(each.truncated.sum() for each in found) == 2 * rows
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_actions_are_as_probable_as_the_learner_finds_them(make, mode):
+    collector, learners = make(mode, initial_std=0.3)
+    for iteration in range(2):
+        collected = collector.collect(acting(learners), iteration, NOTHING)
+        for learner in learners:
+            rollout = collected.rollouts[learner.learner.name]
+            scaler = learner._agent._observation_preprocessor
+            rows = torch.from_numpy(rollout.observations[:-1]).flatten(0, 1)
+            taken = torch.from_numpy(rollout.actions).flatten(0, 1)
+            inputs = {"observations": scaler(rows), "taken_actions": taken}
+            with torch.no_grad():
+                _, outputs = learner._policy.act(inputs)
+            expected = outputs["log_prob"].numpy().ravel()
+            np.testing.assert_allclose(rollout.log_prob.ravel(), expected, atol=1e-4)
+            learner.learn([rollout])
+
+
+def test_worlds_end_at_different_times_and_only_full_episodes_count(make):
+    collector, learners = make()
+    collected = [collector.collect(acting(learners), i, NOTHING) for i in range(3)]
+    ends = np.concatenate([each.rollouts["team"].truncated for each in collected])
+    assert ends.sum() == 4 * 2
+    assert ends.sum(axis=1).max() == 1
+    # The first episodes of all worlds but one began before they were watched.
+    episodes = [row for each in collected for row in each.episodes]
+    assert len(episodes) == 5
+    assert {row["length"] for row in episodes} == {LENGTH}
+
+
+def test_collectors_share_the_worlds_and_play_episodes_of_their_own(make):
+    numbers = {"num_envs": 5, "rollout_steps": 2 * LENGTH}
+    played = []
+    for index, worlds in ((0, 3), (1, 2)):
+        collector, learners = make(index=index, count=2, **numbers)
+        collected = collector.collect(acting(learners), 0, NOTHING)
+        assert collected.steps == worlds * 2 * LENGTH
+        again, _ = make(index=index, count=2, **numbers)
+        later = again.collect(acting(learners), 1, NOTHING)
+        for each in (collected, later):
+            played += [row["episode"] for row in each.episodes]
+    assert len(set(played)) == len(played) > 0
+
+
+def test_a_collector_goes_on_where_its_state_was_taken(make, same):
+    first, learners = make("shared")
+    assert first.state_dict() == {}
+    first.collect(acting(learners), 0, NOTHING)
+    state = first.state_dict()
+    expected = first.collect(acting(learners), 1, NOTHING)
+    second, _ = make("shared")
+    second.load_state_dict(state)
+    found = second.collect(acting(learners), 1, NOTHING)
+    assert same(vars(found.rollouts["shared"]), vars(expected.rollouts["shared"]))
+    other, _ = make("shared", seed=1)
+    other.load_state_dict(state)
+    drawn = other.collect(acting(learners), 1, NOTHING).rollouts["shared"]
+    assert not same(drawn.actions, found.rollouts["shared"].actions)
+
+
+def test_what_rollouts_say_is_learned_beside_one_another(make):
+    """Two halves of the worlds teach what all of them together do, but for rounding."""
+    collector, (learner,) = make(epochs=1, minibatch_size=4 * 32)
+    rollout = collector.collect(acting([learner]), 0, NOTHING).rollouts["team"]
+    _, (other,) = make(epochs=1, minibatch_size=4 * 32)
+    late = np.nonzero(rollout.truncated)[1]
+    halves = [
+        type(rollout)(
+            **{name: each[:, rows] for name, each in vars(rollout).items()}
+            | {"final_observations": rollout.final_observations[np.isin(late, rows)]}
+        )
+        for rows in ([0, 2], [1, 3])
+    ]
+    numbers, others = learner.learn([rollout]), other.learn(halves)
+    for name, value in numbers.items():
+        assert others[name] == pytest.approx(value, rel=1e-3, abs=1e-5)
