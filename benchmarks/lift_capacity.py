@@ -20,7 +20,7 @@ from rich.table import Table
 
 import collaborative_gym as cg
 from collaborative_gym import math
-from collaborative_gym.motion.statics import carry, strongest_way
+from collaborative_gym.motion import carry, strongest_way
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.tasks.lift import Lift
 from collaborative_gym.tasks.registry import make_task
@@ -58,7 +58,8 @@ class LiftAlone(Lift):
                 math.rotate(turn, end - base).round(6) for end in (self.start, goal)
             ]
             try:
-                way = strongest_way(self.robots[self.lifter], *map(tuple, ends))
+                start, end = map(tuple, ends)
+                way = strongest_way(self.robots[self.lifter], start=start, end=end)
             except ValueError:
                 continue
             self.goals.append(goal)
@@ -87,7 +88,7 @@ class LiftAlone(Lift):
         )
         mass = np.full(sim.num_envs, self.pot_mass)
         goal = self.start + there * line
-        carried = carry(sim, arm, tcp, goal, posture, mass)
+        carried = carry(sim, arm, tcp=tcp, goal=goal, posture=posture, mass=mass)
         holds = facts.gripping[self.lifter][:, None]
         change = np.where(holds, carried, own.change)
         motions[self.lifter] = cg.Motion(change, own.grips)

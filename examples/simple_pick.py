@@ -68,10 +68,10 @@ class SimplePick(cg.Task):
         for agent, arm in self.scene.arms.items():
             tcp, holds = facts.tcp[agent], facts.holds[agent][:, None]
             cube, target = (facts.seen[agent][it][:, :3] for it in ("cube", "target"))
-            before = motion.standoff(tcp[0] - cube, DOWN, 0.01, 0.0, 0.1)
-            goal = np.where(holds, target, cube - before * DOWN)
-            hand, home = np.where(holds, AHEAD, DOWN), arm.robot.home
-            change = motion.reach(sim, arm, tcp, goal, hand, home)
+            gap = motion.standoff(tcp[0] - cube, DOWN, slack=0.01, least=0.0, most=0.1)
+            place = np.where(holds, target, cube - gap * DOWN)
+            goal, home = (place, np.where(holds, AHEAD, DOWN)), arm.robot.home
+            change = motion.reach(sim, arm, tcp=tcp, goal=goal, posture=home)
             grips = facts.holds[agent] | (facts.to_cube[agent] < 0.015)
             motions[agent] = cg.Motion(change, grips)
         return motions

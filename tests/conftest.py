@@ -12,7 +12,7 @@ from array_api_compat import array_namespace
 
 import collaborative_gym as cg
 from collaborative_gym import math
-from collaborative_gym.motion.kinematics import reach
+from collaborative_gym.motion import reach
 from collaborative_gym.tasks import registry
 
 # Before any test imports Ray: what it starts is to listen on loopback alone.
@@ -134,7 +134,9 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
         for agent, arm in self.scene.arms.items():
             (place, quat), home = facts.tcp[agent], np.array(arm.robot.home)
             goal = place + np.array([0.0, 0.0, 0.05])
-            change = reach(sim, arm, facts.tcp[agent], goal, quat, home)
+            change = reach(
+                sim, arm, tcp=facts.tcp[agent], goal=(goal, quat), posture=home
+            )
             motions[agent] = cg.Motion(change, grips=True)
         return motions
 

@@ -7,7 +7,8 @@ import pytest
 from collaborative_gym import math
 from collaborative_gym.control import JointChanges
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.motion.statics import GRAVITY, greatest_load, strongest_way
+from collaborative_gym.motion import greatest_load, strongest_way
+from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.objects.pot import pot
 from collaborative_gym.robots import get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
@@ -207,4 +208,4 @@ def test_greatest_load_is_bounded_by_the_shoulder():
 
 def test_way_out_of_reach_is_refused():
     with pytest.raises(ValueError, match="jaco cannot carry a load"):
-        strongest_way(get_robot("jaco"), (1.5, 0.0, 0.1), (1.5, 0.0, 0.5))
+        strongest_way(get_robot("jaco"), start=(1.5, 0.0, 0.1), end=(1.5, 0.0, 0.5))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym import Motion, VectorEnv, math
-from collaborative_gym.motion.kinematics import reach
+from collaborative_gym.motion import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
 from collaborative_gym.tasks.poke import Poke, PokeFacts, is_threaded
@@ -32,7 +32,7 @@ def chase(env):
     position = facts.stick[0] - math.rotate(quat, ahead)
     arm = env.scene.arms["robot_2"]
     home = np.array(arm.robot.home)
-    change = reach(env.sim, arm, tcp, position, quat, home)
+    change = reach(env.sim, arm, tcp=tcp, goal=(position, quat), posture=home)
     motions = {"robot_1": Motion(np.zeros_like(change)), "robot_2": Motion(change)}
     return env.task.action_mode.encode(env.sim, motions)["robot_2"]
 

@@ -1,5 +1,29 @@
-"""How arms move: poses, ways to them, loads."""
+"""How arms move: the angles of poses, steps towards them, what arms can carry."""
 
-from collaborative_gym.motion.kinematics import reach, solve_pose, standoff
+from collaborative_gym.motion.loads import greatest_load, strongest_way
+from collaborative_gym.motion.poses import (
+    central_pose,
+    hold,
+    quickest_way,
+    solve_pose,
+    turn_fingers,
+)
+from collaborative_gym.motion.solver import Chains, joint_change, rotation_error
+from collaborative_gym.motion.steering import carry, reach, shortened, standoff
 
-__all__ = ["reach", "solve_pose", "standoff"]
+__all__ = [
+    "Chains",
+    "carry",
+    "central_pose",
+    "greatest_load",
+    "hold",
+    "joint_change",
+    "quickest_way",
+    "reach",
+    "rotation_error",
+    "shortened",
+    "solve_pose",
+    "standoff",
+    "strongest_way",
+    "turn_fingers",
+]

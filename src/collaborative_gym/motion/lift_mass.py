@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.motion.statics import Way, greatest_load, strongest_way
+from collaborative_gym.motion.loads import Way, greatest_load, strongest_way
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
@@ -63,6 +63,7 @@ class Weighing:
 def weigh(
     robots: Sequence[Robot],
     placements: Sequence[Placement],
+    *,
     ends: Sequence[tuple[np.ndarray, np.ndarray]],
     target: np.ndarray,
     radius: float,
@@ -82,7 +83,7 @@ def weigh(
     ways, alone = [], []
     for robot, placement, line in zip(robots, placements, ends, strict=True):
         start, end, middle = (_from_base(placement, point) for point in (*line, target))
-        way = strongest_way(robot, start, end)
+        way = strongest_way(robot, start=start, end=end)
         turn = math.from_yaw(np.array(placement.yaw))
         ways.append(replace(way, approach=math.rotate(turn, way.approach)))
         alone.append(greatest_load(robot, _places(np.array(middle), radius)))

@@ -100,8 +100,20 @@ class CpuSim:
         pair = self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
         return pair[0].copy(), pair[1].copy()
 
-    def jacobian(self, body: int, point: Array) -> tuple[np.ndarray, np.ndarray]:
-        return self._batch.jac(body, point)
+    def jacobian(
+        self, body: int, point: Array, env_ids: EnvIds = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return self._batch.jac(body, point, env_ids)
+
+    @property
+    def site_xpos(self) -> np.ndarray:
+        """Positions of all sites, (num_envs, nsite, 3); copied out from now on."""
+        return self._batch.bind("site_xpos")
+
+    @property
+    def site_xmat(self) -> np.ndarray:
+        """Their rotation matrices, (num_envs, nsite, 9)."""
+        return self._batch.bind("site_xmat")
 
     def data(self, env_id: int) -> mujoco.MjData:
         data = self._batch.get_data(env_id)

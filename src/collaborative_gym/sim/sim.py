@@ -86,15 +86,18 @@ class Sim(Protocol):
         """
         ...
 
-    def jacobian(self, body: int, point: Array) -> tuple[Array, Array]:
+    def jacobian(
+        self, body: int, point: Array, env_ids: EnvIds = None
+    ) -> tuple[Array, Array]:
         """Return Jacobians of world points that move with a body.
 
         Args:
           body: id of the body.
-          point: (num_envs, 3) points in the world frame.
+          point: (worlds, 3) points in the world frame.
+          env_ids: of which worlds.
 
         Returns:
-          The translational and the rotational Jacobian, (num_envs, 3, nv) each.
+          The translational and the rotational Jacobian, (worlds, 3, nv) each.
         """
         ...
 

@@ -28,10 +28,9 @@ import mujoco
 import numpy as np
 from array_api_compat import array_namespace
 
-from collaborative_gym import math
+from collaborative_gym import math, motion
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion import kinematics
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
     BAR,
@@ -144,7 +143,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode)
         model = sim.model
-        self._data = mujoco.MjData(model)
+        self._chains = motion.Chains(model, list(scene.arms.values()))
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
         self._centre = np.array([0.0, 0.0, self.config.board_height])
@@ -154,8 +153,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             site = model.site(f"{prefix}/{name}")
             self._handle[agent] = site.pos.copy(), site.quat.copy()
             poses = [self._grasp(agent, *pose) for pose in _poses(self._centre)]
-            self._posture[agent] = kinematics.central_pose(
-                model, scene.arms[agent], poses
+            self._posture[agent] = motion.central_pose(
+                model, scene.arms[agent], poses=poses
             )
 
     def remember(self, num_envs: int) -> dict[str, Array]:
@@ -175,41 +174,50 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             for agent, posture in self._posture.items()
         }
         rolled = rng.within(_BALL_START, 2)
-        for i, world in enumerate(env_ids):
-            near = {agent: self._posture[agent] + noise[agent][i] for agent in noise}
-            place, quat = self._take_hold(sim.qpos[world], moved[i], near)
-            on_board = math.rotate(quat, np.array([*rolled[i], _REST_HEIGHT]))
-            self.scene.place(sim, world, "ball", place + on_board, quat)
+        near = {agent: self._posture[agent] + noise[agent] for agent in noise}
+        place, quat = self._take_hold(sim, env_ids, moved, near)
+        resting = np.full((len(rolled), 1), _REST_HEIGHT)
+        on_board = math.rotate(quat, np.concatenate([rolled, resting], axis=1))
+        self.scene.place(sim, env_ids, "ball", place + on_board, quat)
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
             self.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
 
     def _take_hold(
-        self, qpos: np.ndarray, moved: np.ndarray, near: dict[str, np.ndarray]
+        self,
+        sim: Sim,
+        env_ids: np.ndarray,
+        moved: np.ndarray,
+        near: dict[str, np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Write angles with which both arms hold a level board, and return its pose.
+        """Let the arms hold a level board in these worlds, and return its poses.
 
         Args:
-          qpos: of the world to write to.
-          moved: (4,) how far the board is from its nominal place along x, y, z and
-            about z; halved until both arms reach it.
-          near: by agent, angles near which to hold it.
+          sim: the worlds.
+          env_ids: which of them.
+          moved: (worlds, 4) how far the board is from its nominal place along x, y, z
+            and about z; halved until all arms reach it.
+          near: by agent, angles (worlds, joints) near which to hold it.
         """
-        place, quat = self._centre, math.from_yaw(np.zeros(()))
+        left, share = np.arange(len(env_ids)), np.ones((len(env_ids), 1))
         for part in (1.0, 0.5, 0.25, 0.0):
-            place = self._centre + part * moved[:3]
-            quat = math.from_yaw(part * moved[3])
-            misses = []
-            for agent, arm in self.scene.arms.items():
-                pose = self._grasp(agent, place, quat)
-                qpos[arm.qpos], miss = kinematics.refine_pose(
-                    self.model, self._data, arm, pose, near[agent]
-                )
-                misses.append(miss)
-            if max(misses) < 1e-4:
+            share[left] = part
+            place, quat = self._board_at((share * moved)[left])
+            goals = [self._grasp(agent, place, quat) for agent in near]
+            starts = [angles[left] for angles in near.values()]
+            angles, reached = motion.hold(self._chains, goals, near=starts)
+            for agent, found in zip(near, angles, strict=True):
+                arm = self.scene.arms[agent]
+                sim.qpos[env_ids[left], arm.qpos] = sim.xp.asarray(found)
+            left = left[~reached]
+            if not len(left):
                 break
-        return place, quat
+        return self._board_at(share * moved)
+
+    def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses of a level board that far from its nominal place."""
+        return self._centre + moved[:, :3], math.from_yaw(moved[:, 3])
 
     def _grasp(
         self, agent: str, place: np.ndarray, quat: np.ndarray
@@ -286,7 +294,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         """
         place, quat = facts.board
         missing = np.clip(self._centre - place, -_LONGEST_MOVE, _LONGEST_MOVE)
-        turn = kinematics.rotation_error(quat, _wanted_orientation(facts))
+        turn = motion.rotation_error(quat, _wanted_orientation(facts))
         turn = np.clip(turn, -_LARGEST_TURN, _LARGEST_TURN)
         next_quat = math.multiply(math.from_rotation_vector(turn), quat)
         motions = {}
@@ -299,15 +307,15 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         """Return the joint changes that put a tcp at a grasp."""
         arm = self.scene.arms[agent]
         place, quat = sim.pose(f"{agent}/tcp")
-        turn = kinematics.rotation_error(quat, grasp[1])
+        turn = motion.rotation_error(quat, grasp[1])
         error = np.concatenate([grasp[0] - place, turn], axis=1)
         jacobian = np.concatenate(sim.jacobian(arm.hand, place), axis=1)[:, :, arm.dof]
         angle = np.asarray(sim.qpos[:, arm.qpos])
         low, high = arm.joint_range
         most = 0.3 * arm.max_change
         lean = np.clip(0.1 * (self._posture[agent] - angle), -most, most)
-        return kinematics.joint_change(
-            jacobian, error, lean, (low - angle, high - angle)
+        return motion.joint_change(
+            jacobian, error, lean=lean, room=(low - angle, high - angle)
         )
 
 
@@ -337,10 +345,10 @@ def _wanted_orientation(facts: BalanceFacts) -> np.ndarray:
     """Return the board's orientation that rolls the ball to the middle and stops it."""
     into_board = math.conjugate(facts.board[1])
     speed = math.rotate(into_board, facts.ball_velocity[0])[:, :2]
-    wanted = kinematics.shortened(-_APPROACH * facts.offset[:, :2], _FASTEST)
+    wanted = motion.shortened(-_APPROACH * facts.offset[:, :2], _FASTEST)
     # Rolling on takes a slope of its own besides that of the acceleration.
-    ahead = kinematics.shortened(wanted / _CALM, 1.0)
-    slope = kinematics.shortened(
+    ahead = motion.shortened(wanted / _CALM, 1.0)
+    slope = motion.shortened(
         _GAIN * (wanted - speed) + _ROLLING_SLOPE * ahead, _STEEPEST
     )
     # The ball rolls to where the board's normal leans.

@@ -26,9 +26,15 @@ from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import shortened, solve_pose, standoff
+from collaborative_gym.motion import (
+    carry,
+    greatest_load,
+    shortened,
+    solve_pose,
+    standoff,
+    turn_fingers,
+)
 from collaborative_gym.motion.lift_mass import weigh
-from collaborative_gym.motion.statics import carry, greatest_load, turn_fingers
 from collaborative_gym.objects.pot import HANDLE_WIDTH, pot
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
@@ -175,7 +181,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
         ends = [(_START + offset, self.target + offset) for offset in _WAY_OFFSETS]
         radius = self.config.success_radius
         robots = tuple(self.robots.values())
-        self.weighing = weigh(robots, placements, ends, self.target, radius)
+        self.weighing = weigh(
+            robots, placements, ends=ends, target=self.target, radius=radius
+        )
         given = self.config.pot_mass
         self.pot_mass = self.weighing.pot_mass if given is None else given
         self._ways = dict(zip(self.agents, self.weighing.ways, strict=True))
@@ -186,10 +194,14 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
             arm, way = scene.arms[agent], self._ways[agent]
-            angles = turn_fingers(model, arm, way.angles, np.array([1.0, 0.0, 0.0]))
+            angles = turn_fingers(
+                model, arm, angles=way.angles, bar=np.array([1.0, 0.0, 0.0])
+            )
             self._ways[agent] = replace(way, angles=angles)
             place = _START + _GRIP_OFFSETS[i] - _STANDOFF * way.approach
-            self._start[agent] = solve_pose(model, arm, place, way.approach, angles[0])
+            self._start[agent] = solve_pose(
+                model, arm, goal=(place, way.approach), start=angles[0]
+            )
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -268,7 +280,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             way = self._ways[agent]
             height = self.target[2] - _START[2]
             progress = (handle[:, 2] - _START[2] - _GRIP_OFFSETS[0, 2]) / height
-            gap = standoff(tcp - handle, way.approach, 0.004, 0.0, 0.1)
+            gap = standoff(tcp - handle, way.approach, slack=0.004, least=0.0, most=0.1)
             aligned = handle - gap * way.approach
             # Who holds and waits draws the pot to where the other surely reaches it.
             aside = (_START + _GRIP_OFFSETS[i] - handle) * (1.0, 1.0, 0.0)
@@ -276,7 +288,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
             goal = np.where(holds[agent][:, None], drawn, aligned)
             goal = np.where(lifting[:, None], goals[agent], goal)
             mass = np.where(lifting, self.pot_mass * self.weighing.shares[i], 0.0)
-            change = carry(sim, arm, tcp, goal, way.at(progress), mass)
+            change = carry(
+                sim, arm, tcp=tcp, goal=goal, posture=way.at(progress), mass=mass
+            )
             near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
             motions[agent] = Motion(change, near)
         return motions

@@ -26,7 +26,7 @@ from array_api_compat import array_namespace
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import quickest_way, reach, standoff
+from collaborative_gym.motion import quickest_way, reach, standoff
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
@@ -43,7 +43,7 @@ _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
 _CLOSE = {"robot_1": 0.012, "robot_2": 0.02}  # m at which the expert grips
-_FUNNEL = 0.01, 0.005, 0.12  # m, of the expert's `standoff` from the cube
+_FUNNEL = {"slack": 0.01, "least": 0.005, "most": 0.12}  # m, of `standoff`
 
 # Directions, and orientations (w x y z) of a hand. The hands meet head on, one closing
 # along x and the other along z, so that their fingers pass one another.
@@ -150,7 +150,7 @@ class Pass(Task[PassConfig, PassFacts]):
             ways[taker] += [[*before, (self._target, end)] for end in ends]
         self._angles, self._hands = {}, {}
         for agent, arm in scene.arms.items():
-            i, self._angles[agent] = quickest_way(sim.model, arm, ways[agent])
+            i, self._angles[agent] = quickest_way(sim.model, arm, ways=ways[agent])
             self._hands[agent] = [hand[None] for _, hand in ways[agent][i]]
 
     def _find_meeting(self) -> np.ndarray:
@@ -242,7 +242,7 @@ class Pass(Task[PassConfig, PassFacts]):
         giver, taker = self.agents
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds, taken = facts.holds[giver][:, None], facts.holds[taker][:, None]
-        gap = np.where(holds, 0.1, standoff(position - place, _DOWN, *_FUNNEL))
+        gap = np.where(holds, 0.1, standoff(position - place, _DOWN, **_FUNNEL))
         goal = np.where(taken, self._meeting - 0.15 * _ACROSS, place - gap * _DOWN)
         hand = np.where(taken, self._hands[giver][1], self._hands[giver][0])
         angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
@@ -259,7 +259,7 @@ class Pass(Task[PassConfig, PassFacts]):
         is_there = math.distance(facts.cube[0], self._meeting) < 0.03
         offered = (facts.holds[giver] & is_there)[:, None]
         place = np.where(offered, facts.cube[0], self._meeting)
-        gap = np.where(offered, standoff(position - place, -_ACROSS, *_FUNNEL), 0.1)
+        gap = np.where(offered, standoff(position - place, -_ACROSS, **_FUNNEL), 0.1)
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS
         goal = np.where(carries, facts.target, goal)
@@ -275,7 +275,9 @@ class Pass(Task[PassConfig, PassFacts]):
     ) -> np.ndarray:
         """Return joint changes straight to a pose, or to the angles where `swings`."""
         arm = self.scene.arms[agent]
-        straight = reach(sim, arm, facts.tcp[agent], goal, hand, angles)
+        straight = reach(
+            sim, arm, tcp=facts.tcp[agent], goal=(goal, hand), posture=angles
+        )
         return np.where(swings, angles - facts.joints[agent], straight)
 
 

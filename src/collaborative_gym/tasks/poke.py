@@ -29,7 +29,7 @@ from array_api_compat import array_namespace
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import reach, solve_pose
+from collaborative_gym.motion import reach, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick
 from collaborative_gym.rng import EpisodeRandom
@@ -115,11 +115,11 @@ class Poke(Task[TaskConfig, PokeFacts]):
         self._spread: dict[str, np.ndarray] = {}
         self._posture: dict[str, np.ndarray] = {}
         for agent, arm in scene.arms.items():
-            angles = solve_pose(sim.model, arm, *start[agent], arm.robot.home)
+            angles = solve_pose(sim.model, arm, goal=start[agent], start=arm.robot.home)
             self._start[agent] = angles
             self._spread[agent] = _spread(sim.model, arm, angles)
             goal = self._goal[agent]
-            self._posture[agent] = solve_pose(sim.model, arm, *goal, angles)
+            self._posture[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
 
     def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -193,7 +193,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         motions = {}
         for agent, arm in self.scene.arms.items():
             tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
-            change = reach(sim, arm, tcp, *goals[agent], posture=posture)
+            change = reach(sim, arm, tcp=tcp, goal=goals[agent], posture=posture)
             motions[agent] = Motion(change)
         return motions
 

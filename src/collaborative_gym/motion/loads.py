@@ -1,4 +1,4 @@
-"""How much an arm can hold, from its joint torque limits, and how it carries that.
+"""How much an arm can hold, from its joint torque limits, and in which postures.
 
 A load at the tcp asks each joint for a torque that is the load's weight times the
 joint's lever. The arm's links are gravity compensated, so that the whole torque limit
@@ -13,14 +13,11 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.kinematics import aim, joint_change
+from collaborative_gym.motion.solver import Goal, descend, simulated
+from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
-from collaborative_gym.sim.sim import Sim
-
-GRAVITY = 9.81
-"""m/s2, MuJoCo's default."""
 
 _SHARPNESS = 8
 """Exponent of the mean that stands for the greatest torque where a slope is needed."""
@@ -34,6 +31,9 @@ _LIMIT_ROOM = 0.15
 _TOLERANCE = 0.005
 """Greatest miss of a point that counts as reached, in m."""
 
+_STARTS = 16
+"""From how many postures each of some positions is searched."""
+
 _WAYPOINTS, _TRIES = 5, 128
 """Points of a way, and from how many postures it is searched."""
 
@@ -45,9 +45,6 @@ _DIPS = np.radians([25.0, 40.0, 60.0, 80.0])
 
 _CLEARANCE = 0.08
 """Least height in m of an arm's elbow above what the arm stands on."""
-
-_YIELD = 0.5
-"""Share of an unneeded torque that `carry` lets go in a step."""
 
 
 @dataclass(frozen=True)
@@ -72,32 +69,31 @@ class Way:
         return (1 - weight) * self.angles[before] + weight * self.angles[before + 1]
 
 
-def torque_shares(arm: Arm, translation: Array) -> Array:
+def torque_shares(robot: Robot, jacobian: Array) -> Array:
     """Return joint torques per kg hung on the tcp, as signed shares of their limits.
 
     Args:
-      arm: whose tcp.
-      translation: (n, 3, nv) Jacobian of the tcp's position.
+      robot: the arm.
+      jacobian: (n, 6, joints) of the tcp's position and orientation.
     """
-    return translation[:, 2, arm.dof] * (GRAVITY / np.array(arm.robot.torque_limits))
+    return jacobian[:, 2] * (GRAVITY / np.array(robot.torque_limits))
 
 
-def relief(arm: Arm, translation: Array, rotation: Array) -> Array:
+def relief(robot: Robot, jacobian: Array) -> Array:
     """Return the direction of joint motion that most relieves the arm of a load.
 
     Args:
-      arm: whose tcp.
-      translation: (n, 3, nv) Jacobian of the tcp's position.
-      rotation: (n, 3, nv) Jacobian of its orientation.
+      robot: the arm.
+      jacobian: (n, 6, joints) of the tcp's position and orientation.
 
     Returns:
       (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`.
     """
-    levers, axes = translation[:, :, arm.dof], rotation[:, :, arm.dof]
-    shares = torque_shares(arm, translation)
+    levers, axes = jacobian[:, :3], jacobian[:, 3:]
+    shares = torque_shares(robot, jacobian)
     size = np.abs(shares) / np.abs(shares).max(axis=1, keepdims=True)
     weight = size ** (_SHARPNESS - 1) * np.sign(shares)
-    weight = weight / np.array(arm.robot.torque_limits)
+    weight = weight / np.array(robot.torque_limits)
     # Turning joint j moves the lever of joint i by axis_j x lever_i if j comes before i
     # on the way to the tcp, else by axis_i x lever_j. The table holds row i, column j
     # of the z component.
@@ -111,25 +107,24 @@ def relief(arm: Arm, translation: Array, rotation: Array) -> Array:
 
 @lru_cache(maxsize=256)
 def greatest_load(
-    robot: Robot, positions: tuple[tuple[float, float, float], ...], tries: int = 16
+    robot: Robot, positions: tuple[tuple[float, float, float], ...]
 ) -> float:
     """Return the greatest mass in kg that an arm can hold at one of some positions.
 
     Args:
       robot: the arm.
       positions: of the tcp, in the frame of the arm's base, in m.
-      tries: postures to start the search from at each position.
 
     Returns:
       The mass at which the first joint reaches its torque limit, in the strongest
       posture found; 0 if the arm reaches none of the positions.
     """
-    paths = np.repeat(np.array(positions)[:, None], tries, axis=0)
+    paths = np.repeat(np.array(positions)[:, None], _STARTS, axis=0)
     return float(strong_paths(robot, paths)[0].max())
 
 
 def strong_paths(
-    robot: Robot, positions: Array, approaches: Array | None = None
+    robot: Robot, positions: Array, *, approaches: Array | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 
@@ -151,23 +146,55 @@ def strong_paths(
     scene.add_robot("arm", robot, Placement((0.0, 0.0, 0.0)), stand=False)
     sim = CpuSim(scene.compile(), len(positions), num_threads=1)
     arm = scene.arms["arm"]
-    low, high = _range(arm)
+    low, high = arm.joint_range
+    room = np.minimum(_LIMIT_ROOM, (high - low) / 4)
+    low, high = low + room, high - room
     bounds = np.maximum(low, -np.pi), np.minimum(high, 2 * np.pi)
-    rng = np.random.default_rng(0)
-    sim.qpos[:, arm.qpos] = rng.uniform(*bounds, (sim.num_envs, len(low)))
+    posture = np.random.default_rng(0).uniform(*bounds, (sim.num_envs, len(low)))
     loads, angles, quats = np.full(len(positions), np.inf), [], []
     for i in range(positions.shape[1]):
         moves = _FIRST_MOVES if i == 0 else _MOVES
-        held = _strengthen(sim, arm, positions[:, i], moves, approaches)
+        goal = positions[:, i], approaches
+        posture, held = _strengthen(sim, arm, posture, goal, (low, high), moves)
         loads = np.minimum(loads, held)
-        angles.append(np.array(sim.qpos[:, arm.qpos]))
+        angles.append(posture)
         quats.append(np.array(sim.pose("arm/tcp")[1]))
     return loads, np.stack(angles, axis=1), np.stack(quats, axis=1)
 
 
+def _strengthen(
+    sim: CpuSim,
+    arm: Arm,
+    posture: Array,
+    goal: Goal,
+    limits: tuple[Array, Array],
+    moves: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return strong postures with the tcp at positions, and what they hold."""
+    kinematics, robot = simulated(sim, arm), arm.robot
+
+    def lean(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
+        # The last moves only restore the position.
+        return 0.3 * max(0.0, 1 - step / (moves - 6)) * relief(robot, jacobian)
+
+    posture, _ = descend(
+        kinematics,
+        posture,
+        goal=goal,
+        limits=limits,
+        steps=moves,
+        bound=lambda error: np.clip(error, -0.3, 0.3),
+        lean=lean,
+    )
+    here, _, jacobian = kinematics(posture, np.arange(len(posture)))
+    shares = np.abs(torque_shares(robot, jacobian)).max(axis=1)
+    is_there = math.distance(goal[0], here) < _TOLERANCE
+    return posture, np.where(is_there, 1 / shares, 0.0)
+
+
 @lru_cache(maxsize=64)
 def strongest_way(
-    robot: Robot, start: tuple[float, float, float], end: tuple[float, float, float]
+    robot: Robot, *, start: tuple[float, float, float], end: tuple[float, float, float]
 ) -> Way:
     """Return how an arm carries most from one position of its tcp to another.
 
@@ -192,7 +219,7 @@ def strongest_way(
         # Left free, the hand would turn aside to where it is nearer to the load.
         dip = np.resize(_DIPS, _TRIES)[:, None]
         directions = np.cos(dip) * ahead - np.sin(dip) * (0.0, 0.0, 1.0)
-        loads, angles, quats = strong_paths(robot, paths, directions)
+        loads, angles, quats = strong_paths(robot, paths, approaches=directions)
         loads = np.where(_stays_above(robot, angles, path), loads, 0.0)
     else:
         loads, angles, quats = strong_paths(robot, paths)
@@ -231,118 +258,3 @@ def _points_ahead(quats: Array, ahead: Array) -> np.ndarray:
     along, aside = x * ahead[0] + y * ahead[1], x * ahead[1] - y * ahead[0]
     fit = (along > -0.1) & (np.abs(aside) < 0.5) & (z < 0.3)
     return fit.all(axis=1) & (z[:, 0] < -0.3)
-
-
-def turn_fingers(
-    model: mujoco.MjModel, arm: Arm, angles: np.ndarray, bar: np.ndarray
-) -> np.ndarray:
-    """Return postures whose fingers close across a bar.
-
-    Only the last joint is turned, and only where it turns the gripper about its
-    approach and its range allows it.
-
-    Args:
-      model: the compiled world.
-      arm: whose fingers.
-      angles: (n, joints) postures, in rad.
-      bar: (3,) direction of the bar in the world frame.
-    """
-    data = mujoco.MjData(model)
-    joint = model.dof_jntid[arm.dof.stop - 1]
-    low, high = arm.joint_range[:, -1]
-    last = (low + high) / 2
-    turned = angles.copy()
-    for posture in turned:
-        data.qpos[arm.qpos] = posture
-        mujoco.mj_kinematics(model, data)
-        _, closing, approach = data.site_xmat[arm.tcp].reshape(3, 3).T
-        same = data.xaxis[joint] @ approach
-        wanted = np.cross(approach, bar)
-        turn = np.arctan2(np.cross(closing, wanted) @ approach, closing @ wanted)
-        options = posture[-1] + same * turn + np.pi * np.arange(-3, 4)
-        options = options[(options > low) & (options < high)]
-        if abs(same) > 0.999 and len(options):
-            last = options[np.abs(options - last).argmin()]
-            posture[-1] = last
-    return turned
-
-
-def carry(
-    sim: Sim,
-    arm: Arm,
-    tcp: Array,
-    goal: Array,
-    posture: Array,
-    mass: Array,
-) -> np.ndarray:
-    """Return joint changes that bring a tcp and its load to a goal, near a posture.
-
-    Torques other than those of the load are let go, as arms that hold one thing would
-    else press against each other. Without a load the posture counts less and less the
-    nearer the goal is.
-
-    Args:
-      sim: the worlds.
-      arm: whose tcp.
-      tcp: (num_envs, 3) where it is.
-      goal: (num_envs, 3) where it should be after the step, in m.
-      posture: (num_envs, joints) angles to keep to, in rad.
-      mass: (num_envs,) of the load at the tcp in kg, 0 for none.
-
-    Returns:
-      (num_envs, joints) in rad, not limited.
-    """
-    translation, _ = sim.jacobian(arm.hand, tcp)
-    angle, robot = np.asarray(sim.qpos[:, arm.qpos]), arm.robot
-    low, high = arm.joint_range
-    is_loaded = mass[:, None] > 0
-    nearness = np.minimum(1.0, math.distance(goal, tcp) / 0.05)[:, None]
-    lean = np.where(is_loaded, 0.4, 0.4 * nearness) * (posture - angle)
-    lean = np.clip(lean, -0.5 * arm.max_change, 0.5 * arm.max_change)
-    room = low - angle, high - angle
-    change = joint_change(translation[:, :, arm.dof], goal - tcp, lean, room)
-    stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
-    torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
-    excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
-    return change - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
-
-
-def _strengthen(
-    sim: CpuSim, arm: Arm, position: Array, moves: int, approach: Array | None
-) -> np.ndarray:
-    """Bring an arm's tcp to positions, in strong postures; return what it holds."""
-    low, high = _range(arm)
-    for i in range(moves):
-        missing, translation, rotation = _missing(sim, arm, position)
-        # The last moves only restore the position.
-        stride = 0.3 * max(0.0, 1 - i / (moves - 6))
-        lean = stride * relief(arm, translation, rotation)
-        angle = np.asarray(sim.qpos[:, arm.qpos])
-        rows, error = translation[:, :, arm.dof], np.clip(missing, -0.3, 0.3)
-        if approach is not None:
-            quat = sim.pose("arm/tcp")[1]
-            aimed, turn = aim(rotation[:, :, arm.dof], quat, approach)
-            rows = np.concatenate([rows, aimed], axis=1)
-            error = np.concatenate([error, np.clip(turn, -0.6, 0.6)], axis=1)
-        room = low - angle, high - angle
-        sim.qpos[:, arm.qpos] = angle + joint_change(rows, error, lean, room)
-    missing, translation, _ = _missing(sim, arm, position)
-    shares = np.abs(torque_shares(arm, translation)).max(axis=1)
-    return np.where(math.norm(missing) < _TOLERANCE, 1 / shares, 0.0)
-
-
-def _range(arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint angles in which postures are searched."""
-    low, high = arm.joint_range
-    room = np.minimum(_LIMIT_ROOM, (high - low) / 4)
-    return low + room, high - room
-
-
-def _missing(
-    sim: CpuSim, arm: Arm, position: Array
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how far the tcp is from a position, and both its Jacobians."""
-    sim.forward()
-    here, _ = sim.pose("arm/tcp")
-    translation, rotation = sim.jacobian(arm.hand, here)
-    return position - here, translation, rotation

@@ -1,0 +1,280 @@
+"""Joint angles that put tcps at poses: one pose, several arms at once, or a way."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from collaborative_gym import math
+from collaborative_gym.math import Array
+from collaborative_gym.motion.solver import Chains, Kinematics, descend, simulated
+from collaborative_gym.motion.steering import shortened
+from collaborative_gym.scene import Arm
+from collaborative_gym.sim.cpu import CpuSim
+
+_DRAWS = 24
+"""From how many postures `central_pose` chooses."""
+
+_WAY_TRIES = 10
+"""Starts that `quickest_way` tries for each pose."""
+
+_EXACT = 1e-4
+"""By how much in m and rad the poses of `hold` may be missed."""
+
+
+def solve_pose(
+    model: mujoco.MjModel,
+    arm: Arm,
+    *,
+    goal: tuple[ArrayLike, ArrayLike],
+    start: ArrayLike,
+    tries: int = 20,
+) -> np.ndarray:
+    """Return joint angles that put an arm's tcp at a pose.
+
+    Args:
+      model: the compiled world.
+      arm: whose tcp.
+      goal: position (3,) in the world frame, in m, and quaternion (4,) or approach
+        direction (3,).
+      start: joint angles to begin with; the solution stays near them if it can.
+      tries: how many starts to try; those after the first are drawn around `start`.
+
+    Raises:
+      ValueError: if no try comes within 1 mm and 0.01 rad.
+    """
+    position, orientation = (np.asarray(part, float) for part in goal)
+    kinematics = simulated(CpuSim(model, tries, num_threads=1), arm)
+    rng, best = np.random.default_rng(0), np.inf
+    spreads = [0.0] + [0.2 + i / tries for i in range(1, tries)]
+    drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
+    # The first try is mostly enough; the others run side by side.
+    for starts in np.split(np.asarray(start) + drawn, [1]):
+        angles, misses = _search(kinematics, arm, (position, orientation), starts)
+        if (misses < 1.0).any():
+            return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
+        best = misses.min(initial=best)
+    raise ValueError(
+        f"{arm.robot.name} cannot bring its tcp to {np.round(position, 3).tolist()}"
+        f" with orientation {np.round(orientation, 3).tolist()}"
+        f" (best try missed by {best:.0f} times the tolerance of 1 mm and 0.01 rad);"
+        " mount it nearer or choose an arm with a longer reach"
+    )
+
+
+def _search(
+    kinematics: Kinematics,
+    arm: Arm,
+    goal: tuple[np.ndarray, np.ndarray],
+    starts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where descents from starts end, and their misses in tolerances."""
+    low, high = arm.joint_range
+    middle = np.clip(starts, low, high)
+    return descend(
+        kinematics,
+        middle,
+        goal=goal,
+        limits=(low, high),
+        steps=100,
+        enough=0.1,
+        miss=_in_tolerances,
+        bound=_within_sight,
+        lean=lambda step, angle, rows, jacobian: 0.02 * (middle[rows] - angle),
+    )
+
+
+def _in_tolerances(error: Array) -> np.ndarray:
+    """Return errors as multiples of 1 mm and 0.01 rad, the greater of the two."""
+    sizes = math.norm(error[:, :3]) / 1e-3, math.norm(error[:, 3:]) / 1e-2
+    return np.maximum(*sizes)
+
+
+def _within_sight(error: Array) -> np.ndarray:
+    """Return errors cut to what is nearly linear in the joint angles."""
+    parts = shortened(error[:, :3], 0.2), shortened(error[:, 3:], 0.6)
+    return np.concatenate(parts, axis=1)
+
+
+def hold(
+    chains: Chains, goals: Sequence[tuple[Array, Array]], *, near: Sequence[Array]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return joint angles near others that put several tcps exactly at poses.
+
+    Newton's method with the smallest joint changes, so that the free motion of each arm
+    stays as it is: quick where `near` is less than about a radian off.
+
+    Args:
+      chains: the arms' kinematics.
+      goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or one for
+        all.
+      near: for each arm, angles (n, joints) to begin with, in rad.
+
+    Returns:
+      The angles for each arm, and whether all its arms are there, (n,).
+    """
+    count, most = len(near[0]), chains.low.shape[1]
+    arm = np.repeat(np.arange(len(near)), count)
+    start = np.zeros((len(near), count, most))
+    positions, quats = np.zeros((*start.shape[:2], 3)), np.zeros((*start.shape[:2], 4))
+    for i, (goal, angles) in enumerate(zip(goals, near, strict=True)):
+        start[i, :, : angles.shape[1]] = angles
+        positions[i], quats[i] = goal
+    limits = chains.low[arm], chains.high[arm]
+    angles, misses = descend(
+        chains.of(arm),
+        np.clip(start.reshape(-1, most), *limits),
+        goal=(positions.reshape(-1, 3), quats.reshape(-1, 4)),
+        limits=limits,
+        steps=20,
+        enough=1e-6,
+        damping=0.01,
+        longest=0.5,
+    )
+    each = zip(angles.reshape(start.shape), near, strict=True)
+    found = [own[:, : asked.shape[1]] for own, asked in each]
+    return found, (misses.reshape(-1, count) < _EXACT).all(axis=0)
+
+
+def central_pose(
+    model: mujoco.MjModel, arm: Arm, *, poses: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Return joint angles for the first pose from which the others are soonest reached.
+
+    Of many postures drawn around the arm's home that touch nothing, the one from which
+    the slowest joint needs the least time for the farthest of the other poses; a second
+    more for each that is out of reach.
+
+    Args:
+      model: the compiled world.
+      arm: whose tcp.
+      poses: positions (3,) in m and quaternions (4,) in the world frame.
+
+    Raises:
+      ValueError: if the first pose is out of reach.
+    """
+    chains, rng = Chains(model, [arm]), np.random.default_rng(0)
+    spreads = [0.0] + [0.3 + 1.5 * i / _DRAWS for i in range(1, _DRAWS)]
+    drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
+    start = np.array(arm.robot.home) + drawn
+    [angles], fits = hold(chains, poses[:1], near=[start])
+    times = np.zeros(_DRAWS)
+    for pose in poses[1:]:
+        [there], reached = hold(chains, [pose], near=[angles])
+        slowest = (np.abs(there - angles) / arm.robot.velocity_limits).max(axis=1)
+        times = np.maximum(times, slowest) + ~reached
+    touches = _touches(model, arm, angles)
+    times = np.where(fits & ~touches, times, np.inf)
+    if np.isinf(times).all():
+        return solve_pose(model, arm, goal=poses[0], start=arm.robot.home)
+    return angles[times.argmin()]
+
+
+def quickest_way(
+    model: mujoco.MjModel,
+    arm: Arm,
+    *,
+    ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
+) -> tuple[int, np.ndarray]:
+    """Return the way that an arm goes quickest from its first pose to its last.
+
+    Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
+    other.
+
+    Args:
+      model: the compiled world.
+      arm: whose tcp.
+      ways: each a sequence of poses, positions and orientations as for `solve_pose`.
+
+    Returns:
+      The way's index, and the joint angles at its poses, (poses, joints), in rad.
+
+    Raises:
+      ValueError: if the arm can go none of the ways.
+    """
+    low, high = arm.joint_range
+    best, least, failure = None, np.inf, ValueError("no way was given")
+    # Ways may begin alike; each beginning is solved once.
+    solved: dict[bytes, np.ndarray | ValueError] = {}
+    for i, way in enumerate(ways):
+        angles, key = [np.array(arm.robot.home)], b""
+        for pose in way:
+            key += np.concatenate(pose).tobytes()
+            if key not in solved:
+                solved[key] = _solved(model, arm, pose, angles[-1])
+            found = solved[key]
+            if isinstance(found, ValueError):
+                failure = found
+                break
+            angles.append(found)
+        else:
+            found = np.array(angles[1:])
+            room = np.minimum(found - low, high - found).min()
+            steps = (np.abs(np.diff(found, axis=0)) / arm.max_change).max(axis=1).sum()
+            cost = steps + (1e3 * (0.2 - room) if room < 0.2 else 0.0)
+            if cost < least:
+                best, least = (i, found), cost
+    if best is None:
+        raise failure
+    return best
+
+
+def _solved(
+    model: mujoco.MjModel,
+    arm: Arm,
+    goal: tuple[ArrayLike, ArrayLike],
+    start: np.ndarray,
+) -> np.ndarray | ValueError:
+    """Return what `solve_pose` finds, or its error."""
+    try:
+        return solve_pose(model, arm, goal=goal, start=start, tries=_WAY_TRIES)
+    except ValueError as error:
+        return error
+
+
+def turn_fingers(
+    model: mujoco.MjModel, arm: Arm, *, angles: np.ndarray, bar: np.ndarray
+) -> np.ndarray:
+    """Return postures whose fingers close across a bar.
+
+    Only the last joint is turned, and only where it turns the gripper about its
+    approach and its range allows it.
+
+    Args:
+      model: the compiled world.
+      arm: whose fingers.
+      angles: (n, joints) postures, in rad.
+      bar: (3,) direction of the bar in the world frame.
+    """
+    data = mujoco.MjData(model)
+    joint = model.dof_jntid[arm.dof.stop - 1]
+    low, high = arm.joint_range[:, -1]
+    last = (low + high) / 2
+    turned = angles.copy()
+    for posture in turned:
+        data.qpos[arm.qpos] = posture
+        mujoco.mj_kinematics(model, data)
+        _, closing, approach = data.site_xmat[arm.tcp].reshape(3, 3).T
+        same = data.xaxis[joint] @ approach
+        wanted = np.cross(approach, bar)
+        turn = np.arctan2(np.cross(closing, wanted) @ approach, closing @ wanted)
+        options = posture[-1] + same * turn + np.pi * np.arange(-3, 4)
+        options = options[(options > low) & (options < high)]
+        if abs(same) > 0.999 and len(options):
+            last = options[np.abs(options - last).argmin()]
+            posture[-1] = last
+    return turned
+
+
+def _touches(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """Return at which angles (n, joints) an arm touches itself or what is mounted."""
+    data, touches = mujoco.MjData(model), np.zeros(len(angles), bool)
+    for i, angle in enumerate(angles):
+        data.qpos[arm.qpos] = angle
+        mujoco.mj_forward(model, data)
+        bodies = model.geom_bodyid[data.contact.geom]
+        is_own = model.body_rootid[bodies] == model.body_rootid[arm.hand]
+        is_fixed = model.body_weldid[bodies] == 0
+        touches[i] = np.any(is_own.any(axis=1) & (is_own | is_fixed).all(axis=1))
+    return touches

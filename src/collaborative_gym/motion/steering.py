@@ -1,0 +1,123 @@
+"""Joint changes that bring tcps to goals, a control step at a time, in many worlds."""
+
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.math import Array
+from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
+from collaborative_gym.scene import Arm
+from collaborative_gym.sim.sim import Sim
+
+GRAVITY = 9.81
+"""m/s2, MuJoCo's default."""
+
+_FARTHEST = 0.1
+"""Greatest motion that `reach` asks of a tcp in a step, in m; thrice that in rad."""
+
+_YIELD = 0.5
+"""Share of an unneeded torque that `carry` lets go in a step."""
+
+
+def shortened(vector: Array, longest: float) -> Array:
+    """Return vectors no longer than `longest`, their directions kept."""
+    length = math.norm(vector)[..., None]
+    return vector * np.minimum(1.0, longest / np.maximum(length, 1e-9))
+
+
+def reach(
+    sim: Sim,
+    arm: Arm,
+    *,
+    tcp: tuple[Array, Array],
+    goal: tuple[Array, Array],
+    posture: Array,
+) -> Array:
+    """Return joint changes that bring a tcp towards a pose, by resolved-rate control.
+
+    Args:
+      sim: the worlds.
+      arm: whose tcp.
+      tcp: its position (num_envs, 3) and quaternion (num_envs, 4).
+      goal: where it should go, (num_envs, 3), and its quaternion there (num_envs, 4)
+        or the direction of its approach (num_envs, 3).
+      posture: joint angles to prefer, (joints,), in rad.
+
+    Returns:
+      (num_envs, joints) in rad, not limited to what the joints can do in a step.
+    """
+    position, orientation = goal
+    missing = shortened(position - tcp[0], _FARTHEST)
+    turn = shortened(rotation_error(tcp[1], orientation), 3 * _FARTHEST)
+    translation, rotation = sim.jacobian(arm.hand, tcp[0])
+    jacobian = np.concatenate([translation, rotation], axis=1)[:, :, arm.dof]
+    error = np.concatenate([missing, turn], axis=1)
+    if orientation.shape[-1] == 3:
+        jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
+    angle = np.asarray(sim.qpos[:, arm.qpos])
+    low, high = arm.joint_range
+    most = 0.5 * arm.max_change
+    lean = np.clip(0.1 * (posture - angle), -most, most)
+    room = low - angle, high - angle
+    return joint_change(jacobian, error, lean=lean, room=room)
+
+
+def standoff(
+    offset: Array, approach: Array, *, slack: float, least: float, most: float
+) -> Array:
+    """Return how far before its goal a hand is to stay until it is straight before it.
+
+    Args:
+      offset: (num_envs, 3) from the goal to the hand, in m.
+      approach: (3,) direction in which the hand goes to its goal.
+      slack: distance from the line of approach that does not matter, in m.
+      least: bound of the result, in m.
+      most: bound of the result, in m.
+
+    Returns:
+      (num_envs, 1) in m: twice the distance from the line beyond the slack.
+    """
+    along = math.dot(offset, approach)[:, None]
+    aside = math.norm(offset - along * approach)
+    return np.clip(2.0 * (aside - slack), least, most)[:, None]
+
+
+def carry(
+    sim: Sim,
+    arm: Arm,
+    *,
+    tcp: Array,
+    goal: Array,
+    posture: Array,
+    mass: Array,
+) -> np.ndarray:
+    """Return joint changes that bring a tcp and its load to a goal, near a posture.
+
+    Torques other than those of the load are let go, as arms that hold one thing would
+    else press against each other. Without a load the posture counts less and less the
+    nearer the goal is.
+
+    Args:
+      sim: the worlds.
+      arm: whose tcp.
+      tcp: (num_envs, 3) where it is.
+      goal: (num_envs, 3) where it should be after the step, in m.
+      posture: (num_envs, joints) angles to keep to, in rad.
+      mass: (num_envs,) of the load at the tcp in kg, 0 for none.
+
+    Returns:
+      (num_envs, joints) in rad, not limited.
+    """
+    translation, _ = sim.jacobian(arm.hand, tcp)
+    angle, robot = np.asarray(sim.qpos[:, arm.qpos]), arm.robot
+    low, high = arm.joint_range
+    is_loaded = mass[:, None] > 0
+    nearness = np.minimum(1.0, math.distance(goal, tcp) / 0.05)[:, None]
+    lean = np.where(is_loaded, 0.4, 0.4 * nearness) * (posture - angle)
+    lean = np.clip(lean, -0.5 * arm.max_change, 0.5 * arm.max_change)
+    room = low - angle, high - angle
+    rows = translation[:, :, arm.dof]
+    change = joint_change(rows, goal - tcp, lean=lean, room=room)
+    stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
+    torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
+    excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
+    return change - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)

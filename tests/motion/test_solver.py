@@ -1,0 +1,47 @@
+import mujoco
+import numpy as np
+import pytest
+
+from collaborative_gym import motion
+from collaborative_gym.motion.solver import Chains, _quats, simulated
+from collaborative_gym.sim.cpu import CpuSim
+
+
+def test_joint_change_keeps_joints_in_their_room():
+    jacobian = np.array([[[1.0, 1.0, 0.5]]])
+    room = np.array([[-1.0, -1.0, -1.0]]), np.array([[0.1, 1.0, 1.0]])
+    change = motion.joint_change(
+        jacobian, np.array([[1.0]]), lean=np.zeros((1, 3)), room=room
+    )
+    assert change[0, 0] <= 0.1
+    # The other joints take over what the first cannot do.
+    assert (jacobian @ change[0])[0, 0] == pytest.approx(1.0, abs=0.02)
+
+
+def test_quaternions_of_matrices_are_mujocos_to_the_bit():
+    rng = np.random.default_rng(0)
+    given = rng.normal(size=(500, 4))
+    # Half turns, where another part of the quaternion is the largest.
+    given[::2, 0] *= 1e-3
+    matrices, expected = np.zeros((500, 9)), np.zeros((500, 4))
+    for quat, matrix, found in zip(given, matrices, expected, strict=True):
+        mujoco.mju_quat2Mat(matrix, quat / np.linalg.norm(quat))
+        mujoco.mju_mat2Quat(found, matrix)
+    np.testing.assert_array_equal(_quats(matrices), expected)
+
+
+def test_chains_agree_with_the_simulation(pair):
+    model, rng = pair.compile(), np.random.default_rng(1)
+    arms = list(pair.arms.values())
+    rows = np.arange(8)
+    for i, arm in enumerate(arms):
+        angles = np.zeros((8, 7))
+        angles[:, : arm.num_joints] = rng.uniform(*arm.joint_range, (8, arm.num_joints))
+        own = angles[:, : arm.num_joints]
+        chain = Chains(model, arms).of(np.full(8, i))(angles, rows)
+        sim = simulated(CpuSim(model, 8, num_threads=1), arm)(own, rows)
+        for found, expected in zip(chain[:2], sim[:2], strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-12)
+        jacobian = chain[2][:, :, : arm.num_joints]
+        np.testing.assert_allclose(jacobian, sim[2], atol=1e-12)
+        assert not chain[2][:, :, arm.num_joints :].any()
