@@ -131,6 +131,7 @@ def hold(
         enough=1e-6,
         damping=0.01,
         longest=0.5,
+        rounds=1,
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]

@@ -62,6 +62,7 @@ def joint_change(
     room: tuple[Array, Array],
     damping: float = DAMPING,
     longest: float = np.inf,
+    rounds: int = 3,
 ) -> Array:
     """Return the joint changes that reduce an error, and lean to a posture besides.
 
@@ -74,13 +75,14 @@ def joint_change(
       room: (n, joints) lowest and highest change that the joints' ranges leave.
       damping: bounds the changes where the arm hardly moves the tcp.
       longest: change of a joint, in rad, beyond which all are scaled down.
+      rounds: how often to solve at most; after the last, joints stop at their limits.
 
     Returns:
       (n, joints) in rad.
     """
     free = np.ones_like(lean)
     change = np.zeros_like(lean)
-    for _ in range(3):
+    for _ in range(rounds):
         active = jacobian * free[:, None, :]
         square = active @ active.transpose(0, 2, 1)
         square = square + damping**2 * np.eye(square.shape[1])
@@ -149,6 +151,7 @@ def descend(
     lean: Callable[[int, Array, Array, Array], Array] = _nothing,
     damping: float = DAMPING,
     longest: float = np.inf,
+    rounds: int = 3,
 ) -> tuple[Array, Array]:
     """Return joint angles that bring tcps to their goals, and by how much they miss.
 
@@ -165,6 +168,7 @@ def descend(
         go on and their Jacobians, changes that the arms should make besides.
       damping: as in `joint_change`.
       longest: as in `joint_change`.
+      rounds: as in `joint_change`.
     """
     angles = np.array(start)
     low, high = (np.broadcast_to(limit, angles.shape) for limit in limits)
@@ -198,6 +202,7 @@ def descend(
             room=(low[rows] - angle, high[rows] - angle),
             damping=damping,
             longest=longest,
+            rounds=rounds,
         )
     return angles, misses
 
