@@ -8,8 +8,8 @@ from collaborative_gym.pictures.opengl import choose_backend
 choose_backend()  # MuJoCo decides how to draw when it is imported.
 
 from collaborative_gym.control import Motion  # noqa: E402
-from collaborative_gym.envs.pettingzoo import make  # noqa: E402
-from collaborative_gym.envs.vector_env import VectorEnv, make_vec  # noqa: E402
+from collaborative_gym.envs.make import make, make_vec  # noqa: E402
+from collaborative_gym.envs.vector_env import VectorEnv  # noqa: E402
 from collaborative_gym.plugins import load_entry_points, load_module  # noqa: E402
 from collaborative_gym.robots import (  # noqa: E402
     Gripper,

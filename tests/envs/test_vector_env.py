@@ -1,10 +1,11 @@
 """The loop: what it returns, how it counts, and what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.envs.vector_env import EnvState
 
 LENGTH = 12
 
@@ -294,7 +295,7 @@ def test_a_state_that_does_not_fit_changes_nothing(make_env):
     with pytest.raises(ValueError, match="does not fit"):
         env.set_state(before, [0, 1])
     with pytest.raises(ValueError, match="does not fit"):
-        env.set_state(EnvState(before.physics, {}, before.progress))
+        env.set_state(replace(before, memory={}))
     with pytest.raises(ValueError, match="name a world twice"):
         env.set_state(before, [0, 1, 1])
     with pytest.raises(IndexError):
@@ -316,5 +317,5 @@ def test_a_picture_of_no_world_or_of_no_size_is_refused(make_env):
     env.reset()
     with pytest.raises(IndexError, match="no world 2; worlds are 0 to 1"):
         env.render(2)
-    with pytest.raises(ValueError, match="width must be 1 to 1920, got 5000"):
+    with pytest.raises(ValueError, match="width must be .*1920, got 5000"):
         env.render(width=5000)

@@ -14,7 +14,7 @@ pytest.importorskip("playwright", reason="no playwright to drive a browser with"
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from collaborative_gym.envs.vector_env import make_vec
+from collaborative_gym.envs.make import make_vec
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.policies import load_policy
 from collaborative_gym.viewer.session import FASTEST, Session

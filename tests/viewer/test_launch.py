@@ -140,7 +140,7 @@ def display(tmp_path, monkeypatch):
 
 
 WINDOWED = """
-from collaborative_gym.envs.vector_env import make_vec
+from collaborative_gym.envs.make import make_vec
 from collaborative_gym.policies import load_policy
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.window import Window

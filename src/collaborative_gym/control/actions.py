@@ -141,3 +141,60 @@ class JointChanges(ActionMode):
 
     def moves(self, sim: Sim, agent: str, changes: np.ndarray) -> np.ndarray:
         return changes / self.arms[agent].max_change
+
+
+def check_actions(
+    actions: Any, xp: Any, shapes: Mapping[str, tuple[int, ...]], gripping: bool
+) -> dict[str, Array]:
+    """Return each agent's actions as numbers within [-1, 1].
+
+    Args:
+      actions: what was given.
+      xp: array API namespace of the backend's arrays.
+      shapes: what each agent's actions must have.
+      gripping: whether the last component is a grip.
+
+    Raises:
+      ValueError: if they are anything else than finite numbers of these shapes.
+    """
+    if not isinstance(actions, Mapping):
+        raise ValueError(
+            f"actions are a {type(actions).__name__}; give a dictionary with an"
+            f" array for each of {', '.join(shapes)}"
+        )
+    if set(actions) != set(shapes):
+        raise ValueError(
+            f"actions are for {', '.join(map(str, actions)) or 'nobody'};"
+            f" give one for each of {', '.join(shapes)}"
+        )
+    last = ", and one for the grip" if gripping else " (gripping is False)"
+    checked = {}
+    for agent, shape in shapes.items():
+        given = actions[agent]
+        if not hasattr(given, "__array_namespace__"):
+            try:
+                given = xp.asarray(given)
+            except (TypeError, ValueError, RuntimeError) as error:
+                raise ValueError(
+                    f"the action of {agent} cannot be read as numbers: {error}"
+                ) from None
+        if given.shape != shape:
+            raise ValueError(
+                f"the action of {agent} has shape {tuple(given.shape)}, not {shape}: a"
+                f" number for each joint{last}"
+            )
+        if not xp.isdtype(given.dtype, ("integral", "real floating")):
+            raise ValueError(
+                f"the action of {agent} is of type {given.dtype}; give numbers"
+            )
+        action = xp.astype(given, xp.float64)
+        finite = xp.isfinite(action)
+        if not xp.all(finite):
+            world, index = (int(axis[0]) for axis in xp.nonzero(~finite))
+            raise ValueError(
+                f"the action of {agent} in world {world} is"
+                f" {float(action[world, index])} at index {index}; every component"
+                " must be finite"
+            )
+        checked[agent] = xp.clip(action, -1.0, 1.0)
+    return checked

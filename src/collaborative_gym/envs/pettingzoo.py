@@ -10,9 +10,7 @@ from pettingzoo import ParallelEnv
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.math import Array
-from collaborative_gym.robots import Robot
-from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT
 
 ByAgent = dict[str, Any]
@@ -154,32 +152,6 @@ class PettingZooEnv(ParallelEnv):
                 )
             batch[agent] = np.asarray(action)[None]
         return batch
-
-
-def make(
-    env_id: str,
-    robots: Sequence[str | Robot] | None = None,
-    *,
-    render_mode: str | None = None,
-    randomization: str | Randomization = "default",
-    **settings: Any,
-) -> PettingZooEnv:
-    """Return a PettingZoo parallel environment.
-
-    Args:
-      env_id: an id from `list_envs` or a task's name from `list_tasks`.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
-      render_mode: "rgb_array" lets `render` return pictures.
-      randomization: how starts are drawn, "default", "paper" or a value.
-      **settings: other fields of the task's config.
-
-    Raises:
-      KeyError: if there is no such environment, robot, preset or setting.
-      ValueError: if the task cannot be done with these robots.
-    """
-    task = make_task(env_id, robots, randomization, **settings)
-    return PettingZooEnv(task, render_mode, name=env_id)
 
 
 def fresh_seed() -> int:

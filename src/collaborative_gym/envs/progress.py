@@ -27,7 +27,8 @@ class Progress:
     Attributes:
       rows: (num_envs,) arrays by name, part of a saved state: `seed` and index
         (`episode`) of the episode, its control steps (`step`; `length` counts only
-        those that were played where starts are staggered), and the sums.
+        those that were played where starts are staggered), the sums, and how it ended
+        (`terminated` or `truncated`, and whether it `diverged`).
     """
 
     def __init__(
@@ -44,11 +45,13 @@ class Progress:
         self._xp = xp
         self._num_envs = num_envs
         self._sides = sides
+        self._is_divided = len(sides) > 1
         self._sums = {
             agent: {name: f"{agent}: {name}" for name in names}
             for agent, names in reward_terms.items()
         }
         blank: dict[str, float] = {"step": 0, "length": 0}
+        blank |= dict.fromkeys(("terminated", "truncated", "diverged"), False)
         for side in sides:
             blank |= {f"{side}: performing_steps": 0, f"{side}: first_success": -1}
         for names in self._sums.values():
@@ -60,26 +63,21 @@ class Progress:
         }
         self.rows["seed"] = np.zeros(num_envs, np.int64)
         self.rows["episode"] = np.zeros(num_envs, np.int64)
-        self.begin(seed, np.arange(num_envs))
+        self.begin(seed, np.arange(num_envs), np.arange(num_envs))
 
     @property
-    def step(self) -> Array:
-        """Control steps that each episode has done, (num_envs,)."""
-        return self.rows["step"]
-
-    @property
-    def is_timed_out(self) -> Array:
-        """Whether each episode has had all its control steps, (num_envs,)."""
-        return self.rows["step"] >= self._task.config.max_episode_steps
+    def has_ended(self) -> Array:
+        """Whether each episode is at its end, (num_envs,)."""
+        return self.rows["terminated"] | self.rows["truncated"]
 
     def where(self) -> dict[str, Array]:
         """Return copies of `seed`, `episode` and `step`."""
         return {name: self.rows[name] + 0 for name in ("seed", "episode", "step")}
 
-    def begin(self, seed: int, episodes: np.ndarray) -> None:
-        """Let the next episodes be these of a seed, one for each world."""
-        self.rows["seed"][:] = seed
-        self.rows["episode"][:] = episodes - self._num_envs
+    def begin(self, seed: int, episodes: np.ndarray, env_ids: np.ndarray) -> None:
+        """Let the next episodes of these worlds be these of a seed."""
+        self.rows["seed"][env_ids] = seed
+        self.rows["episode"][env_ids] = episodes - self._num_envs
 
     def start(self, env_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Go on to these worlds' next episodes; return their seeds and indices."""
@@ -88,62 +86,85 @@ class Progress:
             self.rows[name][env_ids] = value
         return self.rows["seed"][env_ids], self.rows["episode"][env_ids]
 
-    def stagger(self) -> None:
-        """Pretend that the worlds' episodes began at evenly spread times."""
+    def stagger(self, env_ids: np.ndarray) -> None:
+        """Pretend that these worlds' episodes began at evenly spread times."""
         length = self._task.config.max_episode_steps
-        times = self._xp.arange(self._num_envs) * length // self._num_envs
-        self.rows["step"][:] = times
+        times = env_ids * length // self._num_envs
+        self.rows["step"][env_ids] = self._xp.asarray(times)
 
     def count(self, facts: Any, terms: Mapping[str, Terms], diverged: Array) -> Any:
-        """Bring all up to a control step; return where the goal is met."""
+        """Bring all up to a control step; return where the goal is met.
+
+        Nothing counts where an episode had ended before.
+
+        Args:
+          facts: of the state after it.
+          terms: of the reward, zero where none is earned.
+          diverged: where the physics has just diverged.
+        """
         rows, task, xp = self.rows, self._task, self._xp
-        rows["step"] += 1
-        rows["length"] += 1
+        moved = ~self.has_ended
+        rows["diverged"] |= diverged
+        counts = ~rows["diverged"]
+        rows["step"] += moved
+        rows["length"] += moved
         for agent, names in self._sums.items():
             for name, row in names.items():
                 rows[row] += terms[agent][name]
-        counts = (rows["step"] > task.success_after) & ~diverged
-        successes = self._by_side(task.success(facts))
-        performing = self._by_side(task.performing(facts))
-        for side in self._sides:
-            successes[side] = successes[side] & counts
+        met, performing = task.success(facts), task.performing(facts)
+        successes = {}
+        is_late = (rows["step"] > task.success_after) & counts
+        for i, side in enumerate(self._sides):
+            successes[side] = (met[i] if self._is_divided else met) & is_late
             first = rows[f"{side}: first_success"]
             is_first = successes[side] & (first < 0)
             rows[f"{side}: first_success"] = xp.where(is_first, rows["length"], first)
-            now = performing[side] & ~diverged
+            now = performing[i] if self._is_divided else performing
+            now = now & counts & moved
             if not task.performance_from_start:
                 now &= rows[f"{side}: first_success"] >= 0
             rows[f"{side}: performing_steps"] += now
-        return _told(successes)
+        over = task.over(facts)
+        if over is not None:
+            rows["terminated"] |= over & counts & moved
+        is_late = rows["step"] >= task.config.max_episode_steps
+        rows["truncated"] |= (is_late | diverged) & ~rows["terminated"]
+        return successes if self._is_divided else successes[side]
 
-    def metrics(self, diverged: Array) -> dict[str, Any]:
+    def endings(self, agents: tuple[str, ...]) -> tuple[dict[str, Array], ...]:
+        """Return which episodes are terminated, and which truncated, by agent."""
+        terminated, truncated = {}, {}
+        for agent in agents:
+            terminated[agent] = self.rows["terminated"] | False
+            truncated[agent] = self.rows["truncated"] | False
+        return terminated, truncated
+
+    def metrics(self) -> dict[str, Any]:
         """Return the metrics of the episodes so far, as `VectorEnv` describes them."""
         rows, xp = self.rows, self._xp
-        sums = {
-            agent: {name: rows[row] + 0.0 for name, row in names.items()}
-            for agent, names in self._sums.items()
-        }
-        returns = {agent: sum(named.values()) for agent, named in sums.items()}
-        by_side: dict[str, dict[str, Array]] = {
-            "return": {},
-            "completion": {},
-            "performance": {},
-            "time_to_success": {},
-        }
+        counts = ~rows["diverged"]
+        sums, returns = {}, {}
+        for agent, names in self._sums.items():
+            sums[agent] = {
+                name: xp.asarray(rows[names[name]], copy=True) for name in names
+            }
+            returns[agent] = sum(sums[agent].values())
+        by_side = {}
         for side, agents in self._sides.items():
             first = rows[f"{side}: first_success"]
-            completed = (first >= 0) & ~diverged
-            counted = rows["length"] + 0
+            completed = (first >= 0) & counts
+            counted = rows["length"]
             if not self._task.performance_from_start:
-                counted -= xp.maximum(first, 1) - 1
+                counted = counted - xp.maximum(first, 1) + 1
             share = rows[f"{side}: performing_steps"] / xp.maximum(counted, 1)
-            by_side["return"][side] = sum(returns[agent] for agent in agents)
-            by_side["completion"][side] = xp.where(completed, 1.0, 0.0)
-            by_side["performance"][side] = xp.where(diverged, 0.0, share)
-            time = xp.where(completed, first * CONTROL_DT, xp.nan)
-            by_side["time_to_success"][side] = time
+            by_side[side] = {
+                "return": sum(map(returns.__getitem__, agents)),
+                "completion": xp.where(completed, 1.0, 0.0),
+                "performance": xp.where(counts, share, 0.0),
+                "time_to_success": xp.where(completed, first * CONTROL_DT, xp.nan),
+            }
         return {
-            **{name: _told(values) for name, values in by_side.items()},
+            **(_by_name(by_side) if self._is_divided else by_side[side]),
             "returns": returns,
             "length": rows["length"] + 0,
             "reward_terms": sums,
@@ -151,19 +172,57 @@ class Progress:
             "seed": rows["seed"] + 0,
         }
 
-    def met(self, success: Any) -> Any:
-        """Return what a task's `success` gave, by side where there are several."""
-        return _told(self._by_side(success))
+    def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:
+        """Return where the goal is met without a step, and the terms of no reward."""
+        met, counts = self._task.success(facts), ~self.rows["diverged"]
+        if self._is_divided:
+            success = {side: met[i] & counts for i, side in enumerate(self._sides)}
+        else:
+            success = met & counts
+        zero = self._xp.zeros(self._num_envs, dtype=self._xp.float32)
+        return success, {
+            agent: {name: zero + 0 for name in names}
+            for agent, names in self._sums.items()
+        }
 
-    def _by_side(self, given: Any) -> dict[str, Array]:
-        masks = given if len(self._sides) > 1 else (given,)
-        return dict(zip(self._sides, masks, strict=True))
+    def infos(
+        self,
+        success: Any,
+        terms: Mapping[str, Terms],
+        resting: Array,
+        observations: Mapping[str, Array],
+    ) -> dict[str, Any]:
+        """Return what is told of a step, as `VectorEnv` describes it."""
+        return {
+            "episode": self.rows["episode"] + 0,
+            "step": self.rows["step"] + 0,
+            "success": success,
+            "diverged": self.rows["diverged"] | False,
+            "reward_terms": terms,
+            "ended": self.has_ended,
+            "resting": resting,
+            "final_observation": observations,
+            "metrics": self.metrics(),
+        }
 
 
-def _told(by_side: dict[str, Any]) -> Any:
-    """Return what is told of the sides: by side only where there are several."""
-    return by_side if len(by_side) > 1 else next(iter(by_side.values()))
+def copied(arrays: Mapping[str, Array], xp: Any) -> dict[str, Array]:
+    """Return copies of named arrays."""
+    copies = {}
+    for name, array in arrays.items():
+        copies[name] = xp.asarray(array, copy=True)
+    return copies
+
+
+def _by_name(by_side: Mapping[str, Mapping[str, Array]]) -> dict[str, Any]:
+    """Return metrics of sides as one dictionary by side for each metric."""
+    names = next(iter(by_side.values()))
+    return {
+        name: {side: metrics[name] for side, metrics in by_side.items()}
+        for name in names
+    }
 
 
 def _dtype(xp: Any, value: float) -> Any:
-    return xp.float64 if isinstance(value, float) else xp.int64
+    kinds = {bool: xp.bool, int: xp.int64, float: xp.float64}
+    return kinds[type(value)]

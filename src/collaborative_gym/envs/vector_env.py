@@ -1,15 +1,20 @@
 """The one environment loop: many worlds of one task, stepped together."""
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import Controller, JointChanges
+from collaborative_gym.control import Controller, JointChanges, check_actions
+from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.definition import try_out
-from collaborative_gym.envs.progress import Progress
+from collaborative_gym.envs.progress import Progress, copied
+from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
@@ -21,30 +26,14 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeRandom, check_seed
-from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
-from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.task import Randomization, Task, Terms
+from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.task import Task, Terms
 from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 Observations = dict[str, Array]
-
-
-@dataclass(frozen=True)
-class EnvState:
-    """What `VectorEnv.set_state` needs to continue episodes bit for bit.
-
-    Attributes:
-      physics: rows of the backend's state.
-      memory: rows of the task's memory, by name.
-      progress: rows of the episodes' counters and sums, by name.
-    """
-
-    physics: Array
-    memory: dict[str, Array]
-    progress: dict[str, Array]
 
 
 class VectorEnv:
@@ -56,25 +45,32 @@ class VectorEnv:
     World i plays the episodes i, i + num_envs, i + 2 num_envs and so on of the seed.
     All arrays that are returned are the caller's own.
 
-    `infos` has, at every step, arrays by world: `episode` (index), `step` (control
-    steps done), `success`, `diverged`, and `reward_terms` by agent and term. Where an
-    episode `ended` (a mask), `final_observation` (by agent) is its last observation and
-    `metrics` describe it: `return` (summed over agents), `returns` by agent,
-    `completion`, `performance`, `length`, `time_to_success` (s, NaN if never),
-    `reward_terms` (sums), `episode` and `seed`. Elsewhere these rows mean nothing.
-    Performance is a share of the steps that were played, whenever the episode ended.
+    `infos` always has the same entries, arrays by world: `episode` (index), `step`
+    (control steps done), `success`, `diverged`, `ended`, `resting`, `reward_terms` by
+    agent and term, `final_observation` by agent, which is an episode's last where it
+    `ended`, and `metrics`, which describe the episode until now, and all of it where it
+    `ended`: `return` (summed over agents), `returns` by agent, `completion`,
+    `performance`, `length`, `time_to_success` (s, NaN if never), `reward_terms` (sums),
+    `episode` and `seed`. Performance is a share of the steps that were played, from the
+    first success on or from the start, however early the episode ended.
 
     Where a task has several sides, `success` and the metrics `return`, `completion`,
     `performance` and `time_to_success` are dictionaries by side; nothing is summed over
     opponents.
+
+    A world that does not reset itself rests after its episode's end: it does not move,
+    earns nothing, and is told as before, now also in the mask `resting`, until `reset`.
+
+    One thread at a time may be in an environment, and only in the process that made it.
+    A call that fails leaves every world as it was. Copies and pickles, of a task that
+    can be made anew from its class, arms and config, go on where the worlds are.
 
     Args:
       task: what to do, from `make_task`.
       num_envs: how many worlds.
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
-      auto_reset: whether a world goes on to its next episode by itself. Without, it
-        stays as the episode left it, and the next step is allowed only after `reset`.
+      auto_reset: whether a world goes on to its next episode by itself.
 
     Attributes:
       task: the task.
@@ -105,8 +101,13 @@ class VectorEnv:
         check_kind("task", task, Task, "a task, as make_task returns it")
         num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
         num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
-        auto_reset = check_flag("auto_reset", auto_reset)
-        seed = check_seed(seed)
+        seed, auto_reset = check_seed(seed), check_flag("auto_reset", auto_reset)
+        self._options = {
+            "num_envs": num_envs,
+            "seed": seed,
+            "num_threads": num_threads,
+            "auto_reset": auto_reset,
+        }
         # A copy of its own, so that one task may serve several environments.
         self.task = task = copy(task)
         self.num_envs = num_envs
@@ -120,12 +121,14 @@ class VectorEnv:
         self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
         self._controller = Controller(self.scene, self.sim, self._mode)
         task.setup(self.scene, self.sim, self._mode)
+        self._process = os.getpid()
+        self._lock, self._visitor = threading.RLock(), ""
+        self._is_changing = False
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
         self._auto_reset = auto_reset
         self._is_started = False
-        self._is_over = False
         self._is_closed = False
         definition = try_out(task, self.scene, self.sim, self._controller)
         self.observation_blocks = definition.observation_blocks
@@ -133,6 +136,10 @@ class VectorEnv:
         self.single_action_spaces = definition.action_spaces
         self.reward_terms = definition.reward_terms
         self.sides = definition.sides
+        self._action_shapes = {
+            agent: (num_envs, *space.shape)
+            for agent, space in definition.action_spaces.items()
+        }
         self._progress = Progress(
             task,
             self.sim.xp,
@@ -142,49 +149,71 @@ class VectorEnv:
             reward_terms=self.reward_terms,
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = self.get_state() if self._is_started else None
+        task = self.task
+        arms = tuple(task.robots.values())
+        made = type(task), arms, task.config, task.name
+        return made_anew, (type(self), made, self._options, state)
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the environment is: its task, arms, settings and versions."""
+        return Identity.of(self.task)
+
     def reset(
         self,
         seed: int | None = None,
         episodes: Sequence[int] | None = None,
         *,
         stagger: bool = False,
+        env_ids: EnvIds = None,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Start an episode in every world.
+        """Start an episode in every world, or in some.
 
         Args:
           seed: starts the episodes 0, 1, 2 ... of this seed; None goes on to each
             world's next episode, at first to those of the constructor's seed.
-          episodes: with a seed, the episode index of each world instead.
+          episodes: with a seed, the episode index of each of these worlds instead.
           stagger: spread the worlds over the episode's length, as if each had started
             at another time, so that in training they do not all end together. The
             first episodes are shorter for it.
+          env_ids: the worlds; None for all. No bit of the others changes.
 
         Returns:
-          Observations by agent, (num_envs, k) float32, and infos.
+          Observations of all worlds by agent, (num_envs, k) float32, and infos.
 
         Raises:
+          IndexError: if there are no such worlds.
           TypeError: if the seed is no integer.
           ValueError: if the seed is negative or the episodes do not fit.
+          RuntimeError: for some of the worlds before the first `reset` of all.
         """
-        self._check_open()
-        if seed is not None:
-            self._progress.begin(check_seed(seed), self._check_episodes(episodes))
-        elif episodes is not None:
-            raise ValueError("episodes are counted within a seed; pass seed too")
-        self._is_started, self._is_over = True, False
-        self._start_episodes(np.arange(self.num_envs))
-        if stagger:
-            self._progress.stagger()
-        facts = self.task.measure(self.sim)
-        self.facts = facts
-        self._observations = self._observe(facts)
-        progress = self.progress
-        infos = {
-            "episode": progress["episode"],
-            "step": progress["step"],
-            "success": self._progress.met(self.task.success(facts)),
-        }
-        return _copied(self._observations), infos
+        with self._turn(changes=True):
+            self._check_open()
+            if env_ids is not None and not self._is_started:
+                raise RuntimeError("call reset() of all worlds before that of some")
+            rows = check_env_ids(env_ids, self.num_envs)
+            if seed is None and episodes is not None:
+                raise ValueError("episodes are counted within a seed; pass seed too")
+            first = rows if episodes is None else check_episodes(episodes, len(rows))
+            stagger = check_flag("stagger", stagger)
+            new_seed = None if seed is None else check_seed(seed)
+            if new_seed is not None:
+                self._progress.begin(new_seed, first, rows)
+            rows = np.sort(rows)
+            self._start_episodes(rows)
+            if stagger:
+                self._progress.stagger(rows)
+            facts = self.task.measure(self.sim)
+            observations = self._observe(facts)
+            success, terms = self._progress.begun(facts)
+            resting = self._progress.has_ended
+            last = copied(observations, self.sim.xp)
+            infos = self._progress.infos(success, terms, resting, last)
+            self._is_started, self.facts = True, facts
+            self._observations = observations
+            return copied(observations, self.sim.xp), infos
 
     def step(
         self, actions: Mapping[str, Array]
@@ -195,7 +224,7 @@ class VectorEnv:
         dict[str, Array],
         dict[str, Any],
     ]:
-        """Do one control step in every world.
+        """Do one control step in every world whose episode goes on.
 
         Args:
           actions: by agent, (num_envs, k), each component in [-1, 1]; what lies beyond
@@ -205,122 +234,120 @@ class VectorEnv:
           Observations, rewards, terminated and truncated by agent, and infos.
 
         Raises:
-          ValueError: if the actions are not what the spaces say; no world is changed.
-          RuntimeError: before the first `reset`, after `close`, and after an episode's
-            end where worlds do not reset themselves.
+          ValueError: if the actions are not what the spaces say.
+          RuntimeError: before the first `reset`, after `close`, and where the episodes
+            of all worlds have ended and none resets itself.
         """
-        self._check_started("step")
-        if self._is_over:
-            raise RuntimeError("the episode has ended; call reset() before step()")
-        actions = self._check_actions(actions)
-        controls = self._controller.command(actions)
-        self.task.disturb(self.sim, self._progress.step)
-        diverged = self._advance(controls)
-        facts = self.task.measure(self.sim)
-        terms, rewards = self._reward(facts, actions, diverged)
-        success = self._progress.count(facts, terms, diverged)
-        progress = self.progress
-        over = self.task.over(facts)
-        is_terminated = ~diverged & (False if over is None else over)
-        ended = diverged | self._progress.is_timed_out | is_terminated
-        final_observations = self._observe(facts)
-        for agent in self.agents if diverged.any() else ():
-            final_observations[agent][diverged] = self._observations[agent][diverged]
-        infos = {
-            "episode": progress["episode"],
-            "step": progress["step"],
-            "success": success,
-            "diverged": diverged,
-            "reward_terms": terms,
-            "ended": ended,
-            "final_observation": final_observations,
-            "metrics": self._progress.metrics(diverged) if ended.any() else {},
-        }
-        if ended.any() and self._auto_reset:
-            self._start_episodes(np.flatnonzero(ended))
+        with self._turn(changes=True):
+            self._check_started("step")
+            progress, xp = self._progress, self.sim.xp
+            resting = progress.has_ended
+            if xp.all(resting):
+                raise RuntimeError("the episode has ended; call reset() before step()")
+            actions = check_actions(
+                actions, xp, self._action_shapes, self.task.gripping
+            )
+            diverged = self._advance(actions, resting)
             facts = self.task.measure(self.sim)
-            self._observations = self._observe(facts)
-        else:
-            self._observations = _copied(final_observations)
-            self._is_over = bool(ended.any())
-        self.facts = facts
-        terminated = {agent: is_terminated.copy() for agent in self.agents}
-        truncated = {agent: ended & ~is_terminated for agent in self.agents}
-        return _copied(self._observations), rewards, terminated, truncated, infos
+            lost = resting | diverged
+            terms, rewards = self._reward(facts, actions, lost)
+            last = self._observe(facts)
+            if xp.any(lost):
+                for agent in self.agents:
+                    last[agent][lost] = self._observations[agent][lost]
+            success = progress.count(facts, terms, diverged)
+            infos = progress.infos(success, terms, resting, last)
+            terminated, truncated = progress.endings(self.agents)
+            observations, has_ended = last, infos["ended"] & ~resting
+            if self._auto_reset and xp.any(has_ended):
+                self._start_episodes(_where(has_ended, xp))
+                facts = self.task.measure(self.sim)
+                observations = self._observe(facts)
+            self.facts, self._observations = facts, copied(observations, xp)
+            return copied(observations, xp), rewards, terminated, truncated, infos
 
-    def expert(self) -> dict[str, np.ndarray]:
+    def expert(self) -> dict[str, Array]:
         """Return the task's scripted expert's actions for the present state."""
-        self._check_started("expert")
-        motions = self.task.expert(self.sim, self.facts)
-        try:
-            actions = self._mode.encode(self.sim, motions)
-            self._check_actions(actions)
-        except ValueError as error:
-            raise ValueError(f"{type(self.task).__name__}.expert(): {error}") from None
-        return actions
+        with self._turn():
+            self._check_started("expert")
+            motions = self.task.expert(self.sim, self.facts)
+            try:
+                actions = self._mode.encode(self.sim, motions)
+                shapes, gripping = self._action_shapes, self.task.gripping
+                return check_actions(actions, self.sim.xp, shapes, gripping)
+            except ValueError as error:
+                name = type(self.task).__name__
+                raise ValueError(f"{name}.expert(): {error}") from None
 
     def idle(self) -> dict[str, np.ndarray]:
         """Return actions of robots that hold still and grip nothing."""
         return self._mode.idle(self.num_envs)
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:
-        """Return a copy of these worlds' episodes, one row each; None for all."""
-        self._check_started("get_state")
-        rows = slice(None) if env_ids is None else env_ids
-        return EnvState(
-            physics=self.sim.get_state(env_ids),
-            memory=_taken(self.task.memory, rows),
-            progress=_taken(self._progress.rows, rows),
-        )
-
-    def set_state(self, state: EnvState, env_ids: EnvIds = None) -> Observations:
-        """Continue saved episodes in these worlds; return all worlds' observations.
-
-        Args:
-          state: from `get_state` of an environment with the same id and options.
-          env_ids: as many worlds as the state has rows; None for all.
+        """Return a copy of these worlds' episodes, one row each; None for all.
 
         Raises:
           IndexError: if there are no such worlds.
-          ValueError: if the state does not fit; no world is changed.
+        """
+        with self._turn():
+            self._check_started("get_state")
+            rows = check_env_ids(env_ids, self.num_envs)
+            parts = self.sim, self.task.memory, self._progress.rows
+            return EnvState(*taken(*parts, rows), self.identity)
+
+    def set_state(
+        self, state: EnvState, env_ids: EnvIds = None, *, from_another: bool = False
+    ) -> Observations:
+        """Continue saved episodes in these worlds; return all worlds' observations.
+
+        Args:
+          state: from `get_state`.
+          env_ids: as many worlds as the state has rows; None for all.
+          from_another: take also the state of an environment that is another, such as
+            one with other settings or another version of the physics, if it fits.
+
+        Raises:
+          IndexError: if there are no such worlds.
+          TypeError: if it is no state.
+          ValueError: if the state is of another environment or does not fit.
           RuntimeError: for some of the worlds before the first `reset`.
         """
-        self._check_open()
-        if env_ids is not None:
-            self._check_started("set_state")
-        rows = np.arange(self.num_envs)[slice(None) if env_ids is None else env_ids]
-        self._check_state(state, rows)
-        order = np.argsort(rows)
-        self.sim.set_state(state.physics[order], rows[order])
-        for kept, given in (
-            (self.task.memory, state.memory),
-            (self._progress.rows, state.progress),
-        ):
-            for name, array in given.items():
-                kept[name][rows] = array
-        self._is_started = True
-        self._is_over = bool(self._progress.is_timed_out.any())
-        self.facts = self.task.measure(self.sim)
-        self._observations = self._observe(self.facts)
-        return _copied(self._observations)
+        with self._turn(changes=True):
+            self._check_open()
+            if env_ids is not None:
+                self._check_started("set_state")
+            rows = check_env_ids(env_ids, self.num_envs)
+            parts = self.sim, self.task.memory, self._progress.rows
+            own = EnvState(*taken(*parts, rows), self.identity)
+            steps = self.task.config.max_episode_steps
+            check_state(state, own, steps, from_another=from_another)
+            put(state, *parts, rows)
+            self.facts = self.task.measure(self.sim)
+            self._observations = self._observe(self.facts)
+            self._is_started = True
+            return copied(self._observations, self.sim.xp)
 
     @property
-    def progress(self) -> dict[str, np.ndarray]:
+    def progress(self) -> dict[str, Array]:
         """The `seed` and index (`episode`) of each world's episode, and its `step`."""
         return self._progress.where()
 
     def watch(self, watcher: Callable[[], object] | None, shots: int = 1) -> None:
         """Call `watcher` during every control step, to film or show the motion.
 
-        The physics is the same to the bit with and without.
+        The physics is the same to the bit with and without. If it raises, the worlds
+        are as they were before the step.
 
         Args:
           watcher: what to call, or None to stop. It may write `xfrc_applied` alone.
           shots: how often per control step, evenly spread and the last at its end;
             must divide `substeps`.
         """
+        shots = check_count("shots", shots)
         if shots < 1 or self.substeps % shots:
             raise ValueError(f"shots must divide {self.substeps}, got {shots}")
+        if watcher is not None and not callable(watcher):
+            raise TypeError(f"a watcher must be a function, got {watcher!r}")
         self._watcher = watcher
         self._shots = 1 if watcher is None else shots
 
@@ -334,124 +361,114 @@ class VectorEnv:
           ValueError: if the picture is too large.
           RuntimeError: if no off-screen renderer can start; says what to install.
         """
-        self._check_started("render")
-        if not 0 <= env_id < self.num_envs:
-            raise IndexError(f"no world {env_id}; worlds are 0 to {self.num_envs - 1}")
-        if self._camera is None or self._camera.size != (width, height):
-            self._close_camera()
-            model = self.scene.compile_to_draw()
-            self._camera = Camera(model, width, height)
-        sim = self.sim
-        return self._camera.picture(sim.qpos[env_id], sim.mocap_pos[env_id])
+        with self._turn():
+            self._check_started("render")
+            size = check_count("width", width), check_count("height", height)
+            if not 0 <= check_count("env_id", env_id, -(2**63)) < self.num_envs:
+                raise IndexError(
+                    f"no world {env_id}; worlds are 0 to {self.num_envs - 1}"
+                )
+            if self._camera is None or self._camera.size != size:
+                self._close_camera()
+                self._camera = Camera(self.scene.compile_to_draw(), *size)
+            sim = self.sim
+            return self._camera.picture(sim.qpos[env_id], sim.mocap_pos[env_id])
 
     def close(self) -> None:
         """Free the renderer. No other call is allowed afterwards."""
-        self._close_camera()
-        self._is_closed = True
+        with self._turn():
+            self._close_camera()
+            self._is_closed = True
 
     def _close_camera(self) -> None:
         if self._camera is not None:
             self._camera.close()
             self._camera = None
 
+    @contextmanager
+    def _turn(self, *, changes: bool = False) -> Iterator[None]:
+        """Let one thread of one process in, and undo what fails.
+
+        The thread may come in again, as a watcher does that draws a picture.
+        """
+        # A fork has copies of the locks, but none of the threads that step the physics.
+        if os.getpid() != self._process:
+            raise RuntimeError(
+                "this environment belongs to the process that made it, and cannot be"
+                " used in one that was forked from it; make another here, or start"
+                " processes by the method 'spawn'"
+            )
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError(
+                f"thread {self._visitor!r} is inside this environment, which serves one"
+                " thread at a time; make one for each thread, or take turns by a lock"
+            )
+        try:
+            self._visitor = threading.current_thread().name
+            if not changes:
+                yield
+                return
+            if self._is_changing:
+                raise RuntimeError(
+                    "the environment is in the middle of a step; what watches it may"
+                    " look and draw, but not step, reset or set the state"
+                )
+            physics = self.sim.get_state()
+            memory = copied(self.task.memory, self.sim.xp)
+            rows = copied(self._progress.rows, self.sim.xp)
+            self._is_changing = True
+            try:
+                yield
+            except BaseException:
+                self.task.memory, self._progress.rows = memory, rows
+                self.sim.set_state(physics)
+                raise
+            finally:
+                self._is_changing = False
+        finally:
+            self._lock.release()
+
     def _check_open(self) -> None:
         if self._is_closed:
             raise RuntimeError("this environment is closed; make another")
 
     def _check_started(self, name: str) -> None:
-        self._check_open()
-        if not self._is_started:
+        if self._is_closed or not self._is_started:
+            self._check_open()
             raise RuntimeError(f"call reset() before {name}()")
 
-    def _check_episodes(self, episodes: Sequence[int] | None) -> np.ndarray:
-        """Return the index of each world's first episode."""
-        if episodes is None:
-            return np.arange(self.num_envs)
-        first = np.asarray(episodes)
-        if first.shape != (self.num_envs,):
-            raise ValueError(
-                f"episodes has shape {first.shape}; give one index for each of the"
-                f" {self.num_envs} worlds"
-            )
-        if first.dtype.kind not in "iu" or (first < 0).any():
-            raise ValueError(f"episodes are counted 0, 1, 2 ...; got {first.tolist()}")
-        return first
-
-    def _check_state(self, state: EnvState, rows: np.ndarray) -> None:
-        if len(np.unique(rows)) < len(rows):
-            raise ValueError(f"env_ids {rows.tolist()} name a world twice")
-        held = (
-            ("memory", state.memory, self.task.memory),
-            ("progress", state.progress, self._progress.rows),
-            ("physics", {"rows": state.physics}, {"rows": self.sim.get_state()}),
-        )
-        for part, given, own in held:
-            shapes = {name: array.shape for name, array in given.items()}
-            needed = {name: array[rows].shape for name, array in own.items()}
-            if shapes != needed:
-                raise ValueError(
-                    f"the state does not fit these worlds: its {part} is {shapes}, not"
-                    f" {needed}; take it from an environment with the same id and"
-                    " options, and give as many env_ids as it has rows"
-                )
-
-    def _check_actions(self, actions: Mapping[str, Array]) -> dict[str, np.ndarray]:
-        if not isinstance(actions, Mapping):
-            raise ValueError(
-                f"actions are a {type(actions).__name__}; give a dictionary with an"
-                f" array for each of {', '.join(self.agents)}"
-            )
-        if set(actions) != set(self.agents):
-            raise ValueError(
-                f"actions are for {', '.join(map(str, actions)) or 'nobody'};"
-                f" give one for each of {', '.join(self.agents)}"
-            )
-        last = (
-            ", and one for the grip" if self.task.gripping else " (gripping is False)"
-        )
-        checked = {}
-        for agent in self.agents:
-            action = np.asarray(actions[agent], dtype=np.float64)
-            shape = (self.num_envs, *self.single_action_spaces[agent].shape)
-            if action.shape != shape:
-                raise ValueError(
-                    f"the action of {agent} has shape {action.shape}, not {shape}: a"
-                    f" number for each joint{last}"
-                )
-            finite = np.isfinite(action)
-            if not finite.all():
-                world, index = np.argwhere(~finite)[0]
-                raise ValueError(
-                    f"the action of {agent} in world {world} is {action[world, index]}"
-                    f" at index {index}; every component must be finite"
-                )
-            checked[agent] = np.clip(action, -1.0, 1.0)
-        return checked
-
-    def _advance(self, controls: np.ndarray) -> np.ndarray:
+    def _advance(self, actions: dict[str, Array], resting: Array) -> Array:
         """Step the physics; return which worlds diverged. Those are put back."""
-        diverged = np.zeros(self.num_envs, bool)
-        for part in np.split(controls, self._shots, axis=1):
+        sim, idle = self.sim, _where(resting, self.sim.xp)
+        kept = sim.get_state(idle) if len(idle) else None
+        controls = self._controller.command(actions)
+        self.task.disturb(sim, self._progress.rows["step"])
+        diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
+        length = self.substeps // self._shots
+        for start in range(0, self.substeps, length):
             try:
-                self.sim.step(part)
+                sim.step(controls[:, start : start + length])
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
+            if kept is not None:
+                sim.set_state(kept, idle)
             if self._watcher is not None:
                 self._watcher()
         # A sum is finite only if all its terms are, and sums are cheap.
-        total = self.sim.qpos.sum(axis=1) + self.sim.qvel.sum(axis=1)
-        diverged |= ~np.isfinite(total)
-        if diverged.any():
-            self.sim.reset(diverged)
-            self.sim.forward(diverged)
+        total = sim.xp.sum(sim.qpos, axis=1) + sim.xp.sum(sim.qvel, axis=1)
+        diverged = (diverged | ~sim.xp.isfinite(total)) & ~resting
+        if sim.xp.any(diverged):
+            sim.reset(diverged)
+            sim.forward(diverged)
         return diverged
 
     def _reward(
-        self, facts: Any, actions: dict[str, np.ndarray], diverged: np.ndarray
+        self, facts: Any, actions: dict[str, Array], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Array]]:
+        xp = self.sim.xp
         terms: dict[str, Terms] = {
             agent: {
-                name: np.where(diverged, 0.0, term).astype(np.float32)
+                name: xp.astype(xp.where(lost, 0.0, term), xp.float32)
                 for name, term in named.items()
             }
             for agent, named in self.task.reward(facts, actions).items()
@@ -459,6 +476,8 @@ class VectorEnv:
         return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
 
     def _start_episodes(self, env_ids: np.ndarray) -> None:
+        if not len(env_ids):
+            return
         seeds, episodes = self._progress.start(env_ids)
         self.sim.reset(env_ids)
         for name, array in self.task.remember(len(env_ids)).items():
@@ -468,45 +487,13 @@ class VectorEnv:
         self.sim.forward(env_ids)
 
     def _observe(self, facts: Any) -> Observations:
+        xp = self.sim.xp
         return {
-            agent: np.concatenate(list(blocks.values()), axis=1, dtype=np.float32)
+            agent: xp.astype(xp.concat(list(blocks.values()), axis=1), xp.float32)
             for agent, blocks in self.task.observe(facts).items()
         }
 
 
-def make_vec(
-    env_id: str,
-    num_envs: int,
-    *,
-    seed: int = 0,
-    num_threads: int = 0,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization = "default",
-    **settings: Any,
-) -> VectorEnv:
-    """Return many worlds of an environment.
-
-    Args:
-      env_id: an id from `list_envs` or a task's name from `list_tasks`.
-      num_envs: how many worlds.
-      seed: of the first episodes.
-      num_threads: physics threads, 0 for one per CPU.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
-      randomization: how starts are drawn, "default", "paper" or a value.
-      **settings: other fields of the task's config.
-
-    Raises:
-      KeyError: if there is no such environment, robot, preset or setting.
-      ValueError: if the task cannot be done with these robots.
-    """
-    task = make_task(env_id, robots, randomization, **settings)
-    return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
-
-
-def _copied(observations: Observations) -> Observations:
-    return {agent: array.copy() for agent, array in observations.items()}
-
-
-def _taken(arrays: Mapping[str, Array], rows: Any) -> dict[str, Array]:
-    return {name: array[rows].copy() for name, array in arrays.items()}
+def _where(mask: Array, xp: Any) -> np.ndarray:
+    """Return the worlds of a mask as NumPy's integers, by which worlds are named."""
+    return np.array([int(i) for i in xp.nonzero(mask)[0]], dtype=np.int64)

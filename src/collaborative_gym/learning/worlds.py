@@ -36,6 +36,7 @@ def load_worlds(env: VectorEnv, state: Mapping[str, Any]) -> Observations:
             state["physics"].numpy(),
             arrays(state["memory"]),
             arrays(state["progress"]),
+            env.identity,
         )
     )
 

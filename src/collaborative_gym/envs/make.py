@@ -1,0 +1,66 @@
+"""Environments by their id."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from collaborative_gym.envs.pettingzoo import PettingZooEnv
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Randomization
+
+
+def make(
+    env_id: str,
+    robots: Sequence[str | Robot] | None = None,
+    *,
+    render_mode: str | None = None,
+    randomization: str | Randomization = "default",
+    **settings: Any,
+) -> PettingZooEnv:
+    """Return a PettingZoo parallel environment.
+
+    Args:
+      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      robots: the arms in the order of the agents, by name or value; None for the
+        environment's own.
+      render_mode: "rgb_array" lets `render` return pictures.
+      randomization: how starts are drawn, "default", "paper" or a value.
+      **settings: other fields of the task's config.
+
+    Raises:
+      KeyError: if there is no such environment, robot, preset or setting.
+      ValueError: if the task cannot be done with these robots.
+    """
+    task = make_task(env_id, robots, randomization, **settings)
+    return PettingZooEnv(task, render_mode, name=env_id)
+
+
+def make_vec(
+    env_id: str,
+    num_envs: int,
+    *,
+    seed: int = 0,
+    num_threads: int = 0,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization = "default",
+    **settings: Any,
+) -> VectorEnv:
+    """Return many worlds of an environment.
+
+    Args:
+      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      num_envs: how many worlds.
+      seed: of the first episodes.
+      num_threads: physics threads, 0 for one per CPU.
+      robots: the arms in the order of the agents, by name or value; None for the
+        environment's own.
+      randomization: how starts are drawn, "default", "paper" or a value.
+      **settings: other fields of the task's config.
+
+    Raises:
+      KeyError: if there is no such environment, robot, preset or setting.
+      ValueError: if the task cannot be done with these robots.
+    """
+    task = make_task(env_id, robots, randomization, **settings)
+    return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)

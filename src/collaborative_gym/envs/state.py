@@ -1,0 +1,161 @@
+"""The saved state of worlds, and whether it may be put into others."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.math import Array
+from collaborative_gym.robots import Robot
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.identity import ON_STATE, Identity
+from collaborative_gym.tasks.task import TaskConfig
+
+
+@dataclass(frozen=True)
+class EnvState:
+    """What `VectorEnv.set_state` needs to continue episodes bit for bit.
+
+    Attributes:
+      physics: rows of the backend's state.
+      memory: rows of the task's memory, by name.
+      progress: rows of the episodes' counters and sums, by name.
+      identity: what the environment is that it was taken from.
+    """
+
+    physics: Array
+    memory: Mapping[str, Array]
+    progress: Mapping[str, Array]
+    identity: Identity
+
+
+def taken(
+    sim: Sim, memory: Mapping[str, Array], progress: Mapping[str, Array], rows: Array
+) -> tuple[Array, dict[str, Array], dict[str, Array]]:
+    """Return copies of these worlds' physics, memory and progress, in this order."""
+    order = np.argsort(rows)
+    physics = sim.get_state(rows[order])[np.argsort(order)]
+    remembered = {name: array[rows] for name, array in memory.items()}
+    counted = {name: array[rows] for name, array in progress.items()}
+    return physics, remembered, counted
+
+
+def put(
+    state: EnvState,
+    sim: Sim,
+    memory: Mapping[str, Array],
+    progress: Mapping[str, Array],
+    rows: Array,
+) -> None:
+    """Write the rows of a state into these worlds."""
+    order = np.argsort(rows)
+    sim.set_state(state.physics[order], rows[order])
+    for kept, given in (memory, state.memory), (progress, state.progress):
+        for name, array in given.items():
+            kept[name][rows] = array
+
+
+def check_state(
+    state: EnvState, blank: EnvState, max_steps: int, *, from_another: bool = False
+) -> None:
+    """Raise unless a state may be put into worlds.
+
+    Args:
+      state: what was given.
+      blank: the present state of these worlds.
+      max_steps: control steps of an episode.
+      from_another: whether the environment may be another one.
+
+    Raises:
+      TypeError: if it is no state.
+      ValueError: if it is of another environment, or does not fit, or no world can be
+        in it.
+    """
+    if not isinstance(state, EnvState):
+        raise TypeError(
+            f"a state comes from get_state(), and is no {type(state).__name__}"
+        )
+    differs = state.identity.differences(blank.identity, ignore=ON_STATE)
+    if differs and not from_another:
+        raise ValueError(
+            f"the state is from another environment: {'; '.join(differs)}; pass"
+            " from_another=True to play it here nevertheless"
+        )
+    for part, given, own in (
+        ("memory", state.memory, blank.memory),
+        ("progress", state.progress, blank.progress),
+        ("physics", {"rows": state.physics}, {"rows": blank.physics}),
+    ):
+        shapes = {name: np.shape(array) for name, array in given.items()}
+        needed = {name: tuple(array.shape) for name, array in own.items()}
+        if shapes != needed:
+            raise ValueError(
+                f"the state does not fit these worlds: its {part} is {shapes}, not"
+                f" {needed}; take it from an environment with the same id and"
+                " options, and give as many env_ids as it has rows"
+            )
+        for name, array in given.items():
+            _check_rows(f"{part} {name!r}", np.asarray(array), np.asarray(own[name]))
+        # What a task remembers may be infinite, such as the least distance so far.
+        if part != "memory":
+            _check_finite(part, given)
+    _check_counts(state.progress, max_steps)
+
+
+def _check_rows(what: str, given: np.ndarray, own: np.ndarray) -> None:
+    if given.dtype.kind != own.dtype.kind:
+        raise ValueError(
+            f"the state's {what} is of type {given.dtype}, not {own.dtype}"
+        )
+
+
+def _check_finite(part: str, given: Mapping[str, Array]) -> None:
+    for name, array in given.items():
+        if not np.isfinite(np.asarray(array)).all():
+            raise ValueError(
+                f"the state's {part} {name!r} is not finite; take it from get_state()"
+            )
+
+
+def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:
+    """Raise unless an episode can have come to these counts."""
+    step, length = np.asarray(progress["step"]), np.asarray(progress["length"])
+    last = 2**63 - 1
+    bounds: dict[str, tuple[int, Any]] = {"seed": (0, last), "episode": (0, last)}
+    bounds |= {"step": (0, max_steps), "length": (0, step)}
+    for name in progress:
+        if name.endswith("performing_steps"):
+            bounds[name] = (0, length)
+        elif name.endswith("first_success"):
+            bounds[name] = (-1, length)
+    for name, (low, high) in bounds.items():
+        counts = np.asarray(progress[name])
+        if not ((counts >= low) & (counts <= high)).all():
+            raise ValueError(
+                f"the state's progress {name!r} is {counts.tolist()}, which no episode"
+                f" of {max_steps} steps comes to; take it from get_state()"
+            )
+
+
+def made_anew(
+    kind: type,
+    task: tuple[type, tuple[Robot, ...], TaskConfig, str],
+    options: dict[str, Any],
+    state: EnvState | None,
+) -> Any:
+    """Return an environment like the one that was copied or pickled.
+
+    Args:
+      kind: its class.
+      task: class, arms, settings and name of what to do.
+      options: what its class is called with.
+      state: of its worlds, None before the first `reset`.
+    """
+    task_class, arms, config, name = task
+    same = task_class(arms, config)
+    same.name = name
+    env = kind(same, **options)
+    if state is not None:
+        env.set_state(state)
+    return env

@@ -1,0 +1,159 @@
+"""Threads, forks, and what fails in the middle of a call."""
+
+import os
+import threading
+
+import numpy as np
+import pytest
+
+LENGTH = 12
+
+
+def idle(env):
+    return {
+        agent: np.zeros((env.num_envs, *space.shape))
+        for agent, space in env.single_action_spaces.items()
+    }
+
+
+def assert_same(state, other):
+    np.testing.assert_array_equal(state.physics, other.physics)
+    for part in ("memory", "progress"):
+        for name, array in getattr(state, part).items():
+            np.testing.assert_array_equal(array, getattr(other, part)[name])
+
+
+def in_thread(call):
+    """Return what a call gives, or raises, in a thread of its own."""
+    given = []
+
+    def run():
+        try:
+            given.append(call())
+        except Exception as error:  # handed on to the test
+            given.append(error)
+
+    thread = threading.Thread(target=run, name="visitor")
+    thread.start()
+    thread.join()
+    return given[0]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda env: env.step(idle(env)),
+        lambda env: env.reset(),
+        lambda env: env.render(width=32, height=24),
+        lambda env: env.get_state(),
+        lambda env: env.expert(),
+        lambda env: env.close(),
+    ],
+    ids=["step", "reset", "render", "get_state", "expert", "close"],
+)
+def test_another_thread_is_told_that_one_is_inside(make_env, call):
+    env, plain = make_env(2), make_env(2)
+    for each in (env, plain):
+        each.reset(seed=0)
+    found = []
+    env.watch(lambda: found.append(in_thread(lambda: call(env))))
+    env.step(idle(env))
+    env.watch(None)
+    plain.step(idle(plain))
+    (error,) = found
+    assert isinstance(error, RuntimeError)
+    assert "thread 'MainThread' is inside this environment" in str(error)
+    assert_same(env.get_state(), plain.get_state())
+
+
+def test_threads_may_take_turns(make_env):
+    env, plain = make_env(2), make_env(2)
+    for each in (env, plain):
+        each.reset(seed=0)
+    in_thread(lambda: env.step(idle(env)))
+    plain.step(idle(plain))
+    assert_same(env.get_state(), plain.get_state())
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("call", ["reset", "step", "render", "get_state", "close"])
+def test_a_forked_child_is_told_so(make_env, call):
+    env = make_env(3, num_threads=2)
+    env.reset(seed=0)
+    arguments = (idle(env),) if call == "step" else ()
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            getattr(env, call)(*arguments)
+            message = "nothing was raised"
+        except BaseException as error:
+            message = str(error)
+        os.write(writing, message.encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        told = pipe.read()
+    os.waitpid(child, 0)
+    assert "belongs to the process that made it" in told
+    assert "'spawn'" in told
+    env.step(idle(env))
+
+
+@pytest.mark.parametrize("shot", [1, 3, 10])
+def test_a_watcher_that_raises_leaves_the_worlds_as_they_were(make_env, shot):
+    env, plain = make_env(2), make_env(2)
+    for each in (env, plain):
+        each.reset(seed=0)
+        each.step(each.expert())
+    seen = []
+
+    def watcher():
+        seen.append(0)
+        if len(seen) == shot:
+            raise KeyboardInterrupt
+
+    before = env.get_state()
+    env.watch(watcher, shots=10)
+    with pytest.raises(KeyboardInterrupt):
+        env.step(env.expert())
+    assert_same(env.get_state(), before)
+    env.watch(None)
+    for _ in range(LENGTH):
+        seen, expected = env.step(env.expert())[0], plain.step(plain.expert())[0]
+        np.testing.assert_array_equal(seen["robot_1"], expected["robot_1"])
+    assert_same(env.get_state(), plain.get_state())
+
+
+def test_a_watcher_may_draw_but_not_step(make_env):
+    env = make_env(1)
+    env.reset(seed=0)
+    env.watch(lambda: env.render(width=32, height=24))
+    env.step(idle(env))
+    for call in (lambda: env.step(idle(env)), env.reset):
+        env.watch(call)
+        with pytest.raises(RuntimeError, match="in the middle of a step; what watches"):
+            env.step(idle(env))
+    env.watch(None)
+    assert env.step(idle(env))[-1]["step"].tolist() == [2]
+
+
+@pytest.mark.parametrize("method", ["disturb", "measure", "reward", "success", "reset"])
+def test_a_task_that_fails_leaves_the_worlds_as_they_were(
+    make_env, monkeypatch, method
+):
+    env = make_env(3)
+    env.reset(seed=0)
+    for _ in range(LENGTH - 1):
+        env.step(idle(env))
+    before = env.get_state()
+
+    def fail(*_):
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env.task, method, fail)
+        with pytest.raises(ZeroDivisionError):
+            env.step(idle(env))
+        assert_same(env.get_state(), before)
+    assert env.step(idle(env))[-1]["ended"].all()
