@@ -317,5 +317,5 @@ def test_a_picture_of_no_world_or_of_no_size_is_refused(make_env):
     env.reset()
     with pytest.raises(IndexError, match="no world 2; worlds are 0 to 1"):
         env.render(2)
-    with pytest.raises(ValueError, match="width must be .*1920, got 5000"):
+    with pytest.raises(ValueError, match=r"width must be .*1920, got 5000"):
         env.render(width=5000)
