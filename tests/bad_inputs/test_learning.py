@@ -149,9 +149,9 @@ RECORD = [
             (64.0, 48),
             ("64", 48),
             (True, 2),
-            (64, None),
         ],
     ),
+    *table("record", "height", _record("size"), [(64, None), (64, 0), (64, 3)]),
     *table(
         "record",
         "size",

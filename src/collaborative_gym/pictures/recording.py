@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import check_count, unknown
+from collaborative_gym.errors import check_count, check_kind, shown, unknown
 from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
 from collaborative_gym.policies import Policy, as_policy
 from collaborative_gym.robots import Robot
+from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
 from collaborative_gym.timing import CONTROL_DT
@@ -89,11 +90,17 @@ def record(
       ValueError: if a number is out of range or the file has another suffix.
     """
     check_count("episodes", episodes, at_least=1)
+    check_kind("output", output, (str, Path), "path")
     output = Path(output)
     kind = _format(output)
-    width, height = size or kind.size
+    width, height = _sides(kind.size if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
+    if on_progress is not None and not callable(on_progress):
+        raise TypeError(
+            f"on_progress must be a function of the share that is done, got"
+            f" {shown(on_progress)}"
+        )
     policies: Sequence[AnyPolicy] = (
         [policy] if isinstance(policy, str | Path) or callable(policy) else policy
     )
@@ -153,6 +160,7 @@ def picture(
       KeyError: if a name is unknown.
       RuntimeError: if no off-screen renderer can start; says what to install.
     """
+    width, height = _sides(size)
     vector_env = VectorEnv(as_task(env), 1, seed=seed, num_threads=1)
     act = as_policy(policy, vector_env)
     observations, infos = vector_env.reset()
@@ -230,6 +238,22 @@ class _Painter:
             self._frame = self._env.render(width=self._size[0], height=self._size[1])
             self._drawn = places
         return self._frame
+
+
+def _sides(size: Any) -> tuple[int, int]:
+    """Return a picture's width and height.
+
+    Raises:
+      TypeError: if they are no two integers.
+      ValueError: if one is below 1, or above the largest that can be drawn.
+    """
+    if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
+        raise TypeError(f"size must be a width and a height, got {shown(size)}")
+    width, height = size
+    return (
+        check_count("width", width, 1, LARGEST[0]),
+        check_count("height", height, 1, LARGEST[1]),
+    )
 
 
 def _spread(env: VectorEnv) -> float:

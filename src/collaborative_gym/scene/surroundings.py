@@ -5,6 +5,9 @@ import mujoco
 CAMERA = "overview"
 """The camera that every task adds, from which its pictures are taken."""
 
+LARGEST = 1920, 1080
+"""Largest width and height of an off-screen picture, in pixels."""
+
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
@@ -50,7 +53,7 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
     visual.headlight.ambient = [0.35] * 3
     visual.headlight.diffuse = [0.25] * 3
     visual.headlight.specular = [0.1] * 3
-    visual.global_.offwidth, visual.global_.offheight = 1920, 1080
+    visual.global_.offwidth, visual.global_.offheight = LARGEST
     # Half of MuJoCo's facets and shadow texels: nobody sees it, and without a graphics
     # card a picture takes half the time.
     visual.quality.shadowsize = 2048
