@@ -1,0 +1,90 @@
+"""Every number of an observation is what MuJoCo says of the thing that it names."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+
+AGENTS = ("robot_1", "robot_2")
+SITES = {
+    "stick": "robot_1/stick/stick",
+    "donut": "robot_2/donut/donut",
+    "pot": "pot/pot",
+    "ball": "ball/ball",
+    "board": "robot_1/board/board",
+    "cube": "cube/centre",
+    "robot_1 handle": "pot/handle_1",
+    "robot_2 handle": "pot/handle_2",
+    **{f"{agent} tcp": f"{agent}/tcp" for agent in AGENTS},
+    **{f"{agent} end effector": f"{agent}/tcp" for agent in AGENTS},
+}
+"""Where what a block shows is in the model."""
+
+
+def joints(model, data, agent):
+    names = [model.joint(i).name for i in range(model.njnt)]
+    robot = [name for name in names if name.startswith(f"{agent}/")]
+    return [data.joint(name).qpos[0] for name in robot][:7]
+
+
+def pose(model, data, site):
+    """Return position and quaternion x y z w of a site."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, data.site(site).xmat)
+    return np.concatenate([data.site(site).xpos, quat[1:], quat[:1]])
+
+
+def velocity(model, data, site):
+    """Return angular, then linear velocity of a site in the world's frame."""
+    found = np.zeros(6)
+    kind, number = mujoco.mjtObj.mjOBJ_SITE, model.site(site).id
+    mujoco.mj_objectVelocity(model, data, kind, number, found, 0)
+    return found
+
+
+def expected(model, data, block, agent):
+    """Return what a block of an agent's observation must be."""
+    owner = block.split()[0]
+    if block == "joints":
+        return joints(model, data, agent)
+    if block.endswith("joints"):
+        return joints(model, data, owner)
+    if block.endswith("gripping"):
+        equalities = [model.equality(i) for i in range(model.neq)]
+        own = [e.id for e in equalities if e.name.startswith(f"{owner} grips")]
+        return data.eq_active[own]
+    if block == "target":
+        return data.mocap_pos[model.body("target").mocapid[0]]
+    if block == "ball linear velocity":
+        return velocity(model, data, "ball/ball")[3:]
+    if block == "ball angular velocity":
+        return velocity(model, data, "ball/ball")[:3]
+    return pose(model, data, SITES[block])
+
+
+@pytest.mark.parametrize("env_id", cg.list_envs())
+def test_each_block_is_what_mujoco_says(env_id):
+    env = cg.make_vec(env_id, num_envs=2, num_threads=1)
+    observations, _ = env.reset(seed=0)
+    for step in range(16):
+        if step % 5 == 0:
+            check(env, observations)
+        observations = env.step(env.expert())[0]
+    grips = "Lift" in env_id or "Pass" in env_id
+    assert env.sim.eq_active.any() or not grips, "no grip was ever seen to hold"
+
+
+def check(env, observations):
+    for i in range(env.num_envs):
+        data = env.sim.data(i)
+        for agent in env.agents:
+            sizes = env.observation_blocks[agent]
+            ends = np.cumsum(list(sizes.values()))[:-1]
+            parts = np.split(observations[agent][i], ends)
+            for block, part in zip(sizes, parts, strict=True):
+                wanted = np.asarray(expected(env.model, data, block, agent), float)
+                if part[3:].shape == (4,):
+                    # A quaternion and its negative are one orientation.
+                    wanted[3:] *= np.sign(np.dot(wanted[3:], part[3:]))
+                np.testing.assert_allclose(part, wanted, atol=1e-5, err_msg=block)

@@ -1,0 +1,118 @@
+"""Starts: each draw spreads over its bounds, and the outermost can be solved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym import rng
+
+STARTS = 150
+UNSOLVED = {"PokeTaskPandaSawyer-v0": {18, 50}}
+"""Where the expert turns the Panda's wrist into two limits, and stays there."""
+
+NONE = cg.Randomization(0.0, 0.0, 0.0, 0.0)
+
+
+def yaw(quat):
+    return 2.0 * np.arctan2(quat[:, 3], quat[:, 0])
+
+
+def turns(quat, nominal):
+    """Return how far about the vertical from the nominal orientation, in rad."""
+    return yaw(cg.math.multiply(quat, cg.math.conjugate(nominal)))
+
+
+def moved(pose, nominal, axes=3):
+    """Return what the randomization may do to an object, by its field."""
+    return {
+        "object_position": (pose[0] - nominal[0])[:, :axes],
+        "object_yaw": turns(pose[1], nominal[1])[:, None],
+    }
+
+
+def drawn(env_id, facts, nominal):
+    """Return by field how far starts are from the nominal one, (starts, k) each."""
+    if env_id.startswith("Poke"):
+        both = [moved(facts.stick, nominal.stick), moved(facts.donut, nominal.donut)]
+        found = {name: np.hstack([one[name] for one in both]) for name in both[0]}
+    elif env_id.startswith("Lift"):
+        found = moved(facts.pot, nominal.pot, axes=2)
+    elif env_id.startswith("Balance"):
+        found = moved(facts.board, nominal.board)
+    else:
+        found = moved(facts.cube, nominal.cube, axes=2)
+    if hasattr(facts, "target"):
+        found["target_position"] = facts.target - nominal.target
+    own = [facts.joints[a] - nominal.joints[a] for a in facts.joints]
+    return {**found, "joint_noise": np.hstack(own)}
+
+
+def starts(env, **bounds):
+    """Return what is measured of starts that are drawn within these bounds alone."""
+    chosen = cg.Randomization(**{**vars(NONE), **bounds})
+    env.task.config = replace(env.task.config, randomization=chosen)
+    env.reset(seed=0)
+    return env.facts
+
+
+@pytest.mark.parametrize("env_id", cg.list_envs())
+def test_each_draw_spreads_over_its_bounds(env_id):
+    env = cg.make_vec(env_id, num_envs=STARTS, num_threads=1)
+    nominal = starts(env)
+    for field in drawn(env_id, nominal, nominal):
+        bound = getattr(cg.Randomization(), field)
+        facts = starts(env, **{field: bound})
+        found = drawn(env_id, facts, nominal)[field] / bound
+        if env_id.startswith("Balance") and field == "joint_noise":
+            # Joints that hold the board keep only what leaves their hand where it is.
+            assert (np.abs(found).max(axis=0) > 0.05).all()
+            assert np.abs(found).max() > 0.8
+            continue
+        # Poke's objects go where the joints bring them, right to first order only.
+        is_poke = env_id.startswith("Poke")
+        least, most = (0.8, 1.5) if is_poke else (0.9, 1.001)
+        assert (found.max(axis=0) > least).all(), field
+        assert (found.min(axis=0) < -least).all(), field
+        assert np.abs(found).max() < most, field
+
+
+def test_the_ball_starts_anywhere_and_is_pushed_either_way():
+    env = cg.make_vec("BalanceTaskSawyers-v0", num_envs=STARTS, num_threads=1)
+    starts(env)
+    share = env.facts.offset[:, :2] / [0.2, 0.45]
+    assert (share.max(axis=0) > 0.9).all()
+    assert (share.min(axis=0) < -0.9).all()
+    push = env.task.memory["pushes"] / [10.0, 0.4, 0.75]
+    assert (push.max(axis=(0, 1)) > 0.9).all()
+    assert (push.min(axis=(0, 1)) < -0.9).all()
+    assert np.abs(push).max() <= 1.0
+
+
+class Corners:
+    """Draws at the bounds: the k-th is at the upper one if bit k % 6 of the episode is.
+
+    So 64 episodes have all patterns of six successive draws.
+    """
+
+    def __init__(self, seed, episode, stream):
+        self._episode, self._drawn = int(episode), 0
+
+    def random(self, shape):
+        draws = self._drawn + np.arange(np.prod(shape, dtype=int))
+        self._drawn += len(draws)
+        return (self._episode >> draws % 6 & 1).astype(float).reshape(shape)
+
+
+@pytest.mark.parametrize("env_id", cg.list_envs())
+def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
+    monkeypatch.setattr(rng, "episode_generator", Corners)
+    env = cg.make_vec(env_id, num_envs=64, num_threads=1)
+    env.reset(seed=0)
+    reached = np.zeros(64, bool)
+    for _ in range(env.task.config.max_episode_steps):
+        reached |= env.step(env.expert())[4]["success"]
+        if reached.all():
+            break
+    assert set(np.flatnonzero(~reached)) == UNSOLVED.get(env_id, set())
