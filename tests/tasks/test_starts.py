@@ -67,8 +67,8 @@ def test_each_draw_spreads_over_its_bounds(env_id):
         found = drawn(env_id, facts, nominal)[field] / bound
         if env_id.startswith("Balance") and field == "joint_noise":
             # Joints that hold the board keep only what leaves their hand where it is.
-            assert (np.abs(found).max(axis=0) > 0.05).all()
-            assert np.abs(found).max() > 0.8
+            by_arm = found.reshape(STARTS, 2, 7)
+            assert (np.abs(by_arm).max(axis=(0, 2)) > 0.5).all()
             continue
         # Poke's objects go where the joints bring them, right to first order only.
         is_poke = env_id.startswith("Poke")
@@ -111,7 +111,7 @@ def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
     env = cg.make_vec(env_id, num_envs=64, num_threads=1)
     env.reset(seed=0)
     reached = np.zeros(64, bool)
-    for _ in range(env.task.config.max_episode_steps):
+    for _ in range(100):
         reached |= env.step(env.expert())[4]["success"]
         if reached.all():
             break
