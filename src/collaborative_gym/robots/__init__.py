@@ -1,9 +1,10 @@
 """The arms, by name."""
 
 from collaborative_gym.errors import check_kind, look_up
+from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
-from collaborative_gym.robots.robot import Gripper, Robot
+from collaborative_gym.robots.robot import Robot
 from collaborative_gym.robots.sawyer import SAWYER
 
 __all__ = [

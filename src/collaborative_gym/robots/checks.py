@@ -1,18 +1,11 @@
 """What can be wrong about an arm, said when its value is made."""
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from collaborative_gym.errors import unknown
-
-if TYPE_CHECKING:
-    from collaborative_gym.robots.robot import Gripper, Robot
-
-STANDS = ("pedestal", "table", "none")
-"""What an arm can stand on."""
+from collaborative_gym.robots.data import RobotData, robot_error
 
 _MOUNTING = 0.5
 """Greatest distance of the first joint from the origin, as a share of the reach."""
@@ -24,58 +17,7 @@ _NEIGHBOURS = 2
 """Links this many joints apart may overlap at home, by the look of their shapes."""
 
 
-def wrong(robot: "Robot", what: str) -> ValueError:
-    """Return the error that says what is wrong about an arm, and what to change."""
-    return ValueError(f"robot {robot.name!r}: {what}")
-
-
-def check_gripper(gripper: "Gripper") -> None:
-    """Raise ValueError if the numbers make no gripper."""
-    if not gripper.joints:
-        return
-    positions = gripper.open_position, gripper.closed_position
-    gaps = gripper.open_gap, gripper.closed_gap
-    if positions[0] == positions[1]:
-        raise ValueError(
-            "a gripper's open_position must differ from its closed_position, got"
-            f" {positions[0]} for both"
-        )
-    if not 0 <= gaps[1] < gaps[0]:
-        raise ValueError(
-            "a gripper's closed_gap must be at least 0 and below its open_gap, got"
-            f" {gaps[1]} and {gaps[0]}"
-        )
-    if gripper.force <= 0:
-        raise ValueError(f"a gripper's force must be above 0, got {gripper.force}")
-
-
-def check_values(robot: "Robot") -> None:
-    """Raise ValueError if a value cannot be right whatever the model file holds."""
-    if robot.stand not in STANDS:
-        raise wrong(robot, unknown("stand", robot.stand, STANDS))
-    count = len(robot.joints)
-    if not count or len(set(robot.joints)) < count:
-        raise wrong(robot, f"joints must name each arm joint once, got {robot.joints}")
-    optional = ("torque_limits", "armature", "damping", "stiffness")
-    for field in ("home", "velocity_limits", *optional):
-        values = getattr(robot, field)
-        if field in optional and not values:
-            continue
-        if len(values) != count:
-            raise ValueError(
-                f"robot {robot.name!r} has {count} joints but {len(values)} values in"
-                f" {field}; give one per joint"
-            )
-        for joint, value in zip(robot.joints, values, strict=True):
-            least = {"home": -np.inf, "armature": 0.0}.get(field, 1e-9)
-            if value < least:
-                bound = "at least 0" if field == "armature" else "above 0"
-                raise wrong(
-                    robot, f"{field} of joint {joint!r} must be {bound}, got {value}"
-                )
-
-
-def compile_alone(robot: "Robot", spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return an arm's model for checks.
 
     What collides in it collides with all, as in worlds, and touches from half a
@@ -92,7 +34,7 @@ def compile_alone(robot: "Robot", spec: mujoco.MjSpec) -> mujoco.MjModel:
         model = spec.compile()
     except ValueError as error:
         file = robot.model_file.name
-        raise wrong(robot, f"MuJoCo cannot compile {file}: {error}") from error
+        raise robot_error(robot, f"MuJoCo cannot compile {file}: {error}") from error
     _check_joints(robot, model)
     _check_ranges(robot, model)
     _check_chain(robot, model)
@@ -104,7 +46,7 @@ def compile_alone(robot: "Robot", spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def at_home(robot: "Robot", model: mujoco.MjModel, fingers: float) -> mujoco.MjData:
+def at_home(robot: RobotData, model: mujoco.MjModel, fingers: float) -> mujoco.MjData:
     """Return the state of an arm at home, its fingers at a position (m or rad)."""
     data = mujoco.MjData(model)
     for joint, angle in zip(robot.joints, robot.home, strict=True):
@@ -115,7 +57,7 @@ def at_home(robot: "Robot", model: mujoco.MjModel, fingers: float) -> mujoco.MjD
     return data
 
 
-def overlaps(robot: "Robot", model: mujoco.MjModel) -> tuple[tuple[str, str], ...]:
+def overlaps(robot: RobotData, model: mujoco.MjModel) -> tuple[tuple[str, str], ...]:
     """Return the pairs of neighbouring bodies that touch at home.
 
     Raises:
@@ -126,7 +68,7 @@ def overlaps(robot: "Robot", model: mujoco.MjModel) -> tuple[tuple[str, str], ..
         first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
         names = model.body(first).name, model.body(second).name
         if _joints_between(model, first, second) > _NEIGHBOURS:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"its bodies {names[0]!r} and {names[1]!r} touch at home; give a home"
                 " where they do not, make their collision shapes smaller, or, in MJCF,"
@@ -149,27 +91,27 @@ def _joints_between(model: mujoco.MjModel, first: int, second: int) -> int:
     return ways[0].index(shared) + ways[1].index(shared)
 
 
-def _check_joints(robot: "Robot", model: mujoco.MjModel) -> None:
+def _check_joints(robot: RobotData, model: mujoco.MjModel) -> None:
     hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
     for name in (*robot.joints, *robot.gripper.joints):
         kind = mujoco.mjtJoint(int(model.joint(name).type[0]))
         if kind != hinge and (kind != slide or name in robot.joints):
             given = kind.name.removeprefix("mjJNT_").lower()
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"joint {name!r} is a {given}; arm joints must be hinges (revolute),"
                 " those of fingers hinges or slides (prismatic)",
             )
     for name in robot.joints:
         if not model.joint(name).limited[0]:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"joint {name!r} has no range; give it one in the model file, two turns"
                 " (-6.2832 to 6.2832 rad) if it turns freely",
             )
 
 
-def _check_ranges(robot: "Robot", model: mujoco.MjModel) -> None:
+def _check_ranges(robot: RobotData, model: mujoco.MjModel) -> None:
     gripper = robot.gripper
     placed = [("home", *pair) for pair in zip(robot.joints, robot.home, strict=True)]
     for name in gripper.joints:
@@ -178,14 +120,14 @@ def _check_ranges(robot: "Robot", model: mujoco.MjModel) -> None:
     for field, name, value in placed:
         low, high = model.joint(name).range
         if model.joint(name).limited[0] and not low - 1e-6 <= value <= high + 1e-6:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"{field} puts joint {name!r} at {value:g}, outside of its range"
                 f" {low:g} to {high:g} (rad or m) in the model file",
             )
 
 
-def _check_chain(robot: "Robot", model: mujoco.MjModel) -> None:
+def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
     """Raise ValueError unless each joint carries the next, and the last the tool."""
     chain = [int(model.joint(name).bodyid[0]) for name in robot.joints]
     tips = [int(model.joint(name).bodyid[0]) for name in robot.gripper.joints]
@@ -195,7 +137,7 @@ def _check_chain(robot: "Robot", model: mujoco.MjModel) -> None:
         while above not in (carrier, 0):
             above = int(model.body_parentid[above])
         if above == 0:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"its body {model.body(body).name!r} is not carried by"
                 f" {model.body(carrier).name!r}; list joints from the base to the tool,"
@@ -203,17 +145,19 @@ def _check_chain(robot: "Robot", model: mujoco.MjModel) -> None:
             )
     places = [int(model.joint(name).qposadr[0]) for name in robot.joints]
     if places != list(range(places[0], places[0] + len(places))):
-        raise wrong(
+        raise robot_error(
             robot,
             "other joints come between those of the arm; in the model file, put what"
             " branches off the arm behind the link that carries on",
         )
 
 
-def _check_mounting(robot: "Robot", model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def _check_mounting(
+    robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData
+) -> None:
     anchor = data.xanchor[model.joint(robot.joints[0]).id]
     if np.linalg.norm(anchor) > _MOUNTING * robot.reach or anchor[2] < -0.01:
-        raise wrong(
+        raise robot_error(
             robot,
             f"its first joint is at {np.round(anchor, 3).tolist()} in the model file,"
             f" too far for a reach of {robot.reach} m; move the base to the origin, its"
@@ -221,7 +165,7 @@ def _check_mounting(robot: "Robot", model: mujoco.MjModel, data: mujoco.MjData) 
         )
 
 
-def _check_tcp(robot: "Robot", model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def _check_tcp(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Raise ValueError unless the tcp's z axis points away from the last joint."""
     tcp = data.site(robot.tcp)
     offset = tcp.xpos - data.xanchor[model.joint(robot.joints[-1]).id]
@@ -230,7 +174,7 @@ def _check_tcp(robot: "Robot", model: mujoco.MjModel, data: mujoco.MjData) -> No
     if length > 0.02 and along[2] < 0.5 * length:
         axis = int(np.abs(along).argmax())
         name = ("-" if along[axis] < 0 else "") + "xyz"[axis]
-        raise wrong(
+        raise robot_error(
             robot,
             f"the z axis of its tcp {robot.tcp!r} must point along the approach, away"
             f" from the wrist, where now its {name} axis points; turn that frame in the"
@@ -238,7 +182,7 @@ def _check_tcp(robot: "Robot", model: mujoco.MjModel, data: mujoco.MjData) -> No
         )
 
 
-def _check_fingers(robot: "Robot", model: mujoco.MjModel) -> None:
+def _check_fingers(robot: RobotData, model: mujoco.MjModel) -> None:
     """Raise ValueError unless the fingers close along the tcp's y axis."""
     bodies = [int(model.joint(name).bodyid[0]) for name in robot.gripper.joints]
     places = []
@@ -248,14 +192,14 @@ def _check_fingers(robot: "Robot", model: mujoco.MjModel) -> None:
         places.append((data.xipos[bodies] - tcp.xpos) @ tcp.xmat.reshape(3, 3))
     moved = np.abs(places[1] - places[0]).sum(axis=0)
     if moved[0] > moved[1]:
-        raise wrong(
+        raise robot_error(
             robot,
             f"its fingers close along x of its tcp {robot.tcp!r}, and must along"
             " y; turn that frame about z by 90 degrees in the model file, or add one",
         )
     spread = [np.ptp(place[:, 1]) for place in places]
     if spread[1] >= spread[0]:
-        raise wrong(
+        raise robot_error(
             robot,
             "its fingers move apart from gripper.open_position to"
             " gripper.closed_position; swap the two",

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from collaborative_gym.robots.robot import Gripper, Robot
+from collaborative_gym.robots.data import Gripper
+from collaborative_gym.robots.robot import Robot
 
 # Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
 # inertia allows without chatter at the physics time step. Rotor inertias, too, are our

@@ -1,24 +1,20 @@
 """From an arm's model file to a model that goes into any world."""
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from collaborative_gym.errors import unknown
-from collaborative_gym.robots.checks import wrong
+from collaborative_gym.robots.data import RobotData, robot_error
 from collaborative_gym.robots.urdf import read_urdf
-
-if TYPE_CHECKING:
-    from collaborative_gym.robots.robot import Robot
 
 _FINGER_INERTIA = 0.002
 """Rotor inertia over force of fingers whose file gives none, in s2/m (s2 where they
 turn). It keeps a finger of a few grams stable at the physics time step."""
 
 
-def load_model(robot: "Robot") -> mujoco.MjSpec:
+def load_model(robot: RobotData) -> mujoco.MjSpec:
     """Return the model of an arm's file, fresh, prepared for the arm's servos.
 
     Raises:
@@ -85,7 +81,7 @@ def relative_pose(
     return position, quat
 
 
-def _read(robot: "Robot") -> mujoco.MjSpec:
+def _read(robot: RobotData) -> mujoco.MjSpec:
     path = robot.model_file
     if not path.is_file():
         raise FileNotFoundError(
@@ -114,7 +110,7 @@ def _leave_out(spec: mujoco.MjSpec) -> None:
             setattr(spec.authored, part, 0)
 
 
-def _check_names(robot: "Robot", spec: mujoco.MjSpec) -> None:
+def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
     """Raise ValueError if the file lacks what the value names, or has more joints."""
     file, fingers = f"its model file {robot.model_file.name}", robot.gripper.joints
     joints = [joint.name for joint in spec.joints]
@@ -125,26 +121,26 @@ def _check_names(robot: "Robot", spec: mujoco.MjSpec) -> None:
     ):
         for name in wanted:
             if name not in names:
-                raise wrong(robot, f"{file} has {unknown(kind, name, names)}")
+                raise robot_error(robot, f"{file} has {unknown(kind, name, names)}")
     driven = {*robot.joints, *fingers}
     driven |= {eq.name1 for eq in spec.equalities if follows(eq, fingers)}
     for name in joints:
         if name not in driven:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"{file} has a joint {name!r} that nothing would drive; name it in"
                 ' joints or in gripper.joints, or fix it (type="fixed" in URDF, no'
                 " <joint> in MJCF)",
             )
     if spec.worldbody.geoms:
-        raise wrong(
+        raise robot_error(
             robot,
             f"{file} has a geom {spec.worldbody.geoms[0].name!r} outside of all bodies;"
             " leave floors out, and give the base a body for its geoms",
         )
 
 
-def _add_tcp(robot: "Robot", spec: mujoco.MjSpec) -> None:
+def _add_tcp(robot: RobotData, spec: mujoco.MjSpec) -> None:
     """Add the tcp's site where the body of its name is.
 
     It goes on the body that carries this one, if this one is but a frame, as a URDF's
@@ -154,7 +150,7 @@ def _add_tcp(robot: "Robot", spec: mujoco.MjSpec) -> None:
         data = kinematics(spec, {})
     except ValueError as error:
         file = robot.model_file.name
-        raise wrong(robot, f"MuJoCo cannot compile {file}: {error}") from error
+        raise robot_error(robot, f"MuJoCo cannot compile {file}: {error}") from error
     body = spec.body(robot.tcp)
     while body.parent.name != "world" and not (
         body.joints or body.geoms or body.explicitinertial
@@ -164,7 +160,7 @@ def _add_tcp(robot: "Robot", spec: mujoco.MjSpec) -> None:
     body.add_site(name=robot.tcp, pos=position, quat=quat)
 
 
-def _prepare_joints(robot: "Robot", spec: mujoco.MjSpec) -> None:
+def _prepare_joints(robot: RobotData, spec: mujoco.MjSpec) -> None:
     """Let the arm's links float, and its servos alone set torques."""
     fingers = {body.name for body in finger_bodies(spec, robot.joints)}
     for body in _with_descendants(spec.joint(robot.joints[0]).parent):

@@ -8,16 +8,12 @@ these rules Sawyer, Panda and Jaco follow commands as well as with gains found b
 (`python benchmarks/servo.py --computed`).
 """
 
-from typing import TYPE_CHECKING
-
 import mujoco
 import numpy as np
 
-from collaborative_gym.robots.checks import at_home, wrong
+from collaborative_gym.robots.checks import at_home
+from collaborative_gym.robots.data import RobotData, robot_error
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT
-
-if TYPE_CHECKING:
-    from collaborative_gym.robots.robot import Robot
 
 _RISE = 0.02
 """Least time in s that a joint takes from rest to full speed at its torque limit."""
@@ -26,7 +22,7 @@ _ROTOR_RISE = 0.01
 """Least time in s that its rotor alone takes."""
 
 
-def torque_limits(robot: "Robot", spec: mujoco.MjSpec) -> tuple[float, ...]:
+def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
     """Return the torque limits of the model file, in N m.
 
     Raises:
@@ -37,7 +33,7 @@ def torque_limits(robot: "Robot", spec: mujoco.MjSpec) -> tuple[float, ...]:
         low, high = spec.joint(name).actfrcrange
         limits.append(float(min(-low, high)))
         if not limits[-1] > 0:
-            raise wrong(
+            raise robot_error(
                 robot,
                 f"its model file has no torque limit for joint {name!r}; pass"
                 ' torque_limits, or give it in the file (<limit effort="..."> in URDF,'
@@ -46,7 +42,7 @@ def torque_limits(robot: "Robot", spec: mujoco.MjSpec) -> tuple[float, ...]:
     return tuple(limits)
 
 
-def armatures(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
+def armatures(robot: RobotData, model: mujoco.MjModel) -> tuple[float, ...]:
     """Return the rotor inertias of the model file, in kg m2, or sensible ones."""
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
     own = model.dof_armature[dofs]
@@ -57,14 +53,14 @@ def armatures(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
     return tuple(np.where(own > 0, own, rotors).tolist())
 
 
-def dampings(robot: "Robot", model: mujoco.MjModel) -> tuple[float, ...]:
+def dampings(robot: RobotData, model: mujoco.MjModel) -> tuple[float, ...]:
     """Return velocity gains for the joint servos, in N m s/rad."""
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
     links = inertias(robot, model) - model.dof_armature[dofs]
     return tuple(((links + np.array(robot.armature)) / SIM_DT).tolist())
 
 
-def inertias(robot: "Robot", model: mujoco.MjModel) -> np.ndarray:
+def inertias(robot: RobotData, model: mujoco.MjModel) -> np.ndarray:
     """Return the inertia that each joint moves at home, (joints,) in kg m2."""
     data = at_home(robot, model, robot.gripper.open_position)
     full = np.zeros((model.nv, model.nv))

@@ -1,0 +1,198 @@
+"""What is said of an arm and its gripper, before its model file is read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from collaborative_gym.errors import (
+    check_kind,
+    check_name,
+    check_number,
+    check_numbers,
+    unknown,
+)
+
+_STANDS = ("pedestal", "table", "none")
+"""What an arm can stand on."""
+
+_PER_JOINT = (
+    "home",
+    "velocity_limits",
+    "torque_limits",
+    "armature",
+    "damping",
+    "stiffness",
+)
+
+_GRIPPER_NUMBERS = (
+    "open_position",
+    "closed_position",
+    "open_gap",
+    "closed_gap",
+    "force",
+)
+
+
+@dataclass(frozen=True)
+class Gripper:
+    """Fingers that move together, each on its own joint; without joints, no fingers.
+
+    Joints that mimic one of these in URDF, or follow it by a joint equality in MJCF,
+    move with it.
+
+    Attributes:
+      joints: finger joint names in the model file.
+      open_position: joint position of an open gripper, in m or rad.
+      closed_position: joint position of a closed gripper, in m or rad.
+      open_gap: clear width between the fingers when open, in m.
+      closed_gap: clear width between the fingers when closed, in m.
+      force: limit of one finger's actuator, in N or N m.
+
+    Raises:
+      ValueError: if the numbers make no gripper; says which to change.
+    """
+
+    joints: tuple[str, ...] = ()
+    open_position: float = 0.0
+    closed_position: float = 0.0
+    open_gap: float = 0.0
+    closed_gap: float = 0.0
+    force: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, joints=_names(self.joints))
+        for field_name in _GRIPPER_NUMBERS:
+            given = getattr(self, field_name)
+            freeze(self, **{field_name: check_number(field_name, given)})
+        _check_gripper(self)
+
+    def position(self, gap: float) -> float:
+        """Return the joint position at which the fingers are `gap` metres apart."""
+        gap = check_number("gap", gap)
+        if not self.joints:
+            return self.open_position
+        gap = min(max(gap, self.closed_gap), self.open_gap)
+        fraction = (gap - self.closed_gap) / (self.open_gap - self.closed_gap)
+        return self.closed_position + fraction * (
+            self.open_position - self.closed_position
+        )
+
+
+@dataclass(frozen=True)
+class RobotData:
+    """The fields of a `Robot`, which says what they are; blanks are not filled."""
+
+    name: str
+    model_file: Path
+    joints: tuple[str, ...]
+    home: tuple[float, ...]
+    velocity_limits: tuple[float, ...]
+    payload: float
+    reach: float
+    gripper: Gripper = field(default_factory=Gripper)
+    title: str = ""
+    torque_limits: tuple[float, ...] = ()
+    armature: tuple[float, ...] = ()
+    damping: tuple[float, ...] = ()
+    stiffness: tuple[float, ...] = ()
+    stand: Literal["pedestal", "table", "none"] = "table"
+    tcp: str = "tcp"
+    _overlaps: tuple[tuple[str, str], ...] = field(
+        init=False, repr=False, compare=False
+    )
+
+    def __post_init__(self) -> None:
+        check_name("name", self.name)
+        check_kind("model_file", self.model_file, (str, Path), "a path")
+        check_kind("title", self.title, str, "a string")
+        check_kind("gripper", self.gripper, Gripper, "a Gripper")
+        check_name("tcp", self.tcp)
+        freeze(
+            self,
+            model_file=Path(self.model_file).absolute(),
+            joints=_names(self.joints),
+            title=self.title or self.name,
+            _overlaps=(),
+        )
+        for field_name in _PER_JOINT:
+            values = check_numbers(field_name, getattr(self, field_name))
+            freeze(self, **{field_name: values})
+        for field_name in ("payload", "reach"):
+            value = check_number(field_name, getattr(self, field_name), above=0)
+            freeze(self, **{field_name: value})
+        _check_values(self)
+
+    @property
+    def base_height(self) -> float:
+        """Height above the floor at which its stand carries the base, in m."""
+        # Those of the thesis; its pedestals are higher than Sawyer's own (0.915 m).
+        return {"pedestal": 1.0, "table": 0.65, "none": 0.0}[self.stand]
+
+
+def robot_error(robot: RobotData, what: str) -> ValueError:
+    """Return the error that says what is wrong about an arm, and what to change."""
+    return ValueError(f"robot {robot.name!r}: {what}")
+
+
+def _check_gripper(gripper: Gripper) -> None:
+    """Raise ValueError if the numbers make no gripper."""
+    if not gripper.joints:
+        return
+    positions = gripper.open_position, gripper.closed_position
+    gaps = gripper.open_gap, gripper.closed_gap
+    if positions[0] == positions[1]:
+        raise ValueError(
+            "a gripper's open_position must differ from its closed_position, got"
+            f" {positions[0]} for both"
+        )
+    if not 0 <= gaps[1] < gaps[0]:
+        raise ValueError(
+            "a gripper's closed_gap must be at least 0 and below its open_gap, got"
+            f" {gaps[1]} and {gaps[0]}"
+        )
+    if gripper.force <= 0:
+        raise ValueError(f"a gripper's force must be above 0, got {gripper.force}")
+
+
+def _check_values(robot: RobotData) -> None:
+    """Raise ValueError if a value cannot be right whatever the model file holds."""
+    if robot.stand not in _STANDS:
+        raise robot_error(robot, unknown("stand", robot.stand, _STANDS))
+    count = len(robot.joints)
+    if not count or len(set(robot.joints)) < count:
+        raise robot_error(
+            robot, f"joints must name each arm joint once, got {robot.joints}"
+        )
+    optional = ("torque_limits", "armature", "damping", "stiffness")
+    for name in ("home", "velocity_limits", *optional):
+        values = getattr(robot, name)
+        if name in optional and not values:
+            continue
+        if len(values) != count:
+            raise ValueError(
+                f"robot {robot.name!r} has {count} joints but {len(values)} values in"
+                f" {name}; give one per joint"
+            )
+        for joint, value in zip(robot.joints, values, strict=True):
+            least = {"home": -np.inf, "armature": 0.0}.get(name, 1e-9)
+            if value < least:
+                bound = "at least 0" if name == "armature" else "above 0"
+                raise robot_error(
+                    robot, f"{name} of joint {joint!r} must be {bound}, got {value}"
+                )
+
+
+def freeze(value: Any, **fields: Any) -> None:
+    """Set fields of a frozen value that is being made."""
+    for name, content in fields.items():
+        object.__setattr__(value, name, content)
+
+
+def _names(given: Sequence[str]) -> tuple[str, ...]:
+    check_kind("joints", given, (tuple, list), "a sequence of names")
+    for name in given:
+        check_name("each of joints", name)
+    return tuple(given)
