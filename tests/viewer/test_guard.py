@@ -162,6 +162,13 @@ def test_open_to_others_it_answers_to_addresses_and_its_own_names(make_page):
         assert statuses(page, [("Host", host)]) == [403, 403]
 
 
+@pytest.mark.skipif(not socket.has_ipv6, reason="there is no IPv6")
+def test_its_page_at_an_ipv6_address_is_answered(make_page):
+    page = make_page("::1")
+    tab = join(page)
+    tab.close()
+
+
 def test_no_foreign_page_may_frame_it(page):
     web = HTTPConnection("127.0.0.1", port_of(page), timeout=10)
     for path in ("/", "/missing"):

@@ -20,6 +20,9 @@ from collaborative_gym.viewer.session import FASTEST, SLOWEST
 PULL = "cmd/ctrl"
 """What to hold down while the mouse pulls at a body."""
 
+_PROTOCOL = f"viser-v{viser.__version__}"
+"""The WebSocket protocol by which viser's own page talks to it."""
+
 _LARGEST = 2**14
 """Size of the largest message that is read, in bytes; a tab's have some hundred."""
 
@@ -94,14 +97,11 @@ class _Guard:
 
     def serve(
         self,
-        handler: Callable[..., Any],
-        host: str,
-        port: int,
-        *,
+        *arguments: Any,
         process_request: Callable[..., Response | None],
         **settings: Any,
     ) -> websockets.serve:
-        """Serve as viser asks for, but guarded."""
+        """Serve as viser asks for with `websockets.serve`, but guarded."""
         self.has_served = True
 
         def answer(connection: Any, request: Request) -> Response | None:
@@ -117,7 +117,7 @@ class _Guard:
 
         settings |= {"max_size": _LARGEST, "logger": _LOGGER}
         settings |= {"process_request": answer, "create_connection": Connection}
-        return _serve(handler, host, port, **settings)
+        return _serve(*arguments, **settings)
 
     def count(self, change: int) -> bool:
         """Return whether so many connections may be open, one more or one less."""
@@ -137,8 +137,8 @@ class _Guard:
             return connection.respond(
                 HTTPStatus.FORBIDDEN, "This viewer answers its own page alone.\n"
             )
-        protocol = request.headers.get("Sec-WebSocket-Protocol", "")
-        if "Upgrade" in request.headers and protocol != _protocol():
+        protocols = request.headers.get_all("Sec-WebSocket-Protocol")
+        if "Upgrade" in request.headers and protocols != [_PROTOCOL]:
             return connection.respond(
                 HTTPStatus.BAD_REQUEST, "This page is of another version; reload it.\n"
             )
@@ -180,11 +180,6 @@ class _Connection(websockets.ServerConnection):
                 return _WRITER.encode(_READER.decode(message))
             except ValueError:
                 continue
-
-
-def _protocol() -> str:
-    """Return by which WebSocket protocol viser's own page talks to it."""
-    return f"viser-v{viser.__version__}"
 
 
 _serve = websockets.serve
