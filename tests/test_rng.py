@@ -51,6 +51,16 @@ def test_seeds_are_checked():
     assert check_seed(np.int32(5)) == 5
     assert check_seed(2**63 - 1) == 2**63 - 1
     assert draw(2**63 - 1, 0) != draw(0, 0)
-    for wrong, error in ((-1, ValueError), (2**63, ValueError), (1.0, TypeError)):
+    for wrong, error in ((-1, ValueError), (True, TypeError), (1.0, TypeError)):
         with pytest.raises(error, match="seed must be"):
             check_seed(wrong)
+
+
+def test_seeds_of_any_size_have_their_own_numbers():
+    large = [2**63, 2**63 + 1, 2**64 - 1, 2**64, 2**200, 2**200 + 1, 10**5000]
+    folded = [check_seed(seed) for seed in large]
+    assert folded == [check_seed(np.uint64(2**63)), *folded[1:]]
+    assert all(0 <= seed < 2**63 for seed in folded)
+    assert len({tuple(draw(seed, 0)) for seed in [0, *folded]}) == 1 + len(large)
+    # A change here changes the episodes of every large seed.
+    assert check_seed(2**64) == 8425315350720491227

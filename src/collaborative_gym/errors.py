@@ -39,6 +39,10 @@ class UnknownName(KeyError):
         return str(self.args[0])
 
 
+class UnknownOption(UnknownName, TypeError):
+    """A keyword argument that there is not, as Python itself calls it."""
+
+
 def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     """Return the message for a name that is none of the valid ones.
 

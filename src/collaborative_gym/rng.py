@@ -4,10 +4,12 @@ Episode e of seed s draws from a counter-based generator (Philox) keyed by (s, e
 episode starts the same way in any world of any batch, whatever was run before it.
 """
 
+import hashlib
 from enum import IntEnum
 
 import numpy as np
 
+from collaborative_gym.errors import shown
 from collaborative_gym.math import Array
 
 
@@ -19,17 +21,27 @@ class Stream(IntEnum):
 
 
 def check_seed(seed: int) -> int:
-    """Return a seed that a caller gave as an `int`.
+    """Return a seed that a caller gave as an `int` of at most 63 bits.
+
+    One that has more is as good as the 63 bits of its digest, which is what reports
+    then call it.
 
     Raises:
       TypeError: if it is no integer.
-      ValueError: if it is negative or needs more than 63 bits.
+      ValueError: if it is negative.
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must be an integer, got {seed!r}")
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed must be at least 0 and below 2**63, got {seed}")
-    return int(seed)
+    if isinstance(seed, bool | np.timedelta64) or not isinstance(
+        seed, int | np.integer
+    ):
+        raise TypeError(f"seed must be an integer, got {shown(seed)}")
+    number = int(seed)
+    if number < 0:
+        raise ValueError(f"seed must be at least 0, got {number}")
+    if number < 2**63:
+        return number
+    content = number.to_bytes((number.bit_length() + 7) // 8, "big")
+    digest = hashlib.blake2b(content, digest_size=8).digest()
+    return int.from_bytes(digest, "big") >> 1
 
 
 def episode_generator(seed: int, episode: int, stream: Stream) -> np.random.Generator:

@@ -7,6 +7,11 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RecordEpisodeStatistics
 from gymnasium.wrappers.vector import (
+    DtypeObservation,
+    NormalizeObservation,
+    NormalizeReward,
+)
+from gymnasium.wrappers.vector import (
     RecordEpisodeStatistics as RecordVectorEpisodeStatistics,
 )
 
@@ -51,7 +56,7 @@ def test_one_agent_commands_all_robots(env, make_env):
     batch = make_env(2)
     expected = batch.reset(seed=3)[0]
     observation, info = env.reset(seed=3)
-    assert info == {}
+    assert info["metrics"]["length"] == 0
     assert env.observation_space.shape == (38,)
     assert env.action_space.shape == (16,)
     joined = np.concatenate([expected[agent][0] for agent in batch.agents])
@@ -82,7 +87,7 @@ def test_an_episode_ends_truncated_with_its_metrics(carry_id):
         )
         total += reward
         assert not terminated
-        assert ("metrics" in info) == truncated
+        assert info["metrics"]["return"] == pytest.approx(total)
     assert observation[16] > 0.7
     assert info["metrics"]["return"] == pytest.approx(total)
     assert info["metrics"]["length"] == info["episode"]["l"] == LENGTH
@@ -204,3 +209,137 @@ def test_pictures_need_a_render_mode(carry_id):
     envs.reset()
     with pytest.raises(RuntimeError, match="make it with render_mode='rgb_array'"):
         envs.render()
+
+
+@pytest.fixture
+def make_vec(carry_id):
+    """Return a function that makes worlds that start anew in a chosen mode."""
+    made = []
+
+    def make_vec(mode, num_envs=3):
+        kwargs = {"autoreset_mode": mode, "num_threads": 1}
+        made.append(gymnasium.make_vec(carry_id, num_envs=num_envs, **kwargs))
+        return made[-1]
+
+    yield make_vec
+    for envs in made:
+        envs.close()
+
+
+def end_early(envs, worlds):
+    """Let the episodes of these worlds end with the next step."""
+    batch = envs.unwrapped.vector_env
+    state = batch.get_state(worlds)
+    state.progress["step"][:] = LENGTH - 1
+    batch.set_state(state, worlds)
+
+
+def test_worlds_reset_in_the_next_step(make_vec, make_env):
+    envs, twin = make_vec(AutoresetMode.NEXT_STEP), make_env(3)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    envs.reset(seed=0)
+    twin.reset(seed=0)
+    end_early(envs, [1])
+    _, rewards, terminated, truncated, infos = envs.step(np.zeros((3, 16)))
+    assert truncated.tolist() == [False, True, False]
+    assert infos["metrics"]["length"].tolist() == [1, 1, 1]
+    assert infos["_metrics"].all()
+    assert "final_obs" not in infos
+    observations, rewards, terminated, truncated, infos = envs.step(np.ones((3, 16)))
+    assert rewards[1] == 0.0
+    assert rewards[0] != 0.0
+    assert not (terminated | truncated).any()
+    assert infos["metrics"]["length"].tolist() == [2, 0, 2]
+    assert infos["metrics"]["episode"].tolist() == [0, 4, 2]
+    start = twin.reset(seed=0, episodes=[0, 4, 2])[0]
+    joined = np.concatenate(list(start.values()), axis=1)
+    np.testing.assert_array_equal(observations[1], joined[1])
+    assert not np.array_equal(observations[0], joined[0])
+    *_, infos = envs.step(np.zeros((3, 16)))
+    assert infos["metrics"]["length"].tolist() == [3, 1, 3]
+
+
+def test_all_worlds_reset_in_the_next_step(make_vec):
+    envs = make_vec("NextStep")
+    envs.reset(seed=0)
+    for _ in range(LENGTH):
+        *_, truncated, _ = envs.step(np.zeros((3, 16)))
+    assert truncated.all()
+    observations, rewards, _, truncated, infos = envs.step(np.zeros((3, 16)))
+    assert observations in envs.observation_space
+    assert not truncated.any()
+    assert not rewards.any()
+    assert infos["metrics"]["episode"].tolist() == [3, 4, 5]
+
+
+def test_worlds_that_do_not_reset_themselves(make_vec):
+    envs = make_vec(AutoresetMode.DISABLED)
+    envs.reset(seed=0)
+    end_early(envs, [0, 2])
+    envs.step(np.zeros((3, 16)))
+    with pytest.raises(RuntimeError, match=r"of the worlds \[0, 2\] have ended; call"):
+        envs.step(np.zeros((3, 16)))
+    mask = np.array([True, False, True])
+    observations, infos = envs.reset(options={"reset_mask": mask})
+    assert observations in envs.observation_space
+    assert infos["_success"].tolist() == mask.tolist()
+    *_, infos = envs.step(np.zeros((3, 16)))
+    assert infos["metrics"]["length"].tolist() == [1, 2, 1]
+
+
+def test_there_is_no_such_autoreset_mode(carry_id):
+    with pytest.raises(
+        KeyError, match=r"no autoreset mode 'never'; autoreset modes: D"
+    ):
+        gymnasium.make_vec(carry_id, num_envs=2, autoreset_mode="never")
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+@pytest.mark.parametrize(
+    "wrapper",
+    [
+        NormalizeObservation,
+        NormalizeReward,
+        lambda envs: DtypeObservation(envs, np.float16),
+        RecordVectorEpisodeStatistics,
+    ],
+    ids=["observation", "reward", "dtype", "statistics"],
+)
+def test_wrappers_of_gymnasium(make_vec, mode, wrapper):
+    envs = make_vec(mode)
+    try:
+        wrapped = wrapper(envs)
+    except AssertionError:  # Some allow only NEXT_STEP.
+        assert mode is not AutoresetMode.NEXT_STEP
+        return
+    wrapped.reset(seed=0)
+    for _ in range(LENGTH):
+        observations, rewards, _, truncated, _ = wrapped.step(np.zeros((3, 16)))
+    assert truncated.all()
+    assert np.isfinite(observations).all()
+    assert np.isfinite(rewards).all()
+    if mode is not AutoresetMode.DISABLED:
+        wrapped.step(np.zeros((3, 16)))
+
+
+def names(value):
+    """Return the nested names in an info."""
+    if not isinstance(value, dict):
+        return None
+    return {name: names(part) for name, part in value.items()}
+
+
+def test_infos_have_the_same_names_at_every_reset_and_step(env, make_vec):
+    expected = names(env.reset(seed=0)[1])
+    for _ in range(LENGTH):
+        assert names(env.step(np.zeros(16))[-1]) == expected
+    envs = make_vec(AutoresetMode.NEXT_STEP)
+    expected = names(envs.reset(seed=0)[1])
+    for _ in range(LENGTH + 2):
+        assert names(envs.step(np.zeros((3, 16)))[-1]) == expected
+
+
+def test_seeds_of_64_bits(env, envs):
+    for seed in (2**63, 2**64 - 1):
+        env.reset(seed=seed)
+        envs.reset(seed=seed)

@@ -74,7 +74,7 @@ def test_it_plays_the_same_episode_as_a_batch(env, make_env):
     batch = make_env(3)
     expected = batch.reset(seed=4)[0]
     observations, infos = env.reset(seed=4)
-    assert infos == {"robot_1": {}, "robot_2": {}}
+    assert infos["robot_1"]["metrics"]["length"] == 0
     for _ in range(3):
         for agent in env.agents:
             assert observations[agent].dtype == np.float32
@@ -101,7 +101,8 @@ def test_an_episode_ends_with_its_own_last_observation_and_metrics(env):
             assert sum(info["reward_terms"].values()) == pytest.approx(reward)
             assert info["success"] is (observations[agent][16] > 0.6).item()
             assert info["diverged"] is False
-            assert ("metrics" in info) is truncated[agent] is (step == LENGTH - 1)
+            assert info["metrics"]["length"] == step + 1
+            assert truncated[agent] is (step == LENGTH - 1)
     assert env.agents == []
     assert observations["robot_1"][16] > 0.7
     metrics = infos["robot_2"]["metrics"]
@@ -173,7 +174,10 @@ def test_calls_out_of_order_say_so(env):
 
 
 def test_pictures_need_a_render_mode(carry):
-    with pytest.raises(KeyError, match="no render mode 'human'; render modes: rgb_arr"):
+    with pytest.raises(
+        KeyError,
+        match=r"no render mode 'human'; .* rgb_array; `collaborative-gym view`",
+    ):
         PettingZooEnv(carry(), "human")
     env = PettingZooEnv(carry())
     env.reset()
@@ -187,3 +191,54 @@ def test_make_finds_an_environment_by_id_or_task(carry_id):
     assert env.vector_env.task.robots["robot_2"].name == "jaco"
     assert env.vector_env.task.config.max_episode_steps == 3
     assert env.vector_env.task.config.randomization == cg.Randomization()
+
+
+def shape(value):
+    """Return the nested names in an info."""
+    if not isinstance(value, dict):
+        return None
+    return {name: shape(part) for name, part in value.items()}
+
+
+def test_infos_have_the_same_names_at_every_reset_and_step(env):
+    infos = env.reset(seed=0)[1]
+    expected = shape(infos)
+    assert set(expected["robot_1"]) == {
+        "success",
+        "diverged",
+        "reward_terms",
+        "metrics",
+    }
+    while env.agents:
+        assert shape(env.step(idle(env))[-1]) == expected
+    assert shape(env.reset()[1]) == expected
+
+
+def test_agents_of_several_sides_are_told_of_their_own(carry, monkeypatch):
+    task = carry()
+    parts = {
+        "sides": (("robot_1",), ("robot_2",)),
+        "success": lambda self, facts: (facts.height > 0.6, facts.height < 0.6),
+        "performing": lambda self, facts: (facts.height > 0.6, facts.height < 0.6),
+        "reward": lambda self, facts, actions: {
+            "robot_1": {"height": facts.height},
+            "robot_2": {"height": -facts.height},
+        },
+        "over": lambda self, facts: facts.height > 0.6,
+    }
+    for name, part in parts.items():
+        monkeypatch.setattr(type(task), name, part)
+    env = PettingZooEnv(task)
+    infos = env.reset(seed=0)[1]
+    assert [infos[agent]["success"] for agent in env.agents] == [False, True]
+    terminated = {}
+    while env.agents:
+        batch = env.vector_env.expert()
+        actions = {agent: rows[0] for agent, rows in batch.items()}
+        _, _, terminated, truncated, infos = env.step(actions)
+    assert terminated == {"robot_1": True, "robot_2": True}
+    assert truncated == {"robot_1": False, "robot_2": False}
+    one, two = (infos[agent]["metrics"] for agent in ("robot_1", "robot_2"))
+    assert one["return"] == one["returns"]["robot_1"] == -two["return"]
+    assert one["time_to_success"] > two["time_to_success"] == 0.1
+    parallel_api_test(PettingZooEnv(task), num_cycles=30)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.envs.gymnasium import GymnasiumEnv, GymnasiumVectorEnv
+from collaborative_gym.envs.gymnasium import GymnasiumEnv
+from collaborative_gym.envs.gymnasium_vector import GymnasiumVectorEnv
 from collaborative_gym.tasks.registry import make_task
 
 LENGTH = 12

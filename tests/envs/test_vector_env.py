@@ -270,8 +270,7 @@ def test_wrong_settings_are_refused(make_env, error, arguments, message):
 @pytest.mark.parametrize(
     ("error", "arguments", "message"),
     [
-        (ValueError, {"seed": -3}, "seed must be at least 0 and below"),
-        (ValueError, {"seed": 2**63}, "seed must be at least 0 and below"),
+        (ValueError, {"seed": -3}, "seed must be at least 0, got -3"),
         (TypeError, {"seed": 1.0}, "seed must be an integer, got 1.0"),
         (TypeError, {"seed": True}, "seed must be an integer, got True"),
         (ValueError, {"episodes": [0, 1]}, "pass seed too"),

@@ -1,22 +1,25 @@
 """One world as a PettingZoo parallel environment."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
+from collaborative_gym.envs.faces import (
+    RENDERING,
+    STEP_INFO,
+    check_can_render,
+    check_render_mode,
+    first_row,
+    fresh_seed,
+)
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.timing import CONTROL_DT
 
 ByAgent = dict[str, Any]
-
-RENDERING = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_DT)}
-"""What the metadata of an environment says of its pictures."""
 
 _METADATA = {"name": "collaborative_gym", "is_parallelizable": True, **RENDERING}
 
@@ -24,8 +27,9 @@ _METADATA = {"name": "collaborative_gym", "is_parallelizable": True, **RENDERING
 class PettingZooEnv(ParallelEnv):
     """A `VectorEnv` of one world under PettingZoo's contract.
 
-    An agent's info has `success`, `diverged` and its `reward_terms`; in the episode's
-    last step also `metrics`, as `VectorEnv` describes them, with None for NaN.
+    An agent's info always has `success`, `diverged`, its `reward_terms`, and `metrics`
+    of the episode until now, as `VectorEnv` describes them, with None for NaN. Where a
+    task has several sides, they are those of the agent's own.
 
     Args:
       task: what to do, from `make_task`.
@@ -83,11 +87,11 @@ class PettingZooEnv(ParallelEnv):
         """
         if seed is None and not self._has_seed:
             seed = fresh_seed()
-        observations, _ = self.vector_env.reset(seed)
+        observations, infos = self.vector_env.reset(seed)
         self._has_seed = True
         self.agents = list(self.possible_agents)
         self._observations = _row(observations)
-        return dict(self._observations), {agent: {} for agent in self.agents}
+        return dict(self._observations), self._infos(infos)
 
     def step(
         self, actions: Mapping[str, Array]
@@ -117,7 +121,7 @@ class PettingZooEnv(ParallelEnv):
             first_row(rewards),
             first_row(terminated),
             first_row(truncated),
-            {agent: _info(infos, agent) for agent in self.possible_agents},
+            self._infos(infos),
         )
 
     def state(self) -> np.ndarray:
@@ -139,6 +143,17 @@ class PettingZooEnv(ParallelEnv):
         """Free the renderer. No other call is allowed afterwards."""
         self.vector_env.close()
 
+    def _infos(self, infos: Mapping[str, Any]) -> ByAgent:
+        told = first_row({name: infos[name] for name in STEP_INFO})
+        by_agent = {}
+        for side, agents in self.vector_env.sides.items():
+            for agent in agents:
+                info = _of_side(told, side)
+                info["reward_terms"] = told["reward_terms"][agent]
+                info["metrics"] = _of_side(told["metrics"], side)
+                by_agent[agent] = info
+        return {agent: by_agent[agent] for agent in self.possible_agents}
+
     def _batch_of_one(self, actions: Mapping[str, Array]) -> Mapping[str, Array]:
         if not isinstance(actions, Mapping):
             return actions
@@ -154,43 +169,13 @@ class PettingZooEnv(ParallelEnv):
         return batch
 
 
-def fresh_seed() -> int:
-    """Return a seed that nobody chose, so that parallel workers differ."""
-    return int(np.random.default_rng().integers(2**31))
-
-
-def check_render_mode(given: str | None, modes: Sequence[str]) -> None:
-    """Raise `KeyError` for a render mode that there is not."""
-    if given is not None and given not in modes:
-        raise UnknownName(unknown("render mode", given, modes))
-
-
-def check_can_render(render_mode: str | None) -> None:
-    """Raise `RuntimeError` for an environment that was made without a render mode."""
-    if render_mode is None:
-        raise RuntimeError(
-            "this environment draws no pictures; make it with render_mode='rgb_array'"
-        )
-
-
-def first_row(value: Any) -> Any:
-    """Return world 0 of nested dictionaries of (num_envs,) arrays, None for NaN."""
-    if isinstance(value, Mapping):
-        return {name: first_row(part) for name, part in value.items()}
-    scalar = value[0].item()
-    return None if scalar != scalar else scalar
-
-
 def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
     return {agent: array[0] for agent, array in observations.items()}
 
 
-def _info(infos: Mapping[str, Any], agent: str) -> dict[str, Any]:
-    info = {
-        "success": infos["success"],
-        "diverged": infos["diverged"],
-        "reward_terms": infos["reward_terms"][agent],
+def _of_side(by_name: Mapping[str, Any], side: str) -> ByAgent:
+    """Return values, and one side's of those that are told by side."""
+    return {
+        name: value[side] if isinstance(value, Mapping) and side in value else value
+        for name, value in by_name.items()
     }
-    if infos["ended"][0]:
-        info["metrics"] = infos["metrics"]
-    return first_row(info)

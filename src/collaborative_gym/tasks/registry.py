@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 
 from collaborative_gym.errors import (
-    UnknownName,
+    UnknownOption,
     check_kind,
     check_name,
     look_up,
@@ -76,7 +76,7 @@ def register_env(spec: EnvSpec) -> None:
     gymnasium.register(
         spec.env_id,
         entry_point="collaborative_gym.envs.gymnasium:GymnasiumEnv",
-        vector_entry_point="collaborative_gym.envs.gymnasium:GymnasiumVectorEnv",
+        vector_entry_point="collaborative_gym.envs.gymnasium_vector:GymnasiumVectorEnv",
         kwargs={"env_id": spec.env_id},
     )
     _ENVS[spec.env_id] = spec
@@ -191,7 +191,10 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     valid = [option.name for option in fields(task.config_class)]
     for option in settings:
         if option not in valid:
-            raise UnknownName(unknown("option", option, valid))
+            raise UnknownOption(
+                f"got an unexpected keyword argument {option!r}:"
+                f" {unknown('option', option, valid)}"
+            )
     return task.config_class(**settings)
 
 

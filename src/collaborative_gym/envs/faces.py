@@ -1,0 +1,45 @@
+"""What the contracts of other libraries for one world have in common."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.timing import CONTROL_DT
+
+RENDERING = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_DT)}
+"""What the metadata of an environment says of its pictures."""
+
+STEP_INFO = ("success", "diverged", "reward_terms", "metrics")
+"""What is told of every reset and step."""
+
+
+def fresh_seed() -> int:
+    """Return a seed that nobody chose, so that parallel workers differ."""
+    return int(np.random.default_rng().integers(2**31))
+
+
+def check_render_mode(given: str | None, modes: Sequence[str]) -> None:
+    """Raise `KeyError` for a render mode that there is not."""
+    if given is not None and given not in modes:
+        message = unknown("render mode", given, modes)
+        if given == "human":
+            message += "; `collaborative-gym view` shows an environment in a window"
+        raise UnknownName(message)
+
+
+def check_can_render(render_mode: str | None) -> None:
+    """Raise `RuntimeError` for an environment that was made without a render mode."""
+    if render_mode is None:
+        raise RuntimeError(
+            "this environment draws no pictures; make it with render_mode='rgb_array'"
+        )
+
+
+def first_row(value: Any) -> Any:
+    """Return world 0 of nested dictionaries of (num_envs,) arrays, None for NaN."""
+    if isinstance(value, Mapping):
+        return {name: first_row(part) for name, part in value.items()}
+    scalar = value[0].item()
+    return None if scalar != scalar else scalar

@@ -1,0 +1,227 @@
+"""Many worlds under Gymnasium's contract, in which one agent commands all robots."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from collaborative_gym.envs.faces import (
+    RENDERING,
+    STEP_INFO,
+    check_can_render,
+    check_render_mode,
+    fresh_seed,
+)
+from collaborative_gym.envs.gymnasium import SingleAgent
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.math import Array
+from collaborative_gym.rng import check_seed
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Randomization
+
+
+class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
+    """A `VectorEnv` as a Gymnasium vector environment.
+
+    Infos are Gymnasium's: arrays by world, each with a mask under the same name after
+    an underscore. They always have `success`, `diverged`, `reward_terms` and `metrics`.
+    Worlds that start anew in the step that ends their episode have those of its end in
+    `final_info`, and their last observations in `final_obs`, and are masked out of the
+    others.
+
+    Args:
+      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      num_envs: how many worlds.
+      num_threads: physics threads, 0 for one per CPU.
+      robots: the arms in the order of the agents, by name or value; None for the
+        environment's own.
+      render_mode: "rgb_array", or None for no pictures.
+      randomization: how starts are drawn, "default", "paper" or a value.
+      autoreset_mode: when worlds start their next episode: in the step that ends one
+        (`AutoresetMode.SAME_STEP`), in the step after it, whose actions do not count
+        for them (`NEXT_STEP`, as most wrappers want it), or only by
+        `reset(options={"reset_mask": mask})` (`DISABLED`).
+      **settings: other fields of the task's config.
+
+    Raises:
+      KeyError: if there is no such environment, robot, preset, setting or mode.
+
+    Attributes:
+      vector_env: the batch, with dictionaries by agent.
+    """
+
+    closed = True  # until all is made: Gymnasium closes what is thrown away
+
+    def __init__(
+        self,
+        env_id: str,
+        num_envs: int = 1,
+        *,
+        num_threads: int = 0,
+        robots: Sequence[str | Robot] | None = None,
+        render_mode: str | None = None,
+        randomization: str | Randomization = "default",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **settings: Any,
+    ):
+        check_render_mode(render_mode, RENDERING["render_modes"])
+        self.render_mode = render_mode
+        self._mode = _mode(autoreset_mode)
+        self.metadata = {**RENDERING, "autoreset_mode": self._mode}
+        task = make_task(env_id, robots, randomization, **settings)
+        is_same = self._mode is AutoresetMode.SAME_STEP
+        self.vector_env = VectorEnv(
+            task, num_envs, num_threads=num_threads, auto_reset=is_same
+        )
+        self._agents = SingleAgent(self.vector_env)
+        self.num_envs = num_envs
+        self.single_observation_space = self._agents.observation_space
+        self.single_action_space = self._agents.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._ended = np.zeros(num_envs, bool)
+        self._has_seed = False
+        self.closed = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode in every world, or in some.
+
+        Args:
+          seed: starts its episodes 0, 1, 2 ...; None goes on to each world's next
+            episode of the present seed, which is drawn afresh if none was ever given.
+          options: `reset_mask` has a bool for each world, whether it starts; without
+            it all do.
+
+        Returns:
+          Observations (num_envs, k) and infos.
+        """
+        seed = None if seed is None else check_seed(seed)
+        super().reset(seed=seed)
+        if seed is None and not self._has_seed:
+            seed = fresh_seed()
+        mask = (options or {}).get("reset_mask")
+        observations, infos = self.vector_env.reset(seed, env_ids=mask)
+        starts = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
+        self._ended = infos["ended"]
+        self._has_seed = True
+        return self._agents.joined(observations), _masked(_step_info(infos), starts)
+
+    def step(
+        self, actions: Array
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Do one control step in every world.
+
+        Args:
+          actions: of all robots, (num_envs, k), each component in [-1, 1].
+
+        Returns:
+          Observations, rewards, terminated, truncated and infos.
+
+        Raises:
+          ValueError: if the actions are not what the space says; no world is changed.
+          RuntimeError: before the first `reset`, after `close`, and where an episode
+            has ended and its world does not start anew by itself.
+        """
+        if np.shape(actions) != self.action_space.shape:
+            raise ValueError(
+                f"the actions have shape {np.shape(actions)}, not"
+                f" {self.action_space.shape}: {self._agents.describe_action()}"
+            )
+        begins = self._ended
+        if begins.any() and self._mode is AutoresetMode.DISABLED:
+            raise RuntimeError(
+                f"the episodes of the worlds {np.flatnonzero(begins).tolist()} have"
+                " ended; call reset(options={'reset_mask': mask}) with a mask of them"
+            )
+        if begins.all():
+            return self._begin_all()
+        by_agent, rewards, terminated, truncated, infos = self.vector_env.step(
+            self._agents.split(np.asarray(actions))
+        )
+        observations = self._agents.joined(by_agent)
+        told, ended = _step_info(infos), infos["ended"]
+        if self._mode is AutoresetMode.SAME_STEP:
+            masked = self._final_infos(infos)
+        else:
+            if begins.any():
+                by_agent, begun = self.vector_env.reset(env_ids=begins)
+                started = self._agents.joined(by_agent)
+                observations = np.where(begins[:, None], started, observations)
+                told = _chosen(begins, _step_info(begun), told)
+            self._ended = ended & ~begins
+            masked = _masked(told, np.ones(self.num_envs, bool))
+        return (
+            observations,
+            np.sum([each.astype(np.float64) for each in rewards.values()], axis=0),
+            self._agents.shared(terminated) & ~begins,
+            self._agents.shared(truncated) & ~begins,
+            masked,
+        )
+
+    def render(self) -> tuple[np.ndarray, ...]:
+        """Return a picture of each world, (480, 640, 3) uint8.
+
+        Raises:
+          RuntimeError: without a render mode, and if no renderer can start.
+        """
+        check_can_render(self.render_mode)
+        return tuple(self.vector_env.render(i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the renderer; `close` calls this."""
+        self.vector_env.close()
+
+    def _begin_all(self) -> tuple[Any, ...]:
+        """Start an episode in every world, as the step after their ends."""
+        observations, infos = self.reset()
+        nothing, never = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
+        return observations, nothing, never, never.copy(), infos
+
+    def _final_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
+        ended, told = infos["ended"], _step_info(infos)
+        masked = _masked(told, ~ended)
+        if ended.any():
+            final = self._agents.joined(infos["final_observation"])
+            final_obs = np.full(self.num_envs, None, object)
+            for i in np.flatnonzero(ended):
+                final_obs[i] = final[i]
+            masked["final_obs"], masked["_final_obs"] = final_obs, ended.copy()
+            masked["final_info"] = _masked(told, ended)
+            masked["_final_info"] = ended.copy()
+        return masked
+
+
+def _mode(given: AutoresetMode | str) -> AutoresetMode:
+    modes = {mode.value: mode for mode in AutoresetMode}
+    name = given.value if isinstance(given, AutoresetMode) else given
+    if name not in modes:
+        raise UnknownName(unknown("autoreset mode", name, modes))
+    return modes[name]
+
+
+def _step_info(infos: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: infos[name] for name in STEP_INFO}
+
+
+def _chosen(mask: np.ndarray, one: Any, other: Any) -> Any:
+    """Return the rows of one of two infos where a mask is set, else the other's."""
+    if isinstance(one, Mapping):
+        return {name: _chosen(mask, one[name], other[name]) for name in one}
+    return np.where(mask, one, other)
+
+
+def _masked(info: Mapping[str, Any], mask: np.ndarray) -> dict[str, Any]:
+    """Return an info with a mask beside each entry, as Gymnasium's vectors have it."""
+    masked = {}
+    for name, value in info.items():
+        is_group = isinstance(value, Mapping)
+        masked[name] = _masked(value, mask) if is_group else value
+        masked[f"_{name}"] = mask.copy()
+    return masked
