@@ -56,20 +56,20 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
     _check_targets(name, task, scene, sim)
     facts = task.measure(sim)
     blocks = task.observe(facts)
-    _check_blocks(name, task, blocks, tried, sim.num_envs)
+    _check_blocks(name, task, blocks, tried, sim)
     action_spaces = {
         agent: Box(-1.0, 1.0, (task.action_mode.size(agent),), np.float32)
         for agent in task.agents
     }
     idle = task.action_mode.idle(sim.num_envs)
     terms = task.reward(facts, {a: sim.xp.asarray(rows) for a, rows in idle.items()})
-    _check_terms(name, task, terms, tried, sim.num_envs)
+    _check_terms(name, task, terms, tried, sim)
     sides = _sides(name, task)
     for method in ("success", "performing"):
         given = getattr(task, method)(facts)
         for what, mask in _masks(f"{name}.{method}()", given, sides):
-            _check_mask(what, mask, sim.num_envs)
-    _check_over(f"{name}.over()", task.over(facts), tried, sim.num_envs)
+            _check_mask(what, mask, sim)
+    _check_over(f"{name}.over()", task.over(facts), tried, sim)
     sim.reset()
     task.memory = task.remember(sim.num_envs)
     sizes = {
@@ -92,7 +92,7 @@ def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
     """Raise where a target is so far off that no arm can bring anything there."""
     bases = {a: np.array(p.position) for a, p in task.placements.items()}
     for target, places in scene.targets(sim).items():
-        place = np.asarray(places[0])
+        place = np.array([float(places[0, i]) for i in range(3)])
         room = {
             agent: task.robots[agent].reach
             + _HAND
@@ -115,16 +115,16 @@ def _check_blocks(
     task: Task,
     blocks: Mapping[str, Blocks],
     tried: np.ndarray,
-    num_envs: int,
+    sim: Sim,
 ) -> None:
     for what, rows in _each(f"{name}.observe()", "block", task, blocks):
         shape = np.shape(rows)
-        if len(shape) != 2 or shape[0] != num_envs:
+        if len(shape) != 2 or shape[0] != sim.num_envs:
             raise ValueError(
                 f"{what} has shape {shape}; it needs a row for each world,"
-                f" ({num_envs}, k): index one number per world as [:, None]"
+                f" ({sim.num_envs}, k): index one number per world as [:, None]"
             )
-        _check_finite(what, np.asarray(rows)[tried])
+        _check_finite(what, rows, tried, sim)
 
 
 def _check_terms(
@@ -132,15 +132,15 @@ def _check_terms(
     task: Task,
     terms: Mapping[str, Terms],
     tried: np.ndarray,
-    num_envs: int,
+    sim: Sim,
 ) -> None:
     for what, values in _each(f"{name}.reward()", "term", task, terms):
-        if np.shape(values) != (num_envs,):
+        if np.shape(values) != (sim.num_envs,):
             raise ValueError(
                 f"{what} has shape {np.shape(values)}; it needs one number for"
-                f" each world, ({num_envs},)"
+                f" each world, ({sim.num_envs},)"
             )
-        _check_finite(what, np.asarray(values)[tried])
+        _check_finite(what, values, tried, sim)
 
 
 def _each(
@@ -209,28 +209,28 @@ def _masks(what: str, given: Any, sides: Mapping[str, Any]) -> list[tuple[str, A
     ]
 
 
-def _check_mask(what: str, mask: Any, num_envs: int) -> None:
+def _check_mask(what: str, mask: Any, sim: Sim) -> None:
     kind = getattr(mask, "dtype", type(mask).__name__)
-    if np.shape(mask) != (num_envs,) or np.asarray(mask).dtype != bool:
+    if np.shape(mask) != (sim.num_envs,) or kind != sim.xp.bool:
         raise ValueError(
             f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for each"
-            f" world, ({num_envs},), as a comparison gives"
+            f" world, ({sim.num_envs},), as a comparison gives"
         )
 
 
-def _check_over(what: str, over: Any, tried: np.ndarray, num_envs: int) -> None:
+def _check_over(what: str, over: Any, tried: np.ndarray, sim: Sim) -> None:
     if over is None:
         return
-    _check_mask(what, over, num_envs)
-    if np.asarray(over)[tried].any():
+    _check_mask(what, over, sim)
+    if sim.xp.any(over[tried]):
         raise ValueError(
             f"{what} ends an episode at its very start; let it begin with a state that"
             " is not over"
         )
 
 
-def _check_finite(what: str, values: np.ndarray) -> None:
-    if not np.isfinite(values).all():
+def _check_finite(what: str, values: Array, tried: np.ndarray, sim: Sim) -> None:
+    if not sim.xp.all(sim.xp.isfinite(sim.xp.asarray(values)[tried])):
         raise ValueError(
             f"{what} is not finite at the start of an episode; look for a division by"
             " zero, or for a place that reset() does not write"
