@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
+from functools import reduce
+from operator import and_
 
 import gymnasium
 import numpy as np
@@ -11,14 +13,74 @@ from pettingzoo.test import parallel_api_test
 
 import collaborative_gym as cg
 from collaborative_gym import testing
+from collaborative_gym.motion import reach
 from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import columns
 from collaborative_gym.testing import leaves, play
 
 PAIRS = (("panda", "jaco"), ("jaco", "panda"))
+TEAM = ("panda", "sawyer", "jaco", "panda")
 CASES = [(env_id, None) for env_id in cg.list_envs()]
 CASES += [(task, pair) for task in cg.list_tasks() for pair in PAIRS]
+CASES += [("Touch", arms) for arms in (("jaco",), TEAM[:3], TEAM)]
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space")
+
+
+class Touch(cg.Task):
+    """Any number of arms; each brings its hand to a target of its own."""
+
+    robot_counts = range(1, 5)
+
+    def build(self, scene):
+        for agent, placement in self.placements.items():
+            scene.add_robot(agent, self.robots[agent], placement)
+            scene.add_target(f"{agent} target", radius=0.05)
+
+    def reset(self, sim, env_ids, rng):
+        self.start_arms(sim, env_ids, rng)
+        for agent, placement in self.placements.items():
+            draw = rng.within(self.config.randomization.target_position, 3)
+            base = np.array(placement.position) * (0.0, 1.0, 1.0)
+            place = np.array([0.65, 0.0, 0.25]) + base + draw
+            self.scene.place(sim, env_ids, f"{agent} target", place)
+
+    def measure(self, sim):
+        joints, hands, targets, far = self.joints(sim), {}, {}, {}
+        for agent in self.agents:
+            hands[agent] = sim.pose(f"{agent}/tcp")
+            targets[agent] = sim.pose(f"{agent} target")[0]
+            far[agent] = cg.math.distance(hands[agent][0], targets[agent])
+        return {"joints": joints, "hands": hands, "targets": targets, "far": far}
+
+    def observe(self, facts):
+        hands = {agent: cg.math.pose(*pose) for agent, pose in facts["hands"].items()}
+        blocks = {
+            **columns("joints", facts["joints"]),
+            **columns("hand", hands),
+            **columns("target", facts["targets"]),
+        }
+        return dict.fromkeys(self.agents, blocks)
+
+    def reward(self, facts, actions):
+        terms = {}
+        for agent, action in actions.items():
+            moves, _ = self.action_mode.split(action)
+            effort = -0.01 * cg.math.norm(moves)
+            terms[agent] = {"distance": -facts["far"][agent], "effort": effort}
+        return terms
+
+    def success(self, facts):
+        return reduce(and_, [far < 0.03 for far in facts["far"].values()])
+
+    def expert(self, sim, facts):
+        motions = {}
+        for agent, arm in self.scene.arms.items():
+            hand, home = facts["hands"][agent], arm.robot.home
+            goal = facts["targets"][agent], hand[1]
+            change = reach(sim, arm, tcp=hand, goal=goal, posture=home)
+            motions[agent] = cg.Motion(change)
+        return motions
 
 
 @pytest.fixture(
@@ -27,7 +89,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space")
 def trial(request):
     """Return an environment's task, with batches of its worlds."""
     name, robots = request.param
-    trial = testing.Trial(make_task(name, robots), episodes=7)
+    if name == "Touch":
+        task = Touch([cg.get_robot(each) for each in robots], cg.TaskConfig())
+    else:
+        task = make_task(name, robots)
+    trial = testing.Trial(task, episodes=7)
     yield trial
     trial.close()
 
