@@ -4,21 +4,24 @@
     python examples/train_rllib.py
 
 All that RLlib needs is the import of `collaborative_gym.envs.rllib`. Prints the mean
-return and environment steps per second of each iteration, and an evaluation of what
-the robots learned. RLlib's own runners step worlds one by one, so this takes minutes;
-`collaborative-gym train --backend rllib` collects with runners of ours, several times
-as fast.
+return and environment steps per second of each iteration; then saves a checkpoint,
+restores the algorithm from it, evaluates what the robots learned and writes a picture
+of how they stand at the end of an episode. RLlib's runners step worlds one by one, so
+this takes minutes; `collaborative-gym train` collects several times as fast.
 """
 
 import logging
 import os
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import ray
 import torch
 import tyro
+from PIL import Image
+from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.core.rl_module.rl_module import RLModule
@@ -43,14 +46,27 @@ def policy_of(modules: Mapping[str, RLModule]):
     return policy
 
 
+def show(env_id: str, policy, file: Path) -> None:
+    """Write a picture of the end of an episode."""
+    env = cg.make(env_id, render_mode="rgb_array")
+    observations, _ = env.reset(seed=0)
+    while env.agents:
+        rows = {agent: row[None] for agent, row in observations.items()}
+        actions = {agent: rows[0] for agent, rows in policy(rows).items()}
+        observations, *_ = env.step(actions)
+    Image.fromarray(env.render()).save(file)
+    env.close()
+
+
 def main(
     env: str = "PokeTaskSawyers-v0",
     total_steps: int = 200_000,
     steps_per_iteration: int = 4_000,
     runners: int = 0,
     episodes: int = 100,
+    output: Path = Path("runs/rllib"),
 ) -> None:
-    """Train a policy for each robot, and evaluate them.
+    """Train a policy for each robot, save, restore, evaluate and show them.
 
     Args:
       env: an environment id.
@@ -58,6 +74,7 @@ def main(
       steps_per_iteration: environment steps between two updates.
       runners: processes that collect; 0 for this one.
       episodes: to evaluate.
+      output: folder of the checkpoint and the picture.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # tells nobody of the run
     # "local", so as not to join a cluster that happens to run on this machine.
@@ -96,8 +113,12 @@ def main(
         mean = found["episode_return_mean"]
         print(f"{steps:,} steps: return {mean:.1f}, {rate:,.0f} steps per second")
 
+    algorithm.save_to_path((output / "checkpoint").absolute())
+    algorithm.stop()
+    algorithm = Algorithm.from_checkpoint((output / "checkpoint").absolute())
     policy = policy_of({agent: algorithm.get_module(agent) for agent in agents})
     print(cg.evaluate(env, policy, episodes=episodes).to_markdown())
+    show(env, policy, output / "end.png")
     algorithm.stop()
     ray.shutdown()
 

@@ -24,7 +24,7 @@ ssh() { :; }
 sudo() { :; }
 source() { :; }
 python3() { [ "$*" = "-m venv .venv" ]; }
-ray() { [ "$1" = start ]; }
+ray() { [ "$1" = start ] || [ "$1" = get-auth-token ]; }
 make() { command make --dry-run --directory "$ROOT" "$@" > /dev/null; }
 .venv/bin/pytest() { [ -d "$ROOT/$1" ]; }
 python() {

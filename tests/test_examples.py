@@ -79,7 +79,8 @@ RUNS = {
     ),
     "train_rllib.py": Run(
         (r"2,000 steps: return -[\d.]+", r"\| PokeTaskSawyers-v0 \| return \| -"),
-        "--total-steps 2000 --steps-per-iteration 2000 --episodes 2",
+        "--total-steps 2000 --steps-per-iteration 2000 --episodes 2 --output runs",
+        writes=("runs/end.png", "runs/checkpoint"),
         needs=("ray",),
         is_slow=True,
     ),

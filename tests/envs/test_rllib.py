@@ -67,7 +67,10 @@ def test_every_id_is_registered_with_its_options(carry_in_rllib):
     for env_id in cg.list_envs():
         assert _global_registry.contains(ENV_CREATOR, env_id)
     make = _global_registry.get(ENV_CREATOR, carry_in_rllib)
-    env = make({"robots": ("panda", "jaco"), "max_episode_steps": 5})
+    options = {"robots": ("panda", "jaco"), "max_episode_steps": 5}
+    env = make({**options, "render_mode": "rgb_array"})
+    env.reset(seed=0)
+    assert env.render().shape == (480, 640, 3)
     task = env.env.vector_env.task
     assert task.robots["robot_2"].name == "jaco"
     assert task.config.max_episode_steps == 5

@@ -3,11 +3,8 @@
 Importing this module registers every environment with RLlib under its id, so that a
 script of one's own says `PPOConfig().environment("LiftTaskSawyers-v0")`. What
 `env_config` holds goes to `make_task`: `robots`, `randomization` and fields of the
-task's config.
+task's config; `render_mode` is the environment's.
 """
-
-# RLlib is optional.
-# pyright: reportMissingImports=false
 
 from collections.abc import Mapping
 from functools import partial
@@ -31,8 +28,9 @@ from collaborative_gym.tasks.task import Task
 class RLlibEnv(MultiAgentEnv):
     """A `PettingZooEnv` under RLlib's contract.
 
-    All agents act in every step, and all their episodes end in the same one, truncated.
-    Observations, rewards and infos are those of `PettingZooEnv`.
+    All agents act in every step, and all their episodes end in the same one: truncated
+    as time is up, terminated where the task says that it is over. Observations, rewards
+    and infos are those of `PettingZooEnv`.
 
     Args:
       task: what to do, from `make_task`.
@@ -111,7 +109,9 @@ def _make(spec: EnvSpec, settings: Mapping[str, Any]) -> RLlibEnv:
     # Another process of Ray does not know what was registered in this one.
     if spec.env_id not in list_envs():
         register_env(spec)
-    return RLlibEnv(make_task(spec.env_id, **settings), name=spec.env_id)
+    options = {**settings}
+    render_mode = options.pop("render_mode", None)
+    return RLlibEnv(make_task(spec.env_id, **options), render_mode, spec.env_id)
 
 
 register_envs()
