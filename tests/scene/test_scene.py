@@ -21,10 +21,12 @@ def ball():
 def scene():
     scene = Scene()
     scene.add_robot("robot_1", get_robot("panda"), Placement((0, -1, 0.7)))
-    scene.add_robot("robot_2", get_robot("sawyer"), Placement((0, 1, 1.0), np.pi), 0.02)
+    scene.add_robot(
+        "robot_2", get_robot("sawyer"), Placement((0, 1, 1.0), np.pi), holds=0.02
+    )
     scene.add("ball", ball(), (0, 0, 1.0))
     scene.add_grip("robot_1", "ball/centre", threshold=0.03, width=0.04)
-    scene.add_target("goal", 0.02, (0, 1, 0, 1))
+    scene.add_target("goal", 0.02, rgba=(0, 1, 0, 1))
     return scene
 
 
@@ -44,7 +46,9 @@ def test_fingers_that_hold_a_tool_are_fixed_at_its_width():
     gaps = {}
     for width in (0.02, 0.05):
         scene = Scene()
-        scene.add_robot("robot_1", get_robot("panda"), Placement((0, 0, 1)), width)
+        scene.add_robot(
+            "robot_1", get_robot("panda"), Placement((0, 0, 1)), holds=width
+        )
         model = scene.compile()
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
@@ -144,9 +148,9 @@ def test_a_grip_tells_where_it_holds(scene):
 
 def test_a_name_that_names_nothing_fails_where_it_is_given(scene):
     with pytest.raises(ValueError, match=r"no site 'ball/center'.*'ball/centre'"):
-        scene.add_grip("robot_1", "ball/center", 0.03, 0.04)
+        scene.add_grip("robot_1", "ball/center", threshold=0.03, width=0.04)
     with pytest.raises(ValueError, match=r"no arm 'robot_3'.*add_robot comes first"):
-        scene.add_grip("robot_3", "ball/centre", 0.03, 0.04)
+        scene.add_grip("robot_3", "ball/centre", threshold=0.03, width=0.04)
     with pytest.raises(ValueError, match="no site 'bal'"):
         scene.add_pose_sensor("ball", "bal")
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import add_visual
 
 WIDTH = 0.8  # m, along x
 LENGTH = 1.5  # m, along y
@@ -17,7 +18,6 @@ _SLOPE = np.radians(45)  # of the fingers that hold a handle, downwards
 _RGBA = (0.20, 0.42, 0.68, 1.0)
 _BAR_RGBA = (0.30, 0.32, 0.34, 1.0)
 _CENTRE_RGBA = (0.95, 0.95, 0.95, 1.0)
-_SEEN = {"mass": 0.0, "contype": 0, "conaffinity": 0, "group": 2}
 
 
 def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
@@ -54,12 +54,12 @@ def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
     for name, side in zip(HANDLES, (-1.0, 1.0), strict=True):
         _add_handle(body, name, side)
     if marked_radius > 0:
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=(marked_radius, 0.0005, 0.0),
-            pos=(0, 0, THICKNESS / 2),
+        add_visual(
+            body,
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=(marked_radius, 0.0005),
             rgba=_CENTRE_RGBA,
-            **_SEEN,
+            pos=(0, 0, THICKNESS / 2),
         )
     return spec
 
@@ -71,13 +71,8 @@ def _add_handle(body: mujoco.MjsBody, name: str, side: float) -> None:
     bars = [(-half, y, 0, half, y, 0)]
     bars += [(x, side * LENGTH / 2, 0, x, y, 0) for x in (-half, half)]
     for bar in bars:
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            size=(BAR / 2, 0, 0),
-            fromto=bar,
-            rgba=_BAR_RGBA,
-            **_SEEN,
-        )
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        add_visual(body, capsule, size=(BAR / 2,), rgba=_BAR_RGBA, fromto=bar)
     inwards = np.array([0.0, -side * np.cos(_SLOPE), -np.sin(_SLOPE)])
     upwards = np.array([0.0, -side * np.sin(_SLOPE), np.cos(_SLOPE)])
     axes = np.stack([np.cross(upwards, inwards), upwards, inwards], axis=1)

@@ -5,6 +5,7 @@ import itertools
 import mujoco
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import add_visual
 
 _BLACK = (0.06, 0.06, 0.065, 1.0)
 _GREY = (0.14, 0.14, 0.15, 1.0)
@@ -46,17 +47,23 @@ def pedestal(height: float) -> mujoco.MjSpec:
 def _add_base(body: mujoco.MjsBody) -> None:
     """Add the base plate and its four splayed feet, each on a caster."""
     hub = (_BASE_CENTRE_X, 0.0, 0.1)
-    _add_visual(body, mujoco.mjtGeom.mjGEOM_BOX, (0.25, 0.2, 0.03), pos=hub)
+    add_visual(
+        body, mujoco.mjtGeom.mjGEOM_BOX, size=(0.25, 0.2, 0.03), rgba=_BLACK, pos=hub
+    )
     for x_sign, y_sign in itertools.product((-1, 1), (-1, 1)):
         x, y = _BASE_CENTRE_X + 0.34 * x_sign, 0.3 * y_sign
         shoulder = (_BASE_CENTRE_X + 0.2 * x_sign, 0.15 * y_sign, 0.1)
-        _add_visual(
-            body, mujoco.mjtGeom.mjGEOM_CAPSULE, (0.032,), fromto=(*shoulder, x, y, 0.1)
+        add_visual(
+            body,
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=(0.032,),
+            rgba=_BLACK,
+            fromto=(*shoulder, x, y, 0.1),
         )
-        _add_visual(
+        add_visual(
             body,
             mujoco.mjtGeom.mjGEOM_CYLINDER,
-            (0.04,),
+            size=(0.04,),
             fromto=(x, y - 0.014, 0.04, x, y + 0.014, 0.04),
             rgba=_GREY,
         )
@@ -72,7 +79,7 @@ def _add_column(body: mujoco.MjsBody, height: float) -> None:
         (_COLUMN_RADIUS + 0.015, plate, height, _BLACK),
     ):
         fromto = (0.0, 0.0, bottom, 0.0, 0.0, top)
-        _add_visual(body, cylinder, (radius,), fromto=fromto, rgba=rgba)
+        add_visual(body, cylinder, size=(radius,), rgba=rgba, fromto=fromto)
     body.add_geom(
         name="pedestal_column_collision",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -88,11 +95,13 @@ def _add_cabinet(body: mujoco.MjsBody) -> None:
     depth, width, tall = _CABINET_SIZE
     middle = _BASE_TOP + tall
     box = mujoco.mjtGeom.mjGEOM_BOX
-    _add_visual(body, box, _CABINET_SIZE, pos=(_CABINET_X, 0.0, middle))
-    _add_visual(
+    add_visual(
+        body, box, size=_CABINET_SIZE, rgba=_BLACK, pos=(_CABINET_X, 0.0, middle)
+    )
+    add_visual(
         body,
         box,
-        (0.005, width - 0.025, tall - 0.025),
+        size=(0.005, width - 0.025, tall - 0.025),
         pos=(_CABINET_X - depth, 0.0, middle),
         rgba=_GREY,
     )
@@ -105,27 +114,3 @@ def _add_cabinet(body: mujoco.MjsBody) -> None:
         group=3,
         mass=0.0,
     )
-
-
-def _add_visual(
-    body: mujoco.MjsBody,
-    geom_type: mujoco.mjtGeom,
-    size: tuple[float, ...],
-    *,
-    pos: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    fromto: tuple[float, ...] | None = None,
-    rgba: tuple[float, float, float, float] = _BLACK,
-) -> None:
-    """Add a massless shape without contact, placed by `pos` or from end to end."""
-    geom = body.add_geom(
-        type=geom_type,
-        size=(*size, 0.0, 0.0)[:3],
-        pos=pos,
-        rgba=rgba,
-        contype=0,
-        conaffinity=0,
-        group=2,
-        mass=0.0,
-    )
-    if fromto is not None:
-        geom.fromto = fromto

@@ -3,6 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import add_visual
 
 _SIDE = 0.12  # m, from the original environment
 _MOST_BALANCE = 0.059  # m; the contents are at least 2 mm wide
@@ -72,39 +73,21 @@ def _add_handle(body: mujoco.MjsBody, name: str, side: float) -> None:
     """Add a bar that two struts carry, and the site where it is gripped."""
     box, middle = mujoco.mjtGeom.mjGEOM_BOX, (0.0, side * _GRIP_Y, _HANDLE_Z)
     body.add_site(name=name, pos=middle)
-    _add_visual(body, box, _HANDLE_SIZE, middle, _BLACK)
+    add_visual(body, box, size=_HANDLE_SIZE, rgba=_BLACK, pos=middle)
     strut = (0.006, (_GRIP_Y - 0.03) / 2, 0.006)
     for x in (-0.045, 0.045):
         place = (x, side * (_GRIP_Y + 0.03) / 2, _HANDLE_Z - 0.008)
-        _add_visual(body, box, strut, place, _STEEL)
+        add_visual(body, box, size=strut, rgba=_STEEL, pos=place)
 
 
 def _add_vessel(body: mujoco.MjsBody) -> None:
     """Add what is seen between the handles: steel wall, rim and a red lid."""
     cylinder, half = mujoco.mjtGeom.mjGEOM_CYLINDER, _SIDE / 2
-    _add_visual(body, cylinder, (half, half - 0.003, 0.0), (0, 0, -0.003), _STEEL)
-    _add_visual(body, cylinder, (half + 0.004, 0.003, 0.0), (0, 0, half - 0.006), _RIM)
-    ellipsoid = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-    dome = (half - 0.002, half - 0.002, 0.018)
-    _add_visual(body, ellipsoid, dome, (0, 0, half - 0.004), _LID)
-    _add_visual(body, ellipsoid, (0.011, 0.011, 0.009), (0, 0, half + 0.02), _BLACK)
-
-
-def _add_visual(
-    body: mujoco.MjsBody,
-    shape: mujoco.mjtGeom,
-    size: tuple[float, float, float],
-    position: tuple[float, float, float],
-    rgba: tuple[float, float, float, float],
-) -> None:
-    """Add a massless shape without contact."""
-    body.add_geom(
-        type=shape,
-        size=size,
-        pos=position,
-        rgba=rgba,
-        mass=0.0,
-        contype=0,
-        conaffinity=0,
-        group=2,
-    )
+    ellipsoid, dome = mujoco.mjtGeom.mjGEOM_ELLIPSOID, half - 0.002
+    for shape, size, z, rgba in (
+        (cylinder, (half, half - 0.003), -0.003, _STEEL),
+        (cylinder, (half + 0.004, 0.003), half - 0.006, _RIM),
+        (ellipsoid, (dome, dome, 0.018), half - 0.004, _LID),
+        (ellipsoid, (0.011, 0.011, 0.009), half + 0.02, _BLACK),
+    ):
+        add_visual(body, shape, size=size, rgba=rgba, pos=(0.0, 0.0, z))

@@ -67,6 +67,7 @@ class Scene:
         agent: str,
         robot: Robot,
         placement: Placement,
+        *,
         holds: float | None = None,
         stand: bool = True,
     ) -> None:
@@ -138,7 +139,7 @@ class Scene:
         self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
 
     def add_target(
-        self, name: str, radius: float, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)
+        self, name: str, radius: float, *, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)
     ) -> None:
         """Add a marker of a goal; `place` moves it and `Sim.pose` reads it."""
         self._check_free("name", name)
@@ -156,7 +157,9 @@ class Scene:
         self.add_pose_sensor(name, name)
         self._targets.append(name)
 
-    def add_grip(self, agent: str, site: str, threshold: float, width: float) -> None:
+    def add_grip(
+        self, agent: str, site: str, *, threshold: float, width: float
+    ) -> None:
         """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it.
 
         Raises:

@@ -164,9 +164,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
         scene.add_pose_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
             threshold = self.config.picking_threshold
-            scene.add_grip(agent, handle, threshold, HANDLE_WIDTH)
+            scene.add_grip(agent, handle, threshold=threshold, width=HANDLE_WIDTH)
         radius = self.config.success_radius
-        scene.add_target("target", radius, (0.35, 0.8, 0.35, 0.2))
+        scene.add_target("target", radius, rgba=(0.35, 0.8, 0.35, 0.2))
         scene.add_camera((3.5, 0.0, 2.0), (0, 1, 0, -0.28, 0, 1))
 
     @property

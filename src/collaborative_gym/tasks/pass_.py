@@ -128,8 +128,9 @@ class Pass(Task[PassConfig, PassFacts]):
         self._target = np.array([1.2, bases[taker][1], 1.3])
         scene.add("cube", cube(_CUBE_SIZE), self._cube_start)
         scene.add_target("target", self.config.success_radius)
-        scene.add_grip(giver, _CUBE, self.config.picking_threshold, _GRIP_WIDTH)
-        scene.add_grip(taker, _CUBE, self.config.handover_threshold, _GRIP_WIDTH)
+        picks, hands = self.config.picking_threshold, self.config.handover_threshold
+        for agent, threshold in ((giver, picks), (taker, hands)):
+            scene.add_grip(agent, _CUBE, threshold=threshold, width=_GRIP_WIDTH)
         scene.add_camera((3.3, 0, 2.05), (0, 1, 0, -0.38, 0, 0.9))
 
     def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
