@@ -11,6 +11,12 @@ LARGEST = 1920, 1080
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
+    _add_floor_and_sky(spec)
+    _add_lights(spec)
+    _set_quality(spec)
+
+
+def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -37,6 +43,9 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         size=[0, 0, 0.05],
         material="floor",
     )
+
+
+def _add_lights(spec: mujoco.MjSpec) -> None:
     for position, direction, diffuse in (
         ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.55),
         ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.3),
@@ -49,10 +58,14 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
             specular=[0.2] * 3,
             castshadow=diffuse > 0.5,
         )
+    headlight = spec.visual.headlight
+    headlight.ambient = [0.35] * 3
+    headlight.diffuse = [0.25] * 3
+    headlight.specular = [0.1] * 3
+
+
+def _set_quality(spec: mujoco.MjSpec) -> None:
     visual = spec.visual
-    visual.headlight.ambient = [0.35] * 3
-    visual.headlight.diffuse = [0.25] * 3
-    visual.headlight.specular = [0.1] * 3
     visual.global_.offwidth, visual.global_.offheight = LARGEST
     # Half of MuJoCo's facets and shadow texels: nobody sees it, and without a graphics
     # card a picture takes half the time.
