@@ -2,6 +2,7 @@
 
 import csv
 import os
+import signal
 from dataclasses import dataclass
 
 import gymnasium
@@ -17,6 +18,10 @@ from collaborative_gym.tasks import registry
 
 # Before any test imports Ray: what it starts is to listen on loopback alone.
 os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+
+# A shell that runs this in the background ignores Ctrl-C, and so would every child,
+# which then never ends.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 AGENTS = ("robot_1", "robot_2")
 CAMERA = {"position": [1.5, 0, 1.2], "xyaxes": [0, 1, 0, -0.5, 0, 0.85]}

@@ -134,8 +134,60 @@ def test_a_reward_whose_terms_change(faults):
             terms["robot_1"] = {"all": sum(terms["robot_1"].values())}
         return terms
 
-    with pytest.raises(RuntimeError, match="it failed in checking"):
+    with pytest.raises(RuntimeError, match="it failed in checking") as raised:
         faults(reward=reward)
+    assert "return every term at every step" in str(raised.value)
+
+
+def test_a_term_that_appears_late(faults):
+    def reward(self, own, facts, actions):
+        terms = own(self, facts, actions)
+        if facts.highest.max() > 0.55:
+            terms["robot_2"]["late"] = facts.height
+        return terms
+
+    with pytest.raises(RuntimeError, match=r"breaks \d promises") as raised:
+        faults(reward=reward, success=lambda self, own, facts: facts.height > -1.0)
+    told = str(raised.value)
+    assert "'late') for robot_2, but ('distance', 'height', 'effort') at first" in told
+    assert "return every term at every step, zero where it does not count" in told
+    assert "robots that hold still reach the goal" in told
+
+
+def test_things_may_move_at_the_start_but_not_arms(faults):
+    def moving(of):
+        def reset(self, own, sim, env_ids, rng):
+            own(self, sim, env_ids, rng)
+            dof = slice(-6, -3) if of == "cube" else self.scene.arms["robot_1"].dof
+            sim.qvel[env_ids, dof] = 0.1
+
+        return reset
+
+    assert not any(
+        "moves at the start" in each for each in faults(reset=moving("cube"))
+    )
+    found = faults(reset=moving("arm"))
+    assert any("robot_1 moves at the start of an episode" in each for each in found)
+
+
+def test_opponents_keep_promises_too(carry):
+    def success(self, facts):
+        return facts.height > 0.6, facts.height > 0.65
+
+    def reward(self, facts, actions):
+        return {
+            "robot_1": {"height": facts.height},
+            "robot_2": {"height": -facts.height},
+        }
+
+    parts = {
+        "sides": (("robot_1",), ("robot_2",)),
+        "success": success,
+        "reward": reward,
+        "over": lambda self, facts: facts.height > 0.7,
+    }
+    task = type("Duel", (type(carry()),), parts)
+    check_task(task, episodes=3)
 
 
 def test_an_expert_that_acts_otherwise_in_another_batch(faults):

@@ -1,5 +1,9 @@
 """The promises of the loop: same bits, isolation, saving, current values."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -168,3 +172,42 @@ def test_observations_describe_the_state_after_the_step(make_env):
             observations["robot_1"][i, start : start + 3], tcp.astype(np.float32)
         )
         np.testing.assert_array_equal(env.sim.sensordata[i], data.sensordata)
+
+
+EPISODE = """
+import hashlib
+import numpy as np
+import collaborative_gym as cg
+
+def played():
+    env = cg.make_vec("PassTaskJacoSawyer-v0", 2, seed=3, num_threads=1)
+    observations, _ = env.reset()
+    rng, seen = np.random.default_rng(0), hashlib.sha256()
+    for step in range(15):
+        actions = env.expert() if step % 2 else {
+            agent: rng.uniform(-1, 1, (2, *space.shape))
+            for agent, space in env.single_action_spaces.items()
+        }
+        observations, rewards, *_ = env.step(actions)
+        for agent in env.agents:
+            seen.update(observations[agent].tobytes() + rewards[agent].tobytes())
+    seen.update(env.get_state().physics.tobytes())
+    return seen.hexdigest()
+"""
+
+
+def test_an_episode_has_the_same_bits_in_fresh_processes():
+    here = {}
+    exec(EPISODE, here)
+    command = [sys.executable, "-c", EPISODE + "print(played())"]
+    told = [
+        subprocess.run(
+            command,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+        for seed in ("1", "2")
+    ]
+    assert told == [here["played"]()] * 2

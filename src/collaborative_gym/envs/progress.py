@@ -109,6 +109,12 @@ class Progress:
         rows["step"] += moved
         rows["length"] += moved
         for agent, names in self._sums.items():
+            if terms[agent].keys() ^ names:
+                raise ValueError(
+                    f"{type(task).__name__}.reward() has the terms"
+                    f" {tuple(terms[agent])} for {agent}, but {tuple(names)} at first;"
+                    " return every term at every step, zero where it does not count"
+                )
             for name, row in names.items():
                 rows[row] += terms[agent][name]
         met, performing = task.success(facts), task.performing(facts)
