@@ -98,7 +98,7 @@ class _Guard:
     def serve(
         self,
         *arguments: Any,
-        process_request: Callable[..., Response | None],
+        process_request: Callable[..., Response | None] = lambda *_: None,
         **settings: Any,
     ) -> websockets.serve:
         """Serve as viser asks for with `websockets.serve`, but guarded."""
