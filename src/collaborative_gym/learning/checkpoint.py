@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from collaborative_gym.files import replacing
-from collaborative_gym.learning.folder import BEST, LAST
+from collaborative_gym.learning.folder import BEST, LAST, no_checkpoint
 from collaborative_gym.learning.settings import Settings
 
 _FORMAT = b"collaborative_gym training 2\n"
@@ -72,7 +72,7 @@ class Checkpoint:
             says what to do.
         """
         if not path.is_file():
-            raise FileNotFoundError(f"no checkpoint {path}")
+            raise no_checkpoint(path)
         whole = path.read_bytes()
         start = len(_FORMAT) + sha256().digest_size
         if not whole.startswith(_FORMAT):

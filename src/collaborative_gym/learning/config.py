@@ -106,6 +106,8 @@ class Hyperparameters:
         checked = tuple(
             check_count("each of hidden_sizes", width, 1, 2**16) for width in sizes
         )
+        if not checked:
+            raise ValueError(f"hidden_sizes must name at least one layer, got {sizes}")
         self._keep("hidden_sizes", checked)
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(

@@ -37,7 +37,7 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
       OSError: if nothing can be written there.
     """
     if wanted is not None and not (folder / wanted).is_file():
-        raise FileNotFoundError(f"no checkpoint {folder / wanted}")
+        raise no_checkpoint(folder / wanted)
     with naming(folder / LOCK):
         folder.mkdir(parents=True, exist_ok=True)
         # Not to be removed after: a run that waits at the file would hold no lock.
@@ -50,6 +50,11 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def no_checkpoint(path: Path) -> FileNotFoundError:
+    """Return the error where a checkpoint is missing."""
+    return FileNotFoundError(f"there is no checkpoint {path}; give the folder of a run")
 
 
 def _lock(descriptor: int, folder: Path) -> None:

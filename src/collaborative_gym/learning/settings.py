@@ -95,15 +95,16 @@ def settle(
         kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
         check_kind("hyperparameters", hyperparameters, Hyperparameters, kind)
     if started is not None:
-        mode, backend = mode or started.mode, backend or started.backend
+        mode = started.mode if mode is None else mode
         seed = started.seed if seed is None else seed
+        backend = started.backend if backend is None else backend
         hyperparameters = hyperparameters or started.hyperparameters
     sizes = Sizes.of(task)
     settings = Settings(
         identity=Identity.of(task),
-        mode=mode or "collaborative",
+        mode="collaborative" if mode is None else mode,
         seed=check_seed(0 if seed is None else seed),
-        backend=backend or "skrl",
+        backend="skrl" if backend is None else backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
         hyperparameters=hyperparameters or recipe(task.name),

@@ -83,6 +83,8 @@ def train(
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
     resources = Resources() if resources is None else resources
     check_kind("resources", resources, Resources, "Resources(...)")
+    if on_row is not None and not callable(on_row):
+        raise TypeError(f"on_row must be a function of two rows, got {on_row!r}")
     _check_device(resources.device)
     with ExitStack() as stack:
         started = None
@@ -136,8 +138,8 @@ def _check_device(device: str) -> None:
 
 def _folder(name: str, given: str | Path) -> Path:
     check_kind(name, given, (str, Path), "a folder's name")
-    if not str(given):
-        raise ValueError(f"{name} must be a folder's name, got ''")
+    if not str(given) or "\0" in str(given):
+        raise ValueError(f"{name} must be a folder's name, got {given!r}")
     return Path(given)
 
 
