@@ -93,6 +93,12 @@ def test_train_writes_a_run_whose_folder_is_a_policy(carry_id, tmp_path, capsys)
     assert main(["evaluate", carry_id, "--policy", str(folder), "--episodes", "2"]) == 0
 
 
+def test_a_run_shorter_than_an_update_says_what_it_trained(carry_id, tmp_path, capsys):
+    arguments = ["train", carry_id, "--output", str(tmp_path), "--total-steps", "1"]
+    assert main([*arguments, *TINY]) == 0
+    assert capsys.readouterr().out.startswith("trained 32 steps, the least: num_envs x")
+
+
 def test_what_is_given_overrules_the_recipe_even_where_it_is_the_default(
     carry_id, tmp_path, monkeypatch
 ):
@@ -187,6 +193,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Poke --resume run", "environment is Poke, not Carry; task is"),
         ("--resume run --discount 0.5", "discount is 0.5, not"),
         ("--resume run --mode shared", "mode is shared, not collaborative"),
+        ("Carry --seeds 0 1", "--seeds goes with --all; one run has one --seed"),
         ("--all --mode shared", "mode does not go with --all"),
         ("--all --seed 0", "seed does not go with --all"),
         ("--all --resume run", "resume does not go with --all"),

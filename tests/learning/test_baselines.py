@@ -18,8 +18,8 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
 
     def train_both(changes=None, **options):
         changes = changes or changed(tiny(total_steps=64))
-        given = (0, 1), changes, alone
-        return list(train_baselines([carry_id], tmp_path, *given, **options))
+        given = {"seeds": (0, 1), "changes": changes, "resources": alone}
+        return list(train_baselines([carry_id], tmp_path, **given, **options))
 
     return train_both
 
@@ -104,7 +104,7 @@ def test_what_is_changed_is_laid_over_the_recipe(
 
 def test_bad_input_shows_before_the_work(carry_id, tmp_path):
     with pytest.raises(ValueError, match="give at least one seed"):
-        next(train_baselines([carry_id], tmp_path, ()))
+        next(train_baselines([carry_id], tmp_path, seeds=()))
     with pytest.raises(KeyError, match="did you mean 'Carry'"):
         next(train_baselines([carry_id, "Cary"], tmp_path))
     assert not list(tmp_path.iterdir())

@@ -52,7 +52,7 @@ class Train(Command):
         shared: one policy and critic for robots with equal spaces; centralized: one
         policy for all robots.
       seed: of the run (default: 0).
-      seeds: of the runs of each baseline, with --all.
+      seeds: of the runs of each baseline, with --all (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS), or of all baselines
         (default: runs/baselines).
       resume: folder of a run to go on with; what it was started with holds.
@@ -70,7 +70,7 @@ class Train(Command):
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     mode: Annotated[Mode | None, tyro.conf.arg(metavar="MODE"), _Own] = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
-    seeds: tuple[int, ...] = (0, 1, 2)
+    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT ..."), _Own] = ()
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
     robots: Robots = ()
@@ -106,6 +106,9 @@ class Train(Command):
                 checkpoint_interval=self.checkpoint_interval,
                 on_row=display.show,
             )
+        update = hyperparameters.steps_per_update
+        if hyperparameters.total_steps < update:
+            show(f"trained {update:,} steps, the least: num_envs x rollout_steps")
         show(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters]:
@@ -113,6 +116,8 @@ class Train(Command):
         from collaborative_gym.learning.checkpoint import Checkpoint
         from collaborative_gym.learning.folder import LAST
 
+        if self.seeds:
+            raise ValueError("--seeds goes with --all; one run has one --seed")
         envs, own = self.envs, None
         if self.resume is not None:
             settings = Checkpoint.load(self.resume / LAST).settings
@@ -143,10 +148,10 @@ class Train(Command):
         for card in train_baselines(
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),
-            self.seeds,
-            self._given(),
-            self.resources,
-            self.checkpoint_interval,
-            Display,
+            seeds=self.seeds or (0, 1, 2),
+            changes=self._given(),
+            resources=self.resources,
+            checkpoint_interval=self.checkpoint_interval,
+            displays=Display,
         ):
             show(f"wrote {card}")

@@ -40,8 +40,8 @@ Displays = Callable[[str, int], AbstractContextManager[_Display]]
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One of an environment's runs, and how its best policy did.
+class Candidate:
+    """One of an environment's runs, whose best policy may be shipped.
 
     Attributes:
       seed: of the run.
@@ -57,6 +57,7 @@ class Trial:
 def train_baselines(
     env_ids: Sequence[str],
     output: str | Path,
+    *,
     seeds: Sequence[int] = (0, 1, 2),
     changes: Mapping[str, Any] | None = None,
     resources: Resources | None = None,
@@ -93,7 +94,7 @@ def train_baselines(
     output = Path(output)
     resources = resources or Resources()
     for env_id in env_ids:
-        trials = []
+        candidates = []
         numbers = replace(recipe(env_id), **(changes or {}))
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
@@ -111,8 +112,10 @@ def train_baselines(
                     checkpoint_interval=checkpoint_interval,
                     on_row=on_row,
                 )
-            trials.append(Trial(seed, result, _measure(env_id, result, resources)))
-        yield _ship(env_id, trials, output, resources)
+            candidates.append(
+                Candidate(seed, result, _measure(env_id, result, resources))
+            )
+        yield _ship(env_id, candidates, output, resources)
 
 
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
@@ -130,26 +133,28 @@ def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Rep
 
 
 def _ship(
-    env_id: str, trials: Sequence[Trial], output: Path, resources: Resources
+    env_id: str, candidates: Sequence[Candidate], output: Path, resources: Resources
 ) -> Path:
     """Write the policy, the curve and the card of the best run; return the card."""
-    best = max(trials, key=lambda trial: trial.result.best["validation/return"])
+    best = max(
+        candidates, key=lambda candidate: candidate.result.best["validation/return"]
+    )
     for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.result.folder / name, partial)
     card = output / f"{env_id}.md"
-    write_text(card, write_card(env_id, trials, best, resources))
+    write_text(card, write_card(env_id, candidates, best, resources))
     return card
 
 
 def write_card(
-    env_id: str, trials: Sequence[Trial], best: Trial, resources: Resources
+    env_id: str, candidates: Sequence[Candidate], best: Candidate, resources: Resources
 ) -> str:
     """Return a baseline's card: what it is, how it was trained, and how well it does.
 
     Args:
       env_id: its environment.
-      trials: all runs.
+      candidates: all runs.
       best: the one whose policy is shipped.
       resources: that they used.
     """
@@ -181,12 +186,14 @@ def write_card(
         " time to success |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for trial in trials:
-        for preset, report in trial.reports.items():
+    for candidate in candidates:
+        for preset, report in candidate.reports.items():
             cells = [
-                f"{trial.seed} (shipped)" if trial is best else f"{trial.seed}",
-                f"{trial.result.steps / 1e6:.1f} M",
-                f"{trial.result.seconds / 60:.0f} min",
+                f"{candidate.seed} (shipped)"
+                if candidate is best
+                else f"{candidate.seed}",
+                f"{candidate.result.steps / 1e6:.1f} M",
+                f"{candidate.result.seconds / 60:.0f} min",
                 preset,
                 show(report.mean_reward),
                 show(report.completion, percent=True),
