@@ -20,6 +20,10 @@ Mode = Literal["collaborative", "independent", "shared", "centralized"]
   robots with equal spaces.
 - centralized: one policy that sees all observations and commands all robots, with their
   mean reward.
+
+Where a task has several sides, "all" in collaborative and centralized are those of one
+side: each side has a critic, and with centralized a policy, of its own. In the mode
+shared, opponents play the same policy.
 """
 
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -33,7 +37,8 @@ class Hyperparameters:
     """How PPO learns.
 
     Attributes:
-      total_steps: environment steps in all, counted over all worlds.
+      total_steps: environment steps in all, counted over all worlds; the last update
+        may go past it.
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.

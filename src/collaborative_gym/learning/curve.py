@@ -17,7 +17,10 @@ _WINDOW = 0.02
 """Share of the run that the moving mean takes in."""
 
 _INK = "#222222"
-"""Colour of all robots together and of text."""
+"""Colour of text."""
+
+_INKS = (_INK, "#999999")
+"""Colours of all robots together, or of the sides."""
 
 _COLOURS = (
     "#0072b2",
@@ -36,10 +39,24 @@ _Rows = Sequence[Mapping[str, float]]
 
 def robots_of(columns: Iterable[str]) -> list[str]:
     """Return the agents whose own returns are among the columns, in order."""
-    names = [
-        name.removesuffix("/return") for name in columns if name.endswith("/return")
+    return _owners(columns, "robot_")
+
+
+def sides_of(columns: Iterable[str]) -> list[str]:
+    """Return what stands before each side's results, such as "side_1/".
+
+    Nothing does where all robots are on one side.
+    """
+    return [f"{side}/" for side in _owners(columns, "side_")] or [""]
+
+
+def _owners(columns: Iterable[str], prefix: str) -> list[str]:
+    names = (name.removeprefix("validation/") for name in columns)
+    return [
+        name.removesuffix("/return")
+        for name in dict.fromkeys(names)
+        if name.startswith(prefix) and name.endswith("/return")
     ]
-    return [name for name in dict.fromkeys(names) if name != "validation"]
 
 
 def draw_curve(rows: _Rows, title: str, path: str | Path) -> None:
@@ -62,9 +79,10 @@ def draw_curve(rows: _Rows, title: str, path: str | Path) -> None:
 def learning_curve(rows: _Rows, title: str) -> "Figure":
     """Return a run's learning curve, 8 x 6 in, that belongs to no window.
 
-    Above are the returns over environment steps, of all robots together and of each
-    robot: those of the episodes pale, their moving mean over 2 % of the run strong, and
-    validations as dots. Below are completion and performance.
+    Above are the returns over environment steps, of all robots together (or of each
+    side, where there are several) and of each robot: those of the episodes pale, their
+    moving mean over 2 % of the run strong, and validations as dots. Below are
+    completion and performance.
 
     Args:
       rows: the run's, as `monitor.summarize` gives them.
@@ -97,22 +115,32 @@ def learning_curve(rows: _Rows, title: str) -> "Figure":
 
 
 def _draw_returns(axes: "Axes", rows: _Rows) -> None:
-    # Drawn on top of the robots' curves, but named before them.
-    _draw_line(axes, rows, "return", "all robots", _INK, 2.4)
     columns = dict.fromkeys(name for row in rows for name in row)
+    # Drawn on top of the robots' curves, but named before them.
+    for i, side in enumerate(sides_of(columns)):
+        ink = _INKS[i % len(_INKS)]
+        label = side.removesuffix("/") or "all robots"
+        _draw_line(axes, rows, f"{side}return", label, ink, 2.4)
+        validated = f"{label}, validation"
+        _draw_dots(axes, rows, f"validation/{side}return", validated, ink)
     for i, robot in enumerate(robots_of(columns)):
         colour = _COLOURS[i % len(_COLOURS)]
         # Every other one is dashed: robots that earn the same lie on one another.
         style = "dashed" if i % 2 else "solid"
         _draw_line(axes, rows, f"{robot}/return", robot, colour, 1.5, style=style)
-    _draw_dots(axes, rows, "validation/return", "all robots, validation", _INK)
 
 
 def _draw_shares(axes: "Axes", rows: _Rows) -> None:
-    for name, colour in (("completion", "#0072b2"), ("performance", "#d55e00")):
-        _draw_line(axes, rows, name, name, colour, 1.8, factor=100.0)
-        column, label = f"validation/{name}", f"{name}, validation"
-        _draw_dots(axes, rows, column, label, colour, factor=100.0)
+    sides = sides_of(dict.fromkeys(name for row in rows for name in row))
+    for i, side in enumerate(sides):
+        of = f" of {side.removesuffix('/')}" if side else ""
+        style = "dashed" if i % 2 else "solid"
+        for name, colour in (("completion", "#0072b2"), ("performance", "#d55e00")):
+            _draw_line(
+                axes, rows, f"{side}{name}", f"{name}{of}", colour, 1.8, 100.0, style
+            )
+            column, label = f"validation/{side}{name}", f"{name}{of}, validation"
+            _draw_dots(axes, rows, column, label, colour, factor=100.0)
 
 
 def _draw_line(

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from collaborative_gym.learning.curve import robots_of
+from collaborative_gym.learning.curve import robots_of, sides_of
 
 _LINE_INTERVAL = 30.0
 """Least time between two lines where the output is no terminal, in s."""
@@ -84,17 +84,17 @@ class Display:
             self._live.update(self._panel(best or {}), refresh=True)
             return
         self._unprinted = row
-        if "validation/return" in row or time.monotonic() >= self._next_line:
+        is_validated = any(name.startswith("validation/") for name in row)
+        if is_validated or time.monotonic() >= self._next_line:
             self._print_line(row)
 
     def _print_line(self, row: Mapping[str, float]) -> None:
         cells = [self._title, *self._pace()]
-        for name in _RESULTS:
-            if name in self._known:
-                cells.append(f"{name} {_result(self._known, name)}")
-        for name in _RESULTS:
-            if f"validation/{name}" in row:
-                cells.append(f"validation {name} {_result(row, f'validation/{name}')}")
+        for where, known in (("", self._known), ("validation/", row)):
+            for name in self._measures():
+                if where + name in known:
+                    told = _result(known, where + name)
+                    cells.append(f"{where}{name} {told}".replace("/", " "))
         line = ", ".join(cells)
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         self._next_line = time.monotonic() + _LINE_INTERVAL
@@ -142,12 +142,16 @@ class Display:
             [*words, f"{_duration((total - steps) / rate)} left"] if rate > 0 else words
         )
 
+    def _measures(self) -> list[str]:
+        """Return the columns of what the robots reach, side by side."""
+        return [f"{side}{name}" for side in sides_of(self._known) for name in _RESULTS]
+
     def _results(self, best: Mapping[str, float]) -> Table:
         """Return how well the robots do, all together."""
         table = _table("", "training", "validation", "best")
-        for name in _RESULTS:
+        for name in self._measures():
             table.add_row(
-                name,
+                name.replace("/", " "),
                 _result(self._known, name),
                 _result(self._known, f"validation/{name}"),
                 _result(best, f"validation/{name}"),
@@ -200,7 +204,7 @@ def _result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
     value = row.get(column)
     if value is None:
         return absent
-    if column.removeprefix("validation/") in ("completion", "performance"):
+    if column.rpartition("/")[2] in ("completion", "performance"):
         return f"{100 * value:.0f} %"
     return f"{value:,.1f}" if abs(value) < 1e5 else f"{value:.3g}"
 

@@ -40,7 +40,9 @@ def summarize(
     `performance`, and by agent of `robot_1/return` and each reward term, such as
     `robot_1/distance`; by learner what the update did, such as `team/kl`; and of a
     validation the means `validation/return`, `validation/completion` and
-    `validation/performance`. What is not known, as where no episode ended, is left out.
+    `validation/performance`. Where there are several sides, return, completion and
+    performance are by side, as `side_1/return` and `validation/side_1/return`. What is
+    not known, as where no episode ended, is left out.
 
     Args:
       steps: environment steps done so far, over all worlds.
@@ -57,10 +59,12 @@ def summarize(
     row |= _means(iteration.episodes)
     for learner, numbers in iteration.numbers.items():
         row |= {f"{learner}/{name}": float(value) for name, value in numbers.items()}
-    if validation is not None:
-        row["validation/return"] = validation.mean_reward.mean
-        row["validation/completion"] = validation.completion.mean
-        row["validation/performance"] = validation.performance.mean
+    sides = {} if validation is None else validation.sides
+    for side, score in sides.items():
+        prefix = f"validation/{side}/" if len(sides) > 1 else "validation/"
+        row[f"{prefix}return"] = score.mean_reward.mean
+        row[f"{prefix}completion"] = score.completion.mean
+        row[f"{prefix}performance"] = score.performance.mean
     return row
 
 
@@ -68,7 +72,7 @@ def _means(episodes: Sequence[Mapping[str, float]]) -> Row:
     """Return the number of episodes and the means over them."""
     means: Row = {"episodes": len(episodes)}
     for name in episodes[0] if episodes else ():
-        if name not in _NOT_AVERAGED:
+        if name not in _NOT_AVERAGED and not name.endswith("/time_to_success"):
             values = [float(episode[name]) for episode in episodes]
             means[name] = math.fsum(values) / len(values)
     return means

@@ -36,7 +36,9 @@ class Result:
       steps: environment steps that it took.
       seconds: time that it took.
       best: means of the best validation: `validation/return`,
-        `validation/completion`, `validation/performance` and `steps`.
+        `validation/completion`, `validation/performance` and `steps`. Where there are
+        several sides, it is the last validation, and they are by side, as
+        `validation/side_1/return`.
     """
 
     folder: Path
@@ -78,7 +80,7 @@ class Run:
         self._settings = settings
         self._num_threads = resources.num_threads
         sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
-        learners = make_learners(settings.mode, sizes)
+        learners = make_learners(settings.mode, sizes, task.sides)
         self._parts = [part for learner in learners for part in learner.parts]
         self._backend = _make_backend(task, settings, resources, learners, sizes)
         self._best = dict(started.best) if started is not None else {}
@@ -157,8 +159,9 @@ class Run:
         )
 
     def _keep_best(self, row: Mapping[str, float]) -> None:
-        score = "validation/return"
-        if self._best and row[score] <= self._best[score]:
+        # Of opponents one gains what another loses: the latest policies count as best.
+        score = self._best.get("validation/return", -math.inf)
+        if row.get("validation/return", math.inf) <= score:
             return
         self._best = {
             column: value

@@ -1,6 +1,6 @@
 """How a mode divides the robots among learners."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,24 +130,34 @@ class Learner:
         return dict(zip(self.agents, blocks, strict=True))
 
 
-def make_learners(mode: Mode, sizes: Sizes) -> tuple[Learner, ...]:
-    """Return the learners of a mode.
+def make_learners(
+    mode: Mode, sizes: Sizes, sides: Sequence[Sequence[str]] = ()
+) -> tuple[Learner, ...]:
+    """Return the learners of a mode. None has a reward over agents of several sides.
 
     Args:
       mode: who learns what.
       sizes: of the agents' spaces.
+      sides: agents that share a goal, from `Task.sides`; none for all.
 
     Raises:
       ValueError: if there is no such mode, or a shared policy does not fit; names the
         sizes.
     """
     agents = tuple(sizes.observation)
+    names = [f"side_{i + 1}" for i in range(len(sides))] if len(sides) > 1 else ["team"]
+    teams = dict(zip(names, map(tuple, sides or (agents,)), strict=True))
     if mode == "collaborative":
-        return (Learner("team", agents, tuple(Part((a,), a) for a in agents)),)
+        return tuple(
+            Learner(name, own, tuple(Part((a,), a) for a in own))
+            for name, own in teams.items()
+        )
     if mode == "independent":
         return tuple(Learner(a, (a,), (Part((a,), a),)) for a in agents)
     if mode == "centralized":
-        return (Learner("team", agents, (Part(agents, "team"),)),)
+        return tuple(
+            Learner(name, own, (Part(own, name),)) for name, own in teams.items()
+        )
     if mode == "shared":
         _check_equal("observations", sizes.observation)
         _check_equal("actions", sizes.action)
