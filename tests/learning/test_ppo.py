@@ -9,6 +9,7 @@ from collaborative_gym.learning.collector import Job, Player
 from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.update import UPDATE
 from collaborative_gym.policies.network import ACTIVATIONS, NetworkPolicy
 
 AGENTS = ("robot_1", "robot_2")
@@ -248,8 +249,7 @@ def test_an_update_tells_its_losses_and_rates(make, entropy):
         learner.record(rewards, observations, never(4), never(4))
     numbers = learner.update(observations)
     assert (numbers["entropy_loss"] == 0.0) == (entropy == 0.0)
-    names = "policy_loss value_loss entropy_loss std kl learning_rate weight_norm"
-    assert set(numbers) == set(names.split())
+    assert set(numbers) == set(UPDATE)
     assert numbers["learning_rate"] == 1e-3
     assert numbers["std"] == pytest.approx(0.5, rel=0.1)
     assert numbers["kl"] > 0.0

@@ -91,7 +91,7 @@ def advance_until(backend, is_enough, most=200):
         iteration = backend.advance()
         steps.append(backend.steps - before)
         episodes += iteration.episodes
-        for numbers in iteration.numbers.values():
+        for numbers in iteration.updates.values():
             assert np.isfinite(list(numbers.values())).all()
     return steps, episodes
 
@@ -115,7 +115,7 @@ def test_a_run_goes_on_bit_for_bit_with_as_many_and_anew_with_others(
     last = deepcopy(first.state_dict())
     first.load_state_dict(state)
     found = [first.advance() for _ in range(3)]
-    assert [each.numbers for each in found] == [each.numbers for each in expected]
+    assert [each.updates for each in found] == [each.updates for each in expected]
     # As text, in which NaN is NaN.
     assert str(found) == str(expected)
     assert same(first.state_dict()["learners"], last["learners"])

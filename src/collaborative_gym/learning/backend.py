@@ -19,13 +19,11 @@ class Iteration:
     Attributes:
       episodes: a row for each episode that ended and was played in full, as
         `evaluation.episode_row` gives it.
-      numbers: of the update, by learner: `policy_loss`, `value_loss`, `entropy_loss`,
-        `std` (of the actions), `kl` (divergence of the last epoch), `learning_rate` and
-        `weight_norm`.
+      updates: by learner, the numbers that `update.UPDATE` names.
     """
 
     episodes: list[dict[str, Any]]
-    numbers: dict[str, dict[str, float]]
+    updates: dict[str, dict[str, float]]
 
 
 class Backend:
@@ -69,13 +67,13 @@ class Backend:
         collected = self.collect()
         episodes = [row for each in collected for row in each.episodes]
         self._assistance.adapt(episodes)
-        numbers = {
+        updates = {
             name: learner.learn([each.rollouts[name] for each in collected])
             for name, learner in self._learners.items()
         }
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
-        return Iteration(episodes, numbers)
+        return Iteration(episodes, updates)
 
     def weights(self) -> dict[str, Weights]:
         """Return what the networks have learned so far, by name."""

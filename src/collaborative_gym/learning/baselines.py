@@ -95,19 +95,19 @@ def train_baselines(
     resources = resources or Resources()
     for env_id in env_ids:
         candidates = []
-        numbers = replace(recipe(env_id), **(changes or {}))
+        hyperparameters = replace(recipe(env_id), **(changes or {}))
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
             is_there = (folder / LAST).exists()
             title = f"{env_id}, seed {seed}"
-            with _shown(displays, title, numbers.total_steps) as on_row:
+            with _shown(displays, title, hyperparameters.total_steps) as on_row:
                 result = train(
                     env_id,
                     "collaborative",
                     seed=seed,
                     output=None if is_there else folder,
                     resume=folder if is_there else None,
-                    hyperparameters=numbers,
+                    hyperparameters=hyperparameters,
                     resources=resources,
                     checkpoint_interval=checkpoint_interval,
                     on_row=on_row,
@@ -159,24 +159,27 @@ def write_card(
       resources: that they used.
     """
     settings = best.result.settings
-    numbers = settings.hyperparameters
+    hyperparameters = settings.hyperparameters
     machine, robots = describe_machine(), ", ".join(settings.identity.robot_names)
-    own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
+    own = [
+        f"{name} {_option(value)}" for name, value in changed(hyperparameters).items()
+    ]
     steps = best.result.best["steps"]
     lines = [
         f"# {env_id}: baseline",
         "",
         f"A policy for each robot ({robots}), trained from scratch by PPO"
         " on the thesis's reward, mode collaborative: no demonstrations, no shaping,"
-        f" {_curriculum(numbers)}.",
+        f" {_curriculum(hyperparameters)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
-        f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
-        f" {numbers.activation}; actions are the mean, without noise",
+        f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
+        f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
-        f" {numbers.validation_episodes} validation episodes that are not those below",
-        f"- command: `{_command(env_id, best.seed, numbers, resources)}`",
+        f" {hyperparameters.validation_episodes} validation episodes that are not those"
+        " below",
+        f"- command: `{_command(env_id, best.seed, hyperparameters, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -204,21 +207,21 @@ def write_card(
     return "\n".join(lines) + "\n"
 
 
-def _curriculum(numbers: Hyperparameters) -> str:
-    if not numbers.assistance:
+def _curriculum(hyperparameters: Hyperparameters) -> str:
+    if not hyperparameters.assistance:
         return "no curriculum"
     return (
-        f"and a curriculum: at first {100 * numbers.assistance:g} % of the weight of"
-        " what moves freely was carried, the less the more episodes were completed"
+        f"and a curriculum: at first {100 * hyperparameters.assistance:g} % of the"
+        " weight of what moves freely was carried, the less the more episodes were completed"
         " (none in what is reported)"
     )
 
 
 def _command(
-    env_id: str, seed: int, numbers: Hyperparameters, resources: Resources
+    env_id: str, seed: int, hyperparameters: Hyperparameters, resources: Resources
 ) -> str:
     """Return the command that trains such a run again."""
-    others = changed(numbers, recipe(env_id))
+    others = changed(hyperparameters, recipe(env_id))
     if resources.torch_threads != Resources.torch_threads:
         # Another number may change the last bits.
         others["torch_threads"] = resources.torch_threads

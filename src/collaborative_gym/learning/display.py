@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from collaborative_gym.learning.curve import robots_of, sides_of
+from collaborative_gym.learning.update import UPDATE
 
 _LINE_INTERVAL = 30.0
 """Least time between two lines where the output is no terminal, in s."""
@@ -21,17 +22,6 @@ _WIDTH = 100
 """Most columns of the panel."""
 
 _RESULTS = ("return", "completion", "performance")
-
-_NUMBERS = {
-    "kl": ("KL", ".4f"),
-    "learning_rate": ("learning rate", ".1e"),
-    "std": ("std", ".3f"),
-    "policy_loss": ("policy loss", ".4f"),
-    "value_loss": ("value loss", ".4f"),
-    "entropy_loss": ("entropy loss", ".4f"),
-    "weight_norm": ("weight norm", ".1f"),
-}
-"""What an update tells of a learner, how it is called here and how it is written."""
 
 
 class Display:
@@ -164,7 +154,7 @@ class Display:
         terms = dict.fromkeys(
             term
             for robot, _, term in (name.rpartition("/") for name in self._known)
-            if robot in robots and term not in _NUMBERS
+            if robot in robots and term not in UPDATE
         )
         table = _table("reward" if robots else "", *robots)
         for term in terms:
@@ -180,7 +170,7 @@ class Display:
             name.removesuffix("/kl") for name in self._known if name.endswith("/kl")
         ]
         table = _table("update", *learners)
-        for number, (label, digits) in _NUMBERS.items():
+        for number, (label, digits) in UPDATE.items():
             values = [self._known.get(f"{name}/{number}") for name in learners]
             if any(value is not None for value in values):
                 cells = (

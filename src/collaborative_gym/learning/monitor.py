@@ -57,8 +57,8 @@ def summarize(
         "steps_per_second": float(steps_per_second),
     }
     row |= _means(iteration.episodes)
-    for learner, numbers in iteration.numbers.items():
-        row |= {f"{learner}/{name}": float(value) for name, value in numbers.items()}
+    for learner, update in iteration.updates.items():
+        row |= {f"{learner}/{name}": float(value) for name, value in update.items()}
     sides = {} if validation is None else validation.sides
     for side, score in sides.items():
         prefix = f"validation/{side}/" if len(sides) > 1 else "validation/"

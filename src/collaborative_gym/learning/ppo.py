@@ -30,7 +30,7 @@ _LOSSES = {
     "entropy_loss": "Loss / Entropy loss",
     "std": "Policy / Standard deviation",
 }
-"""What skrl calls the numbers that an update reports."""
+"""What skrl calls those of `UPDATE` that it reports itself."""
 
 _ESTIMATES = "returns", "advantages"
 """Columns that skrl fills in itself."""

@@ -181,8 +181,8 @@ class Run:
         ).save(self._folder / name)
 
     def _check_finite(self, iteration: Iteration) -> None:
-        for learner, numbers in iteration.numbers.items():
-            for name, value in numbers.items():
+        for learner, update in iteration.updates.items():
+            for name, value in update.items():
                 if not math.isfinite(value):
                     raise RuntimeError(
                         f"{name} of {learner} is {value} after"
@@ -198,9 +198,14 @@ def _make_backend(
     learners: Sequence[Learner],
     sizes: Sizes,
 ) -> Backend:
-    numbers = settings.hyperparameters
+    hyperparameters = settings.hyperparameters
     job = Job(
-        task, tuple(learners), sizes, settings.seed, numbers, resources.num_threads
+        task,
+        tuple(learners),
+        sizes,
+        settings.seed,
+        hyperparameters,
+        resources.num_threads,
     )
     if settings.backend == "ray":
         from collaborative_gym.learning.ray_collectors import RayCollectors
@@ -212,9 +217,12 @@ def _make_backend(
     else:
         collectors = OwnCollector(job)
     return Backend(
-        [PPOLearner(each, sizes, numbers, resources.device) for each in learners],
+        [
+            PPOLearner(each, sizes, hyperparameters, resources.device)
+            for each in learners
+        ],
         collectors,
-        assistance=numbers.assistance,
+        assistance=hyperparameters.assistance,
     )
 
 
