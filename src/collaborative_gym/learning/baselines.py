@@ -189,22 +189,24 @@ def write_card(
         " time to success |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for candidate in candidates:
-        for preset, report in candidate.reports.items():
-            cells = [
-                f"{candidate.seed} (shipped)"
-                if candidate is best
-                else f"{candidate.seed}",
-                f"{candidate.result.steps / 1e6:.1f} M",
-                f"{candidate.result.seconds / 60:.0f} min",
-                preset,
-                show(report.mean_reward),
-                show(report.completion, percent=True),
-                show(report.performance, percent=True),
-                show(report.time_to_success, unit=" s"),
-            ]
-            lines.append(f"| {' | '.join(cells)} |")
+    lines += [row for each in candidates for row in _rows(each, each is best)]
     return "\n".join(lines) + "\n"
+
+
+def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
+    """Yield the lines of a card's table that tell of a run."""
+    for preset, report in candidate.reports.items():
+        cells = [
+            f"{candidate.seed} (shipped)" if is_best else f"{candidate.seed}",
+            f"{candidate.result.steps / 1e6:.1f} M",
+            f"{candidate.result.seconds / 60:.0f} min",
+            preset,
+            show(report.mean_reward),
+            show(report.completion, percent=True),
+            show(report.performance, percent=True),
+            show(report.time_to_success, unit=" s"),
+        ]
+        yield f"| {' | '.join(cells)} |"
 
 
 def _curriculum(hyperparameters: Hyperparameters) -> str:
@@ -212,8 +214,8 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
         return "no curriculum"
     return (
         f"and a curriculum: at first {100 * hyperparameters.assistance:g} % of the"
-        " weight of what moves freely was carried, the less the more episodes were completed"
-        " (none in what is reported)"
+        " weight of what moves freely was carried, the less the more episodes were"
+        " completed (none in what is reported)"
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_kind, unknown
@@ -44,6 +45,11 @@ class Settings:
     def environment(self) -> str:
         """The environment's id, or the task's name."""
         return self.identity.name
+
+    @property
+    def folder(self) -> Path:
+        """Where the run goes unless told otherwise."""
+        return Path("runs", f"{self.environment}-{self.mode}-seed{self.seed}")
 
     @property
     def title(self) -> str:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 try:
@@ -80,12 +80,8 @@ def train(
       ValueError: if the robots do not fit the mode, or a checkpoint is damaged or of
         another run or environment than the one asked for; says what differs.
     """
-    check_count("checkpoint_interval", checkpoint_interval, at_least=1)
     resources = Resources() if resources is None else resources
-    check_kind("resources", resources, Resources, "Resources(...)")
-    if on_row is not None and not callable(on_row):
-        raise TypeError(f"on_row must be a function of two rows, got {on_row!r}")
-    _check_device(resources.device)
+    _check(resources, checkpoint_interval, on_row)
     with ExitStack() as stack:
         started = None
         if resume is not None:
@@ -95,43 +91,46 @@ def train(
             stack.enter_context(claimed(folder, LAST))
             started = Checkpoint.load(folder / LAST)
             if not isinstance(env, Task):
-                identity = started.settings.identity
-                robots = robots or identity.robot_names
-                own = Randomization(**identity.config["randomization"])
-                randomization = own if randomization is None else randomization
+                own = started.settings.identity
+                robots = own.robot_names if robots is None else robots
+                if randomization is None:
+                    randomization = Randomization(**own.config["randomization"])
         task = as_task(env, robots, randomization)
         settings = settle(
             task,
-            started.settings if started is not None else None,
+            None if started is None else started.settings,
             mode=mode,
             seed=seed,
             backend=backend,
             hyperparameters=hyperparameters,
         )
         if started is None:
-            name = f"{settings.environment}-{settings.mode}-seed{settings.seed}"
-            folder = _folder(
-                "output", Path("runs") / name if output is None else output
-            )
+            folder = _folder("output", settings.folder if output is None else output)
             stack.enter_context(claimed(folder))
             _begin(folder, settings)
-        stack.enter_context(_own_generator(settings.seed))
-        stack.enter_context(_torch_threads(resources.torch_threads))
+        stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
-        stack.callback(run.close)
         pressed = stack.enter_context(ctrl_c())
-        return run.finish(
-            pressed, checkpoint_interval=checkpoint_interval, on_row=on_row
-        )
+        with closing(run):
+            return run.finish(
+                pressed, checkpoint_interval=checkpoint_interval, on_row=on_row
+            )
 
 
-def _check_device(device: str) -> None:
+def _check(
+    resources: Resources, checkpoint_interval: int, on_row: OnRow | None
+) -> None:
+    """Raise if something is wrong that shows without the environment."""
+    check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+    check_kind("resources", resources, Resources, "Resources(...)")
+    if on_row is not None and not callable(on_row):
+        raise TypeError(f"on_row must be a function of two rows, got {on_row!r}")
     try:
-        kind = torch.device(device).type
-    except (RuntimeError, TypeError):
+        kind = torch.device(resources.device).type
+    except RuntimeError:
         kind = None
     if kind not in ("cpu", "cuda"):
-        raise ValueError(f"no device {device!r}; give cpu or cuda")
+        raise ValueError(f"no device {resources.device!r}; give cpu or cuda")
     if kind == "cuda" and not torch.cuda.is_available():
         raise ValueError("device is cuda, but torch finds no CUDA device here")
 
@@ -154,18 +153,13 @@ def _begin(folder: Path, settings: Settings) -> None:
 
 
 @contextmanager
-def _own_generator(seed: int) -> Iterator[None]:
-    """Let torch draw from generators of this seed, and the caller's go on after."""
+def _torch(seed: int, threads: int) -> Iterator[None]:
+    """Let torch draw from generators of a seed, in so many threads, for a while."""
+    before = torch.get_num_threads()
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        yield
-
-
-@contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or cores())
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(threads or cores())
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)
