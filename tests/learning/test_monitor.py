@@ -207,9 +207,9 @@ def test_curve_shows_all_robots_each_robot_and_validations():
     named = [name for name in lines if not name.startswith("_")]
     assert named == [
         "all robots",
+        "all robots, validation",
         "robot_1",
         "robot_2",
-        "all robots, validation",
         "completion",
     ]
     assert lines["all robots"].get_xdata() == pytest.approx([1.0, 2.0])

@@ -59,12 +59,10 @@ def summarize(
     row |= _means(iteration.episodes)
     for learner, update in iteration.updates.items():
         row |= {f"{learner}/{name}": float(value) for name, value in update.items()}
-    sides = {} if validation is None else validation.sides
-    for side, score in sides.items():
-        prefix = f"validation/{side}/" if len(sides) > 1 else "validation/"
-        row[f"{prefix}return"] = score.mean_reward.mean
-        row[f"{prefix}completion"] = score.completion.mean
-        row[f"{prefix}performance"] = score.performance.mean
+    if validation is not None:
+        row["validation/return"] = validation.mean_reward.mean
+        row["validation/completion"] = validation.completion.mean
+        row["validation/performance"] = validation.performance.mean
     return row
 
 
