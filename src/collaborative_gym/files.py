@@ -14,10 +14,20 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     After an error or Ctrl-C nothing is left of it, and a file that was at `path` before
     is untouched. The file's folder is made if it is missing.
+
+    Raises:
+      OSError: if it cannot be written, as on a full disk; names it.
     """
     path = Path(path)
     with _beside(path) as folder:
-        yield folder / path.name
+        try:
+            yield folder / path.name
+        except OSError as error:
+            # What a write raises names no file; what concerns another file does.
+            if error.filename is None:
+                with naming(path):
+                    raise
+            raise
         with naming(path):
             os.replace(folder / path.name, path)
 

@@ -53,14 +53,11 @@ class Checkpoint:
         whole = BytesIO()
         torch.save(content, whole)
         with replacing(path) as partial, open(partial, "wb") as file:
-            try:
-                file.write(_FORMAT + sha256(whole.getbuffer()).digest())
-                file.write(whole.getbuffer())
-                # Else it may be empty in its place if the power fails.
-                file.flush()
-                os.fsync(file.fileno())
-            except OSError as error:
-                raise OSError(f"cannot write {path}: {error.strerror}") from error
+            file.write(_FORMAT + sha256(whole.getbuffer()).digest())
+            file.write(whole.getbuffer())
+            # Else it may be empty in its place if the power fails.
+            file.flush()
+            os.fsync(file.fileno())
 
     @classmethod
     def load(cls, path: Path) -> "Checkpoint":
