@@ -54,7 +54,7 @@ def test_rotation_and_axes_are_those_of_the_matrix(quats, rng):
     q, v = quats[0], rng.normal(size=(N, 3))
     turned = (matrices(q) @ v[:, :, None])[:, :, 0]
     np.testing.assert_allclose(math.rotate(q, v), turned, atol=1e-12)
-    for i, axis in enumerate((math.axis_x, math.axis_y, math.axis_z)):
+    for i, axis in ((0, math.axis_x), (2, math.axis_z)):
         np.testing.assert_allclose(axis(q), matrices(q)[:, :, i], atol=1e-12)
 
 
@@ -108,7 +108,6 @@ def test_torch_agrees(quats, rng):
         (math.multiply, p, q),
         (math.rotate, q, v),
         (math.axis_x, q),
-        (math.axis_y, q),
         (math.axis_z, q),
         (math.rotation_vector, q),
         (math.from_rotation_vector, v),

@@ -152,7 +152,7 @@ class Controller:
         """Switch one grip, and close the fingers where it holds."""
         sim, fingers = self._sim, self._arms[grip.agent].fingers
         tcp, site = sim.pose(f"{grip.agent}/tcp")[0], sim.pose(grip.site)[0]
-        is_near = math.distance(tcp, site) < grip.threshold
+        is_near = math.norm(tcp - site) < grip.threshold
         holds = asked & (is_near | (sim.eq_active[:, equality] > 0))
         sim.eq_active[:, equality] = holds
         controls[:, :, fingers] = sim.xp.where(

@@ -464,7 +464,7 @@ class VectorEnv:
 
     def _reward(
         self, facts: Any, actions: dict[str, Array], lost: Array
-    ) -> tuple[dict[str, Terms], dict[str, Array]]:
+    ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
         terms: dict[str, Terms] = {
             agent: {

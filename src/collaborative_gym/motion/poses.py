@@ -135,7 +135,7 @@ def hold(
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]
-    return found, (misses.reshape(-1, count) < _EXACT).all(axis=0)
+    return found, misses.reshape(-1, count).max(axis=0) < _EXACT
 
 
 def central_pose(
