@@ -63,6 +63,14 @@ def test_it_plays_what_the_pettingzoo_environment_plays(env, carry):
     assert env.render().shape == (480, 640, 3)
 
 
+def test_an_episode_that_is_over_is_terminated_for_all(env):
+    env.reset(seed=0)
+    env.env.vector_env.task.over = lambda facts: facts.height > -10.0
+    *_, terminated, truncated, _ = env.step({a: np.zeros(8) for a in AGENTS})
+    assert terminated == dict.fromkeys([*AGENTS, "__all__"], True)
+    assert truncated == dict.fromkeys([*AGENTS, "__all__"], False)
+
+
 def test_every_id_is_registered_with_its_options(carry_in_rllib):
     for env_id in cg.list_envs():
         assert _global_registry.contains(ENV_CREATOR, env_id)
