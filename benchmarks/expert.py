@@ -32,7 +32,8 @@ def measure(name: str, pair: tuple[str, str] | None) -> dict[str, object]:
     for agent in ("robot_1", "robot_2"):
         # An arm alone is tried in fewer episodes of a pair than of an environment.
         tries = episodes if pair is None else 20
-        idle = cg.evaluate(name, "expert", episodes=tries, robots=pair, idle=(agent,))
+        policy = {"robot_1": "expert", "robot_2": "expert", agent: "idle"}
+        idle = cg.evaluate(name, policy, episodes=tries, robots=pair)
         row[f"completion with {agent} idle"] = idle.completion.mean
     return row
 

@@ -15,19 +15,6 @@ from rich.table import Table
 import collaborative_gym as cg
 
 
-def completion(envs: cg.VectorEnv, seed: int, first: str, second: str) -> float:
-    """Return the share of episodes 0, 1, 2 ... that a pair completes."""
-    leaders = {
-        agent: cg.load_policy(name, envs)
-        for agent, name in zip(envs.agents, (first, second), strict=True)
-    }
-    observations, infos = envs.reset(seed=seed)
-    for _ in range(envs.task.config.max_episode_steps):
-        actions = {agent: act(observations)[agent] for agent, act in leaders.items()}
-        observations, *_, infos = envs.step(actions)
-    return infos["metrics"]["completion"].mean()
-
-
 def main(
     env: str = "PokeTaskSawyers-v0",
     policies: tuple[str, ...] = ("baseline", "expert", "random"),
@@ -42,11 +29,13 @@ def main(
       episodes: how many for each pair.
       seed: which episodes.
     """
-    envs = cg.make_vec(env, num_envs=episodes)
     table = Table("robot_1 / robot_2", *policies, title=env)
     for first in policies:
-        shares = [completion(envs, seed, first, second) for second in policies]
-        table.add_row(first, *(f"{share:.0%}" for share in shares))
+        pairs = [{"robot_1": first, "robot_2": second} for second in policies]
+        reports = [
+            cg.evaluate(env, pair, episodes=episodes, seed=seed) for pair in pairs
+        ]
+        table.add_row(first, *(f"{report.completion.mean:.0%}" for report in reports))
     Console().print(table)
 
 

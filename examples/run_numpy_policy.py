@@ -23,12 +23,12 @@ def main(policy: str = "PokeTaskSawyers-v0") -> None:
       policy: an environment id, for the baseline that is shipped, or a path.
     """
     act = cg.load_policy(policy)
-    facts = act.facts
+    identity, metadata = act.identity, act.metadata
     print(
-        f"{facts['environment']} with {' and '.join(facts['robots'])}, mode"
-        f" {facts['mode']}, {facts['steps']:,} steps of training"
+        f"{identity.title}, mode {metadata['mode']}, {metadata['steps']:,} steps of"
+        " training"
     )
-    env = cg.make_vec(facts["environment"], num_envs=1, robots=facts["robots"])
+    env = cg.make_vec(identity.name, num_envs=1, robots=identity.robot_names)
     observations, _ = env.reset(seed=0)
     for agent, rows in act(observations).items():
         print(f"{agent} sees {observations[agent].shape}, does {rows[0].round(2)}")

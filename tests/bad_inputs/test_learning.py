@@ -89,8 +89,16 @@ EVALUATE = [
     *table("evaluate", "num_threads", _evaluate("num_threads"), NO_COUNT, [-1, 2**63]),
     *table("evaluate", "robots", _evaluate("robots"), NO_ROBOTS),
     *table("evaluate", "randomization", _evaluate("randomization"), NO_RANDOMIZATION),
-    *table("evaluate", "agent", _evaluate("idle"), [["robot_9"], [3], [None], [[]]]),
-    *table("evaluate", "idle", _evaluate("idle"), ["robot_1", 3, None, THING, 1.5]),
+    *table(
+        "evaluate",
+        "policy",
+        lambda shared, value: _evaluate("policy")(shared, {"robot_1": value}),
+        NO_NAME,
+        ["idle"],
+    ),
+    *table(
+        "evaluate", "agent", _evaluate("policy"), [{}, {"robot_9": "idle"}, {3: "idle"}]
+    ),
     *table("evaluate", "on_progress", _evaluate("on_progress"), NO_CALLBACK),
     *table(
         "returned", "action", _played, [None, 3, "a", [], {}, THING, np.zeros((2, 7))]

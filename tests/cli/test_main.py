@@ -13,8 +13,10 @@ import collaborative_gym as cg
 from collaborative_gym import viewer
 from collaborative_gym.cli.commands import Evaluate, Reproduce
 from collaborative_gym.cli.main import main
+from collaborative_gym.cli.terminal import read_policies
 from collaborative_gym.evaluation import table11
 from collaborative_gym.policies import policy
+from collaborative_gym.tasks.identity import Identity
 
 PACKAGE = "collaborative-gym"
 
@@ -48,16 +50,27 @@ def test_thesis_and_we_count_200_episodes(carry_id):
     assert len(report.episodes) == 200
 
 
-def test_evaluate_takes_robots_presets_and_idle_agents(carry_id, tmp_path):
+def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path):
     file = tmp_path / "a.json"
-    options = "--episodes 1 --seed 5 --policy random --randomization paper"
-    robots = "--robots panda jaco --idle robot_2"
+    options = "--episodes 1 --seed 5 --randomization paper"
+    robots = "--robots panda jaco --policy robot_1=random robot_2=idle"
     arguments = ["evaluate", "Carry", *options.split(), *robots.split()]
     assert main([*arguments, "--json", str(file)]) == 0
     settings = json.loads(file.read_text())["Carry"]["settings"]
-    assert settings["robots"] == ["panda", "jaco"]
-    assert settings["randomization"]["joint_noise"] == 0.0
-    assert (settings["seed"], settings["idle"]) == (5, ["robot_2"])
+    identity = Identity.from_dict(settings["identity"])
+    assert identity.robot_names == ("panda", "jaco")
+    assert identity.config["randomization"]["joint_noise"] == 0.0
+    assert (settings["seed"], settings["policy"]) == (5, "robot_1=random robot_2=idle")
+
+
+def test_words_for_robots_that_follow_each_other_are_one_policy():
+    words = "expert", "robot_1=a", "robot_2=b", "robot_1=c/d=e", "robot_2=f", "./g=h"
+    assert read_policies(words) == [
+        "expert",
+        {"robot_1": "a", "robot_2": "b"},
+        {"robot_1": "c/d=e", "robot_2": "f"},
+        "./g=h",
+    ]
 
 
 def test_reproduce_prints_the_table_and_writes_files(
@@ -95,6 +108,9 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
         ("evaluate Carry --json a --csv a", "a is named for two outputs"),
         ("evaluate", "name the environments to evaluate, or pass --all"),
         ("evaluate Carry --policy exprt", "did you mean 'expert'?"),
+        ("evaluate Carry --policy expert idle", "robot_2=idle, got expert idle"),
+        ("evaluate Carry --policy robot_1=idle", "there is no policy for robot_2"),
+        ("evaluate Carry --policy robot_3=idle", "no agent 'robot_3'"),
         ("evaluate Carry --robots panda", "needs 2 robots, got 1"),
         ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),
         ("evaluate Carry --randomization none", "default, paper"),
@@ -203,16 +219,35 @@ def test_view_without_display_and_extra_says_what_to_do(
 
 def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr(viewer, "view", lambda *arguments: asked.append(arguments))
+    monkeypatch.setattr(
+        viewer, "view", lambda *given, **named: asked.append((given, named))
+    )
     assert main(["view", "Lift"]) == 0
-    options = "--policy expert --seed 3 --robots panda jaco --randomization paper"
-    served = "--web --host 0.0.0.0 --port 99"
+    options = "--seed 3 --robots panda jaco --randomization paper --any-env"
+    served = "--policy robot_1=expert robot_2=idle --web --host 0.0.0.0 --port 99"
     assert main(["view", "Lift", *options.split(), *served.split()]) == 0
-    env_id, tell, warn, *rest = asked[0]
+    (env_id, tell, warn), named = asked[0]
     assert env_id == "Lift"
-    assert rest == ["random", 0, None, "default", False, "127.0.0.1", 8080]
-    robots, served = ("panda", "jaco"), [True, "0.0.0.0", 99]
-    assert list(asked[1][3:]) == ["expert", 3, robots, "paper", *served]
+    assert named == {
+        "policy": "random",
+        "any_env": False,
+        "seed": 0,
+        "robots": None,
+        "randomization": "default",
+        "web": False,
+        "host": "127.0.0.1",
+        "port": 8080,
+    }
+    assert asked[1][1] == {
+        "policy": {"robot_1": "expert", "robot_2": "idle"},
+        "any_env": True,
+        "seed": 3,
+        "robots": ("panda", "jaco"),
+        "randomization": "paper",
+        "web": True,
+        "host": "0.0.0.0",
+        "port": 99,
+    }
     tell("here"), warn("beware")
     assert capsys.readouterr() == ("here\n", "beware\n")
 

@@ -4,6 +4,7 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.policies import policy
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
+from collaborative_gym.tasks.identity import Identity
 
 
 @pytest.fixture
@@ -34,10 +35,15 @@ def random_network(tmp_path, monkeypatch):
                 ((weight, np.zeros(outputs, np.float32)),),
             )
         parts = [Part((agent,), agent) for agent in env.agents]
-        robots = [robot.name for robot in env.task.robots.values()]
-        facts = {"environment": env_id, "robots": robots, **sizes}
         path = tmp_path / f"{env_id}.safetensors"
-        NetworkPolicy(parts, weights, "tanh", facts).save(path)
+        NetworkPolicy(
+            parts,
+            weights,
+            activation="tanh",
+            identity=Identity.of(env.task),
+            **sizes,
+            metadata={},
+        ).save(path)
         return path
 
     return ship

@@ -1,9 +1,11 @@
+import json
 import math
 
 import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.tasks.identity import Identity
 
 
 @pytest.fixture
@@ -22,8 +24,10 @@ def test_each_episode_is_played_once_in_order(report):
 def test_numbers_do_not_depend_on_worlds_and_threads(
     carry, policy, num_envs, num_threads
 ):
-    report = cg.evaluate(carry(), policy, 5, num_envs=num_envs, num_threads=num_threads)
-    other = cg.evaluate(carry(), policy, 5, num_envs=5, num_threads=1)
+    report = cg.evaluate(
+        carry(), policy, episodes=5, num_envs=num_envs, num_threads=num_threads
+    )
+    other = cg.evaluate(carry(), policy, episodes=5, num_envs=5, num_threads=1)
     assert report.to_csv() == other.to_csv()
     assert report.mean_reward == other.mean_reward
 
@@ -31,7 +35,9 @@ def test_numbers_do_not_depend_on_worlds_and_threads(
 def test_a_trained_policy_is_played_by_name_path_and_value(carry_id, random_network):
     path = random_network(carry_id)
     reports = [
-        cg.evaluate(carry_id, policy, 5, num_envs=num_envs, num_threads=num_threads)
+        cg.evaluate(
+            carry_id, policy, episodes=5, num_envs=num_envs, num_threads=num_threads
+        )
         for policy, num_envs, num_threads in (
             ("baseline", 5, 1),
             (carry_id, 1, 2),
@@ -65,9 +71,10 @@ def test_rows_add_up(report):
     )
 
 
-def test_idle_agents_hold_still_with_an_open_grip(carry, report):
-    idle = cg.evaluate(carry(), episodes=2, num_threads=1, idle=["robot_2"])
-    assert idle.settings["idle"] == ["robot_2"]
+def test_an_idle_robot_holds_still_with_an_open_grip(carry, report):
+    policy = {"robot_1": "expert", "robot_2": "idle"}
+    idle = cg.evaluate(carry(), policy, episodes=2, num_threads=1)
+    assert idle.settings["policy"] == "robot_1=expert robot_2=idle"
     for row, other in zip(idle.episodes, report.episodes, strict=False):
         # The effort is that of twelve steps of zeros and a grip of -1.
         assert row["robot_2/effort"] == pytest.approx(-12 / 100)
@@ -124,22 +131,91 @@ def test_progress_reaches_one_in_even_steps(carry):
 
 
 def test_bad_input_says_what_is_allowed(carry):
-    with pytest.raises(KeyError, match="robot_1, robot_2"):
-        cg.evaluate(carry(), idle=["robot_3"])
     with pytest.raises(ValueError, match="episodes must be at least 1"):
         cg.evaluate(carry(), episodes=0)
-    with pytest.raises(TypeError, match=r"episodes must be an integer, got 1\.5"):
-        cg.evaluate(carry(), episodes=1.5)
-    with pytest.raises(TypeError, match=r"list of agents, such as \['robot_1'\]"):
-        cg.evaluate(carry(), idle="robot_1")
-    with pytest.raises(TypeError, match=r"'expert', .* or a function .* got 3"):
+    for count, words in ((1.5, r"1\.5"), (True, "True")):
+        with pytest.raises(
+            TypeError, match=f"episodes must be an integer, got {words}"
+        ):
+            cg.evaluate(carry(), episodes=count)
+    with pytest.raises(TypeError, match=r"'expert', .* a function .* got 3"):
         cg.evaluate(carry(), 3)
-    for idle in ((), ("robot_1",)):
-        with pytest.raises(ValueError, match="actions are a int; give a dictionary"):
-            cg.evaluate(carry(), lambda observations: 0, idle=idle, num_threads=1)
+    with pytest.raises(ValueError, match="actions are a int; give a dictionary"):
+        cg.evaluate(carry(), lambda observations: 0, num_threads=1)
     with pytest.raises(FileNotFoundError, match="no baseline is shipped for Carry"):
         cg.evaluate(carry(), "baseline")
     with pytest.raises(ValueError, match="num_envs must be at least 1"):
         cg.evaluate(carry(), num_envs=0)
     with pytest.raises(ValueError, match="pass them to make_task"):
         cg.evaluate(carry(), robots=("panda", "jaco"))
+    for robots in ({"sawyer", "panda"}, "panda", iter(["panda", "panda"])):
+        with pytest.raises(TypeError, match="robots must be a sequence of names"):
+            cg.evaluate("Poke", robots=robots)
+
+
+def test_a_baseline_is_not_played_in_another_environment():
+    arms = {"robots": ("sawyer", "sawyer"), "num_threads": 1}
+    message = (
+        "for LiftTaskSawyers-v0 with sawyer, sawyer; here placements is None, not .*;"
+        r" target is None, not \[0.0, 0.0, 1.5\]; picking_threshold is 0.03, not 0.02"
+    )
+    with pytest.raises(ValueError, match=message):
+        cg.evaluate("Lift", "baseline", **arms)
+    report = cg.evaluate("Lift", "baseline", episodes=1, any_env=True, **arms)
+    assert report.completion.mean == 0.0
+
+
+def test_settings_tell_the_whole_environment(carry, report):
+    identity = Identity.from_dict(report.settings["identity"])
+    assert not identity.differences(Identity.of(carry()))
+
+
+def test_a_report_of_several_sides_adds_nothing_up_over_them(carry):
+    class Rivals(type(carry())):
+        """The second robot's goal is that the cube stays down."""
+
+        @property
+        def sides(self):
+            return (("robot_1",), ("robot_2",))
+
+        def success(self, facts):
+            is_up = super().success(facts)
+            return is_up, ~is_up
+
+        def reward(self, facts, actions):
+            return {agent: {"lower": -facts.height} for agent in self.agents}
+
+    task = carry()
+    rivals = Rivals(list(task.robots.values()), task.config)
+    report = cg.evaluate(rivals, episodes=2, num_threads=1)
+    first, second = report.sides["side_1"], report.sides["side_2"]
+    assert first.mean_reward == report.returns["robot_1"]
+    assert first.performance != second.performance
+    for row in report.episodes:
+        assert row["side_1/return"] == row["robot_1/return"] and "return" not in row
+    with pytest.raises(ValueError, match="has the sides side_1, side_2, each with"):
+        report.mean_reward  # noqa: B018
+    assert "| completion of side_2 |" in report.to_markdown()
+    summary = json.loads(report.to_json())["Rivals"]
+    assert set(summary["sides"]) == {"side_1", "side_2"} and "completion" not in summary
+
+
+def test_episodes_that_end_early_are_evaluated(carry):
+    class Short(type(carry())):
+        """An episode is over when the cube is up."""
+
+        def over(self, facts):
+            return super().success(facts)
+
+    task = carry()
+    shares = []
+    report = cg.evaluate(
+        Short(list(task.robots.values()), task.config),
+        episodes=5,
+        num_envs=2,
+        num_threads=1,
+        on_progress=shares.append,
+    )
+    assert [row["episode"] for row in report.episodes] == [0, 1, 2, 3, 4]
+    assert all(row["length"] < 12 for row in report.episodes)
+    assert report.completion.mean == 1.0 and shares[-1] == 1.0

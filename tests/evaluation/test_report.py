@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.report import Statistic, reports_to_csv, show
+from collaborative_gym.evaluation.report import (
+    Statistic,
+    format_statistic,
+    reports_to_csv,
+)
 
 
 @pytest.fixture
@@ -35,7 +39,7 @@ def test_bootstrap_interval_is_that_of_the_mean():
 def test_json_holds_everything_and_null_for_nan(carry):
     report = cg.evaluate(carry(), "random", episodes=2, num_threads=1)
     content = json.loads(report.to_json(), parse_constant=pytest.fail)["Carry"]
-    assert content["settings"]["robots"] == ["panda", "panda"]
+    assert content["settings"]["identity"]["name"] == "Carry"
     assert content["time_to_success"]["mean"] is None
     assert len(content["episodes"]) == 2
 
@@ -62,7 +66,7 @@ def test_markdown_is_a_table_of_all_statistics(report):
     ]
     assert cells[3] == ["Carry", "completion", "100 % (100 to 100)", "100 %"]
     own = report.returns["robot_2"]
-    assert cells[2][2:] == [show(own), f"{own.iqm:.1f}"]
+    assert cells[2][2:] == [format_statistic(own), f"{own.iqm:.1f}"]
     assert cells[5][3] == f"{report.time_to_success.iqm:.1f} s"
 
 
@@ -82,4 +86,4 @@ def test_markdown_has_dashes_where_nothing_succeeded(carry):
     ],
 )
 def test_numbers_as_people_read_them(statistic, percent, text):
-    assert show(statistic, percent) == text
+    assert format_statistic(statistic, percent=percent) == text

@@ -5,7 +5,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation import table11
-from collaborative_gym.evaluation.report import Report, Statistic
+from collaborative_gym.evaluation.report import Report, Score, Statistic
 from collaborative_gym.evaluation.table11 import (
     COLUMNS,
     THESIS,
@@ -31,7 +31,7 @@ def report(mean_reward=0.0, completion=1.0, performance=1.0):
     """Return a report of which only the means are of interest."""
     means = (mean_reward, completion, performance, float("nan"))
     statistics = [Statistic(mean, mean, mean, mean) for mean in means]
-    return Report("", {}, *statistics, returns={}, episodes=(), steps_per_second=1.0)
+    return Report("", {}, {"side_1": Score(*statistics)}, {}, (), steps_per_second=1.0)
 
 
 def comparison(ours, on_default=None, thesis=THESIS[ENV_ID]):
@@ -115,7 +115,9 @@ def test_policies_are_those_that_evaluate_plays(small, random_network):
     (line,) = made.comparisons
     assert line.environment == small and made.is_passed is False
     for column, (name, randomization) in COLUMNS.items():
-        alone = cg.evaluate(small, name, 3, 5, randomization=randomization, num_envs=1)
+        alone = cg.evaluate(
+            small, name, episodes=3, seed=5, randomization=randomization, num_envs=1
+        )
         assert line.reports[column].to_csv() == alone.to_csv()
         assert line.reports[column].settings == alone.settings
     assert shares == sorted(shares) and shares[0] > 0.0 and shares[-1] == 1.0

@@ -38,7 +38,7 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
     best = max(scores, key=scores.__getitem__)
     shipped = tmp_path / f"{carry_id}.safetensors"
     policy = cg.load_policy(shipped)
-    assert policy.facts["seed"] == best
+    assert policy.metadata["seed"] == best
     own = tmp_path / carry_id / f"seed{best}" / "policy.safetensors"
     assert shipped.read_bytes() == own.read_bytes()
     card = (tmp_path / f"{carry_id}.md").read_text()
@@ -48,7 +48,9 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
     assert len(rows) == 4
     shown = [row for row in rows if "(shipped)" in row]
     assert len(shown) == 2 and all(f"| {best} (shipped)" in row for row in shown)
-    report = cg.evaluate(carry_id, policy, 4, 0, randomization="paper", num_threads=1)
+    report = cg.evaluate(
+        carry_id, policy, episodes=4, randomization="paper", num_threads=1
+    )
     (paper,) = [row for row in shown if "| paper |" in row]
     assert f"| {show(report.mean_reward)} |" in paper
 

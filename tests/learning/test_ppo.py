@@ -11,6 +11,7 @@ from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
 from collaborative_gym.learning.update import UPDATE
 from collaborative_gym.policies.network import ACTIVATIONS, NetworkPolicy
+from collaborative_gym.tasks.identity import Identity
 
 AGENTS = ("robot_1", "robot_2")
 SIZES = Sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
@@ -110,7 +111,15 @@ def as_policy(learners, activation):
     weights = {}
     for learner in learners:
         weights |= learner.weights()
-    return NetworkPolicy(parts, weights, activation, {"action_sizes": SIZES.action})
+    return NetworkPolicy(
+        parts,
+        weights,
+        activation=activation,
+        identity=Identity("", "", {}, {}, {}),
+        observation_sizes=SIZES.observation,
+        action_sizes=SIZES.action,
+        metadata={},
+    )
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)

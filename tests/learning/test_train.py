@@ -33,7 +33,7 @@ import collaborative_gym as cg
 
 for folder in sys.argv[1:]:
     policy = cg.load_policy(folder)
-    sizes = policy.facts["observation_sizes"]
+    sizes = policy.observation_sizes
     rows = {agent: np.ones((2, size), np.float32) for agent, size in sizes.items()}
     np.save(f"{folder}/actions.npy", np.concatenate(list(policy(rows).values()), 1))
 """
@@ -80,9 +80,11 @@ def test_a_run_leaves_what_it_promises(read_progress, trained, mode, carry):
     }
     assert result.best["steps"] == max(returns, key=returns.__getitem__)
     policy = result.policy()
-    assert policy.facts["steps"] == result.best["steps"]
-    assert policy.facts["mode"] == mode and policy.facts["backend"] == "skrl"
-    report = cg.evaluate(carry(), policy, 4, validation_seed(0), num_threads=1)
+    assert policy.metadata["steps"] == result.best["steps"]
+    assert policy.metadata["mode"] == mode and policy.metadata["backend"] == "skrl"
+    report = cg.evaluate(
+        carry(), policy, episodes=4, seed=validation_seed(0), num_threads=1
+    )
     assert report.mean_reward.mean == result.best["validation/return"]
 
 
@@ -92,7 +94,7 @@ def test_policies_run_without_torch(trained):
     subprocess.run(arguments, check=True)
     for folder in folders:
         policy = cg.load_policy(folder)
-        sizes = policy.facts["observation_sizes"]
+        sizes = policy.observation_sizes
         rows = {a: np.ones((2, size), np.float32) for a, size in sizes.items()}
         expected = np.concatenate(list(policy(rows).values()), axis=1)
         assert np.array_equal(np.load(folder / "actions.npy"), expected)
@@ -301,7 +303,7 @@ def test_a_run_is_named_after_what_it_learns(
         resources=Resources(num_threads=1, torch_threads=1),
     )
     assert str(result.folder) == "runs/CarryPandas-v0-independent-seed2"
-    assert cg.load_policy(result.folder).facts["environment"] == carry_id
+    assert cg.load_policy(result.folder).identity.name == carry_id
 
 
 @pytest.mark.parametrize("mode", ["collaborative", "independent"])
@@ -356,8 +358,8 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
     seeds = {"trained": set(), "validated": set()}
     evaluate, advance = running.evaluate, Backend.advance
 
-    def validating(task, policy, episodes, seed, **options):
-        report = evaluate(task, policy, episodes, seed, **options)
+    def validating(task, policy, **options):
+        report = evaluate(task, policy, **options)
         seeds["validated"] |= {row["seed"] for row in report.episodes}
         return report
 
@@ -392,4 +394,4 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
     assert best.backend["steps"] == 64 and best.best == result.best
     assert Checkpoint.load(result.folder / LAST).best == result.best
     policy = NetworkPolicy.load(result.folder / "policy.safetensors")
-    assert policy.facts["steps"] == 64
+    assert policy.metadata["steps"] == 64

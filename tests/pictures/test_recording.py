@@ -48,7 +48,7 @@ def test_mp4_plays_in_real_time(carry, tmp_path):
 
 def test_gif_plays_in_real_time(carry, tmp_path):
     task = carry(max_episode_steps=4)
-    path = recording.record(task, tmp_path / "a.GIF", "random", size=SIZE)
+    path = recording.record(task, tmp_path / "a.GIF", policy="random", size=SIZE)
     with Image.open(path) as video:
         durations = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
         assert video.size == SIZE
@@ -75,7 +75,7 @@ def test_video_shows_the_episode_that_evaluate_plays(carry, tmp_path):
         return {agent: np.zeros((1, 8)) for agent in observations}
 
     task = carry(max_episode_steps=2)
-    recording.record(task, tmp_path / "a.gif", policy, seed=4, size=SIZE)
+    recording.record(task, tmp_path / "a.gif", policy=policy, seed=4, size=SIZE)
     env = VectorEnv(task, 3, num_threads=1)
     observations, _ = env.reset(seed=4)
     assert np.array_equal(played[0], observations["robot_1"][0])
@@ -93,7 +93,7 @@ def test_nothing_is_left_after_an_error(carry, tmp_path, name, error):
         return {agent: np.zeros((1, 8)) for agent in observations}
 
     with pytest.raises(error):
-        recording.record(carry(), tmp_path / name, policy, size=SIZE)
+        recording.record(carry(), tmp_path / name, policy=policy, size=SIZE)
     assert list(tmp_path.iterdir()) == []
 
 

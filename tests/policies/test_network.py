@@ -3,14 +3,19 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 from safetensors.numpy import save_file
 
+import collaborative_gym as cg
+from collaborative_gym.policies import network
 from collaborative_gym.policies.network import (
     ACTIVATIONS,
     NetworkPolicy,
     Part,
     Weights,
 )
+from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.task import RANDOMIZATIONS
 
 AGENTS = ("robot_1", "robot_2")
 
@@ -26,15 +31,26 @@ def drawn_weights(inputs, outputs, seed=0):
     return Weights(np.full(inputs, 0.5, "f4"), np.full(inputs, 2.0, "f4"), layers)
 
 
-def made(parts, weights, activation="relu", observation=3, action=2):
+IDENTITY = Identity(
+    name="Carry",
+    task="Carry",
+    robots={agent: {"name": "panda", "digest": "0"} for agent in AGENTS},
+    config={"height": 0.6},
+    versions={},
+)
+
+
+def made(parts, weights, activation="relu", observation=3, action=2, identity=IDENTITY):
     """Return a policy of two robots with equal spaces."""
-    facts = {
-        "environment": "Carry",
-        "robots": ["panda", "panda"],
-        "observation_sizes": dict.fromkeys(AGENTS, observation),
-        "action_sizes": dict.fromkeys(AGENTS, action),
-    }
-    return NetworkPolicy(parts, weights, activation, facts)
+    return NetworkPolicy(
+        parts,
+        weights,
+        activation=activation,
+        identity=identity,
+        observation_sizes=dict.fromkeys(AGENTS, observation),
+        action_sizes=dict.fromkeys(AGENTS, action),
+        metadata={"steps": 7},
+    )
 
 
 @pytest.fixture
@@ -83,7 +99,7 @@ def test_a_file_brings_the_same_policy_back(policies, observations, kind, tmp_pa
     policy = policies[kind]
     policy.save(tmp_path / "a" / "policy.safetensors")
     loaded = NetworkPolicy.load(tmp_path / "a" / "policy.safetensors")
-    assert loaded.facts == policy.facts
+    assert loaded.metadata == {"steps": 7} and loaded.identity == IDENTITY
     actions = policy(observations), loaded(observations)
     for agent in AGENTS:
         assert np.array_equal(actions[0][agent], actions[1][agent])
@@ -116,45 +132,141 @@ def test_extreme_observations_give_finite_actions(activation):
         assert all(np.isfinite(action).all() for action in actions.values())
 
 
-def test_it_must_fit_the_environment(make_env, policies):
-    message = (
-        "for Carry with panda, panda: its observation sizes are robot_1 3, robot_2 3,"
-        " the environment's robot_1 19, robot_2 19"
-    )
+def test_it_serves_only_whom_it_commands(policies, observations):
+    whole = policies["each"](observations)
+    for kind in ("each", "shared"):
+        whole = policies[kind](observations)
+        alone = policies[kind].serving(["robot_2"])
+        assert alone.agents == ("robot_2",)
+        actions = alone({"robot_2": observations["robot_2"]})
+        assert list(actions) == ["robot_2"]
+        assert np.array_equal(actions["robot_2"], whole["robot_2"])
+    with pytest.raises(ValueError, match="commands robot_2, not robot_1; name another"):
+        alone.serving(AGENTS)
+    with pytest.raises(ValueError, match="commands robot_1 and robot_2 together"):
+        policies["all"].serving(["robot_1"])
+    assert policies["all"].serving(AGENTS).agents == AGENTS
+
+
+def fitting(make_env, **settings):
+    """Return a policy without sense for the small task with these settings."""
+    identity = Identity.of(make_env(**settings).task)
+    parts = [Part((agent,), "same") for agent in AGENTS]
+    weights = {"same": drawn_weights(19, 8)}
+    return made(parts, weights, observation=19, action=8, identity=identity)
+
+
+def test_it_must_be_for_the_environment(make_env):
+    policy = fitting(make_env)
+    policy.check(make_env())
+    policy.check(make_env(randomization=RANDOMIZATIONS["paper"], max_episode_steps=5))
+    for settings, message in (
+        (
+            {"height": 0.7},
+            r"for Carry with panda, panda; here height is 0\.7, not 0\.6\.",
+        ),
+        ({"robots": ("panda", "jaco")}, "here robot_2 is jaco, not panda. Train one"),
+    ):
+        other = make_env(**settings)
+        with pytest.raises(ValueError, match=message):
+            policy.check(other)
+    policy.check(make_env(height=0.7), any_env=True)
+    poke = cg.make_vec("PokeTaskSawyers-v0", 1)
+    with pytest.raises(ValueError, match=r"here task is Poke, not Carry.*--any-env"):
+        policy.check(poke)
+    message = "sizes are robot_1 19, robot_2 19, the environment's robot_1 21, robot_2"
     with pytest.raises(ValueError, match=message):
-        policies["each"].check(make_env())
-    made([], {}, observation=19, action=8).check(make_env())
-    with pytest.raises(ValueError, match="its action sizes are robot_1 7"):
-        made([], {}, observation=19, action=7).check(make_env())
+        policy.check(poke, any_env=True)
 
 
-def other_format(path, policy):
-    text = json.dumps({"format": 7})
-    save_file({"a": np.zeros(1)}, path, {"collaborative_gym": text})
+def test_networks_must_fit_the_sizes():
+    with pytest.raises(ValueError, match="from 3 to 2 numbers has arrays of shapes"):
+        made([Part(("robot_1",), "a")], {"a": drawn_weights(4, 2)})
+    with pytest.raises(ValueError, match="two networks command one agent"):
+        made([Part(("robot_1",), "a")] * 2, {"a": drawn_weights(3, 2)})
+    with pytest.raises(ValueError, match="no activation 'rleu'"):
+        made([], {}, activation="rleu")
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda path, policy: path.write_bytes(b""), "is no policy, or is damaged"),
-        (lambda path, policy: path.write_text("text"), "is no policy, or is damaged"),
-        (
-            lambda path, policy: path.write_bytes(path.read_bytes()[:-8]),
-            "is no policy, or is damaged",
-        ),
-        (
-            lambda path, policy: save_file({"a": np.zeros(1)}, path),
-            "its format is None, not 1",
-        ),
-        (other_format, "its format is 7, not 1"),
-    ],
-)
-def test_another_file_is_refused(policies, tmp_path, spoil, message):
+def read(path):
+    """Return the tensors and the metadata of a file."""
+    with safe_open(path, framework="numpy") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, file.metadata()  # noqa: SIM118
+
+
+def edited(change):
+    """Return what changes a file's description, and its digest too."""
+
+    def spoil(path):
+        tensors, metadata = read(path)
+        description = json.loads(metadata["collaborative_gym"][64:])
+        text = json.dumps(change(description, tensors) or description)
+        digest = network._digest(text, tensors)
+        save_file(tensors, path, {"collaborative_gym": digest + text})
+
+    return spoil
+
+
+def without(name):
+    return edited(lambda description, tensors: description.pop(name) and None)
+
+
+SPOILT = {
+    "empty": (lambda path: path.write_bytes(b""), ""),
+    "text": (lambda path: path.write_text("text"), ""),
+    "short": (lambda path: path.write_bytes(path.read_bytes()[:-8]), ""),
+    "foreign": (lambda path: save_file({"a": np.zeros(1)}, path), "its format is None"),
+    "no JSON": (
+        lambda path: save_file({}, path, {"collaborative_gym": 64 * "0" + "{"}),
+        "line 1",
+    ),
+    "a list": (edited(lambda description, tensors: [1]), "'list'"),
+    "a number": (edited(lambda description, tensors: 1), "'int'"),
+    "format": (edited(lambda d, tensors: d.update(format=7)), "its format is 7"),
+    **{
+        f"without {name}": (without(name), f"it has no {name!r}")
+        for name in ("parts", "activation", "identity", "action_sizes", "metadata")
+    },
+    "agents": (edited(lambda d, t: d["parts"][0].update(agents=[3])), ""),
+    "activation": (edited(lambda d, t: d.update(activation="rleu")), "rleu"),
+    "identity": (edited(lambda d, t: d.update(identity=[])), "no identity"),
+    "sizes": (edited(lambda d, t: d.update(action_sizes={"robot_1": 2})), "robot_2"),
+    "weights": (edited(lambda d, t: t.clear()), "it has no 'robot_1/mean'"),
+    "shape": (
+        edited(lambda d, t: t.update({"robot_1/mean": np.zeros(4, "f4")})),
+        "from 3 to 2 numbers",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILT)
+def test_a_spoilt_file_is_refused_in_one_sentence(policies, tmp_path, kind):
     path = tmp_path / "policy.safetensors"
     policies["each"].save(path)
-    spoil(path, policies["each"])
-    with pytest.raises(ValueError, match=message):
+    spoil, message = SPOILT[kind]
+    spoil(path)
+    with pytest.raises(ValueError, match="is no policy, or is damaged: ") as caught:
         NetworkPolicy.load(path)
+    words = str(caught.value)
+    assert message in words and str(path) in words and "\n" not in words
+    assert words.endswith("or fetch the file again")
+
+
+def test_no_flipped_bit_goes_unnoticed(policies, tmp_path):
+    path = tmp_path / "policy.safetensors"
+    policies["shared"].save(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for place in rng.integers(0, 8 * len(whole), 300):
+        spoilt = bytearray(whole)
+        spoilt[place // 8] ^= 1 << (place % 8)
+        path.write_bytes(spoilt)
+        with pytest.raises(ValueError, match="is no policy, or is damaged"):
+            NetworkPolicy.load(path)
+    for length in rng.integers(0, len(whole), 50):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match="is no policy, or is damaged"):
+            NetworkPolicy.load(path)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -1,3 +1,4 @@
+import gymnasium
 import numpy as np
 import pytest
 
@@ -6,6 +7,7 @@ from collaborative_gym.policies import load_policy
 from collaborative_gym.policies import policy as policy_module
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.tasks.identity import Identity
 
 
 def random_actions(env, steps):
@@ -68,12 +70,12 @@ def test_policies_play_a_pettingzoo_environment(carry_id, name):
 
 
 def test_unknown_policy_names_the_nearest(make_env):
-    with pytest.raises(KeyError, match=r"expert, random \(did you mean 'expert'"):
+    with pytest.raises(KeyError, match=r"expert, idle, random \(did you mean 'expert'"):
         load_policy("exprt", make_env())
 
 
 def test_a_policy_is_for_an_environment_of_this_package():
-    with pytest.raises(TypeError, match=r"a VectorEnv or a PettingZoo .*, got 3"):
+    with pytest.raises(TypeError, match=r"a VectorEnv, or a PettingZoo .*, got 3"):
         load_policy("expert", 3)
 
 
@@ -93,14 +95,16 @@ def saved(make_env, tmp_path):
         parts.append(Part((agent,), agent))
         ones = np.ones(size, np.float32)
         weights[agent] = Weights(0 * ones, ones, ((layer, bias),))
-    facts = {
-        "environment": "Carry",
-        "robots": ["panda", "panda"],
-        "observation_sizes": observation,
-        "action_sizes": action,
-    }
     path = tmp_path / "run" / POLICY_FILE
-    NetworkPolicy(parts, weights, "relu", facts).save(path)
+    NetworkPolicy(
+        parts,
+        weights,
+        activation="relu",
+        identity=Identity.of(env.task),
+        observation_sizes=observation,
+        action_sizes=action,
+        metadata={},
+    ).save(path)
     return path
 
 
@@ -125,12 +129,35 @@ def test_a_trained_policy_plays_a_pettingzoo_environment(saved, carry_id):
     env.step(actions)
 
 
-def test_a_policy_for_other_spaces_is_refused(saved):
-    env = cg.make_vec("PokeTaskSawyers-v0", 1)
-    with pytest.raises(ValueError, match="for Carry with panda, panda: its observat"):
-        load_policy(saved, env)
-    with pytest.raises(ValueError, match="the environment's robot_1 21, robot_2 21"):
+def test_a_policy_for_another_environment_is_refused(saved, make_env):
+    with pytest.raises(ValueError, match="for Carry with panda, panda; here height is"):
+        load_policy(saved, make_env(height=0.7))
+    with pytest.raises(ValueError, match="here task is Poke, not Carry"):
         cg.evaluate("PokeTaskSawyers-v0", saved.parent, episodes=1)
+    load_policy(saved, make_env(height=0.7), any_env=True)
+    with pytest.raises(ValueError, match="here robot_1 is panda, not sawyer"):
+        cg.evaluate("Poke", "PokeTaskSawyers-v0", robots=("panda", "panda"))
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_policies_play_gymnasiums_environments(saved, carry_id, make_env, batched):
+    policy = {"robot_1": saved, "robot_2": "random"}
+    if batched:
+        env = gymnasium.make_vec(
+            carry_id, num_envs=2, vectorization_mode="vector_entry_point"
+        )
+    else:
+        env = gymnasium.make(carry_id)
+    act, same = load_policy(policy, env), load_policy(policy, make_env(2))
+    observation, _ = env.reset(seed=0)
+    action = act(observation)
+    assert action.shape == env.action_space.shape
+    ours = make_env(2)
+    same = load_policy(policy, ours)
+    actions = same(ours.reset(seed=0)[0])
+    joined = np.concatenate([actions[agent] for agent in ours.agents], axis=1)
+    assert np.array_equal(action, joined if batched else joined[0])
+    env.step(action)
 
 
 def test_the_baseline_is_the_shipped_policy(saved, carry_id, make_env, monkeypatch):
@@ -157,6 +184,98 @@ def test_what_is_missing_is_named(make_env, tmp_path):
         load_policy(tmp_path)
     with pytest.raises(FileNotFoundError, match="no policy file runs/nowhere"):
         load_policy("runs/nowhere")
-    for name in ("baseline", "expert", "random"):
+    for name in ("baseline", "expert", "idle", "random"):
         with pytest.raises(TypeError, match=f"'{name}' needs an environment"):
             load_policy(name)
+    with pytest.raises(TypeError, match="'robot_1': 'idle'} needs an environment"):
+        load_policy({"robot_1": "idle"})
+
+
+@pytest.mark.parametrize("name", ["best.pt", "policy.onnx"])
+def test_another_kind_of_file_is_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"PK" + bytes(100))
+    with pytest.raises(
+        ValueError, match=r"is no policy.*policy\.safetensors of a train"
+    ):
+        load_policy(tmp_path / name)
+
+
+def play(env, policy, steps=5):
+    """Return the actions of a few steps from seed 3, (steps, num_envs, columns)."""
+    act = load_policy(policy, env)
+    observations, _ = env.reset(seed=3)
+    taken = []
+    for _ in range(steps):
+        actions = act(observations)
+        taken.append(np.concatenate([actions[agent] for agent in env.agents], axis=1))
+        observations, *_ = env.step(actions)
+    return np.array(taken)
+
+
+def test_one_policy_for_each_robot_is_that_policy(saved, make_env, monkeypatch):
+    loads = []
+    load = NetworkPolicy.load
+    monkeypatch.setattr(
+        NetworkPolicy, "load", lambda path: loads.append(path) or load(path)
+    )
+    together = play(make_env(2), saved)
+    apart = play(make_env(2), {"robot_1": saved, "robot_2": str(saved)})
+    assert np.array_equal(together, apart) and len(loads) == 2
+    for name in ("expert", "random"):
+        apart = play(make_env(2), {"robot_2": name, "robot_1": name})
+        assert np.array_equal(play(make_env(2), name), apart)
+
+
+def test_two_policies_play_with_each_other(saved, make_env):
+    env = make_env(2)
+    ours = play(env, {"robot_1": saved, "robot_2": "random"})
+    one, other = load_policy(saved, env), load_policy("random", env)
+    observations, _ = env.reset(seed=3)
+    for actions in ours:
+        by_hand = {
+            "robot_1": one(observations)["robot_1"],
+            "robot_2": other(observations)["robot_2"],
+        }
+        assert np.array_equal(np.concatenate([*by_hand.values()], axis=1), actions)
+        observations, *_ = env.step(by_hand)
+
+
+def test_idle_robots_hold_still_with_an_open_grip(make_env):
+    actions = play(make_env(2), {"robot_1": "expert", "robot_2": "idle"})
+    assert (actions[..., 8:15] == 0).all() and (actions[..., 15] == -1).all()
+    assert (actions[..., :7] != 0).any()
+
+
+def test_a_function_may_command_one_robot(make_env):
+    env = make_env(2)
+    policy = {"robot_1": lambda seen: {"robot_1": np.ones((2, 8))}, "robot_2": "idle"}
+    assert (play(env, policy)[..., :8] == 1).all()
+    for wrong in (lambda seen: {"robot_2": np.ones((2, 8))}, lambda seen: 0):
+        with pytest.raises(
+            ValueError, match=r"the policy of robot_1 returned .*; it must"
+        ):
+            play(env, {"robot_1": wrong, "robot_2": "idle"})
+
+
+def test_each_robot_needs_a_policy_that_commands_it(saved, make_env):
+    env = make_env()
+    with pytest.raises(ValueError, match="no policy for robot_2; name one for each"):
+        load_policy({"robot_1": "expert"}, env)
+    with pytest.raises(KeyError, match="no agent 'robot_3'; agents: robot_1, robot_2"):
+        load_policy({"robot_1": "idle", "robot_2": "idle", "robot_3": "idle"}, env)
+    with pytest.raises(
+        TypeError, match=r"policy must be one of 'baseline', .* got None"
+    ):
+        load_policy({"robot_1": "idle", "robot_2": None}, env)
+    alone = NetworkPolicy.load(saved).serving(["robot_1"])
+    alone.save(saved)
+    for policy in (saved, alone):
+        with pytest.raises(ValueError, match="commands robot_1, not robot_2; name an"):
+            load_policy(policy, env)
+        play(env, {"robot_1": policy, "robot_2": "idle"})
+
+
+@pytest.mark.parametrize("policy", [3, None, True, b"expert", ["expert"], {"expert"}])
+def test_odd_kinds_of_policies_are_refused(make_env, policy):
+    with pytest.raises(TypeError, match="policy must be one of 'baseline', 'expert'"):
+        load_policy(policy, make_env())

@@ -34,7 +34,7 @@ def test_the_example_runs(example, capsys, tmp_path, model):
 @pytest.mark.parametrize("task", cg.list_tasks())
 @pytest.mark.parametrize("pair", [("own", "own"), ("sawyer", "own"), ("own", "jaco")])
 def test_the_arm_goes_into_every_task(own, task, pair):
-    report = cg.evaluate(task, "expert", 3, robots=pair, num_threads=1)
+    report = cg.evaluate(task, "expert", episodes=3, robots=pair, num_threads=1)
     assert report.completion.mean == 1.0
 
 
@@ -87,7 +87,7 @@ def test_an_arm_needs_no_fingers(own, edited, in_a_world):
     scene, model = in_a_world(arm)
     assert model.nu == 6
     assert scene.arms["arm"].fingers == slice(0, 0)
-    report = cg.evaluate("Pass", "expert", 2, robots=(arm, own), num_threads=1)
+    report = cg.evaluate("Pass", "expert", episodes=2, robots=(arm, own), num_threads=1)
     assert report.completion.mean == 1.0
 
 

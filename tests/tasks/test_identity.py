@@ -65,8 +65,18 @@ def test_an_arm_with_another_model_file_is_another_arm(tmp_path):
     copied = replace(panda, model_file=file)
     pandas = identity("Poke", "panda", "panda")
     assert identity("Poke", copied, "panda").differences(pandas) == []
-    file.write_text(file.read_text().replace("<mujoco", "<!-- ours --><mujoco"))
+    file.write_text(
+        file.read_text().replace("<worldbody>", "<!-- ours --><worldbody >")
+    )
+    assert identity("Poke", copied, "panda").differences(pandas) == []
+    file.write_text(file.read_text().replace('mass="', 'mass="1'))
     assert identity("Poke", copied, "panda").differences(pandas)
+
+
+def test_a_setting_of_a_later_version_is_not_compared():
+    one = identity("Lift")
+    later = replace(one, config={**one.config, "wind": 3.0})
+    assert one.differences(later) == later.differences(one) == []
 
 
 def test_the_name_the_task_and_versions_are_told():

@@ -9,17 +9,18 @@ import tyro
 
 from collaborative_gym.cli.terminal import (
     OWN_SIZE,
-    Agents,
     Command,
     Env,
     Envs,
     File,
-    Policy,
+    Policies,
     Randomization,
     Robots,
     Size,
     check_files,
     progress_bars,
+    read_policies,
+    read_policy,
     show,
     warn,
 )
@@ -50,15 +51,18 @@ class _World(Command):
     """What is played.
 
     Attributes:
-      policy: who commands the robots: expert, random, baseline (the trained policy that
-        is shipped), or a path to a policy file or a training folder.
+      policy: who commands the robots: expert, random, idle (holds still), baseline (the
+        trained policy that is shipped), or a path to a policy file or a training
+        folder; or one for each robot, such as robot_1=baseline robot_2=idle.
+      any_env: let a trained policy play another environment than its own.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much starts differ: default, or paper for the thesis's fixed
         starts.
       seed: starts another series of episodes.
     """
 
-    policy: Policy = "expert"
+    policy: Policies = ("expert",)
+    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
     robots: Robots = ()
     randomization: Randomization = "default"
     seed: int = 0
@@ -71,7 +75,8 @@ class Record(_World):
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif.
-      beside: other policies to show beside it, at the same episodes.
+      beside: other policies to show beside it, at the same episodes, each as for
+        --policy.
       episodes: how many, one after the other.
       size: width and height in pixels, of each policy's picture.
     """
@@ -79,8 +84,7 @@ class Record(_World):
     env: Env
     output: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     beside: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(metavar="POLICY ...", help_behavior_hint="(default: none)"),
+        Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
     episodes: int = 1
     size: Size = OWN_SIZE
@@ -93,13 +97,14 @@ class Record(_World):
             record(
                 self.env,
                 self.output,
-                (self.policy, *self.beside),
-                self.episodes,
-                self.seed,
-                self.robots or None,
-                self.randomization,
-                None if self.size == OWN_SIZE else self.size,
-                progress(self.env),
+                policy=[read_policy(self.policy), *read_policies(self.beside)],
+                any_env=self.any_env,
+                episodes=self.episodes,
+                seed=self.seed,
+                robots=self.robots or None,
+                randomization=self.randomization,
+                size=None if self.size == OWN_SIZE else self.size,
+                on_progress=progress(self.env),
             )
         show(f"wrote {self.output}")
 
@@ -114,7 +119,6 @@ class Evaluate(_World):
       episodes: how many per environment.
       num_envs: worlds to play in beside one another; the numbers do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
-      idle: agents that hold still, such as robot_1.
       json: file for all statistics, interquartile means and each robot's return too,
         and all episodes.
       csv: file with one row per episode.
@@ -128,7 +132,6 @@ class Evaluate(_World):
         tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
     ] = None
     num_threads: int = 0
-    idle: Agents = ()
     json: File = None
     csv: File = None
 
@@ -145,6 +148,7 @@ class Evaluate(_World):
         env_ids = list_envs() if self.all else self.envs
         if not env_ids:
             raise ValueError("name the environments to evaluate, or pass --all")
+        policy = read_policy(self.policy)
         check_files(self.json, self.csv)
         for env_id in env_ids:  # A wrong one shows before the work.
             as_task(env_id, self.robots or None, self.randomization)
@@ -154,15 +158,15 @@ class Evaluate(_World):
                 reports.append(
                     evaluate(
                         env_id,
-                        self.policy,
-                        self.episodes,
-                        self.seed,
-                        self.robots or None,
-                        self.randomization,
-                        self.num_envs,
-                        self.num_threads,
-                        self.idle,
-                        progress(env_id),
+                        policy,
+                        any_env=self.any_env,
+                        episodes=self.episodes,
+                        seed=self.seed,
+                        robots=self.robots or None,
+                        randomization=self.randomization,
+                        num_envs=self.num_envs,
+                        num_threads=self.num_threads,
+                        on_progress=progress(env_id),
                     )
                 )
         show(reports_table(reports))
@@ -242,8 +246,8 @@ class Benchmark(Command):
             measured = benchmark(
                 self.envs or list_envs(),
                 self.num_envs,
-                self.num_threads,
-                progress("benchmark"),
+                num_threads=self.num_threads,
+                on_progress=progress("benchmark"),
             )
         show(benchmark_table(measured))
         if self.json is not None:
@@ -259,8 +263,9 @@ class View(_World):
 
     Attributes:
       env: environment id, or a task's name.
-      policy: who commands the robots: expert, random, baseline (the trained policy that
-        is shipped), or a path to a policy file or a training folder.
+      policy: who commands the robots: expert, random, idle (holds still), baseline (the
+        trained policy that is shipped), or a path to a policy file or a training
+        folder; or one for each robot, such as robot_1=baseline robot_2=idle.
       web: show it in the browser.
       host: address that the browser's page is served at. Whoever reaches it can watch
         and control the robots.
@@ -268,7 +273,7 @@ class View(_World):
     """
 
     env: Env
-    policy: Policy = "random"
+    policy: Policies = ("random",)
     web: tyro.conf.FlagCreatePairsOff[bool] = False
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     port: int = 8080
@@ -281,13 +286,14 @@ class View(_World):
             self.env,
             show,
             warn,
-            self.policy,
-            self.seed,
-            self.robots or None,
-            self.randomization,
-            self.web,
-            self.host,
-            self.port,
+            policy=read_policy(self.policy),
+            any_env=self.any_env,
+            seed=self.seed,
+            robots=self.robots or None,
+            randomization=self.randomization,
+            web=self.web,
+            host=self.host,
+            port=self.port,
         )
 
 

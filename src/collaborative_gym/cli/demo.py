@@ -54,5 +54,5 @@ def _begin_worker() -> None:
 def _film_one(job: tuple[str, str, Path]) -> np.ndarray:
     """Record one video and return the picture for the contact sheet."""
     env_id, policy, output = job
-    recording.record(env_id, output, policy)
+    recording.record(env_id, output, policy=policy)
     return recording.picture(env_id, policy, size=_SHEET_SIZE)

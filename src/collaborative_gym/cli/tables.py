@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.evaluation.report import Report, Statistic, show
+from collaborative_gym.evaluation.report import Report, Statistic, format_statistic
 from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 
@@ -31,13 +31,14 @@ def reports_table(reports: Sequence[Report]) -> Table:
     columns = ("mean reward", "completion", "performance", "time to\nsuccess")
     table = _table("environment", *columns)
     for report in reports:
-        table.add_row(
-            report.environment,
-            _two_lines(report.mean_reward),
-            _two_lines(report.completion, percent=True),
-            _two_lines(report.performance, percent=True),
-            _two_lines(report.time_to_success, unit=" s"),
-        )
+        for side, score in report.sides.items():
+            table.add_row(
+                report.environment + (f"\n{side}" if len(report.sides) > 1 else ""),
+                _two_lines(score.mean_reward),
+                _two_lines(score.completion, percent=True),
+                _two_lines(score.performance, percent=True),
+                _two_lines(score.time_to_success, unit=" s"),
+            )
     episodes = ", ".join(dict.fromkeys(str(len(report.episodes)) for report in reports))
     rates = [report.steps_per_second for report in reports]
     table.caption = (
@@ -117,7 +118,9 @@ def _table(first: str, *others: str) -> Table:
 
 
 def _two_lines(statistic: Statistic, percent: bool = False, unit: str = "") -> Text:
-    mean, _, interval = show(statistic, percent, unit).partition(" (")
+    mean, _, interval = format_statistic(
+        statistic, percent=percent, unit=unit
+    ).partition(" (")
     return Text.assemble(mean, "\n", (interval.rstrip(")"), "dim"))
 
 

@@ -1,6 +1,6 @@
 """What the commands share: kinds of arguments, and output to the terminal."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,15 +49,13 @@ Envs = Annotated[
     tyro.conf.Positional[tuple[str, ...]],
     tyro.conf.arg(metavar="[ENV ...]", help_behavior_hint=""),
 ]
-Policy = Annotated[str, tyro.conf.arg(metavar="POLICY")]
+Policies = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="POLICY | AGENT=POLICY ...")
+]
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
 Robots = Annotated[
     tuple[str, ...],
     tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
-]
-Agents = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(metavar="AGENT ...", help_behavior_hint="(default: none)"),
 ]
 File = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
@@ -75,6 +73,36 @@ Size = Annotated[
 
 Progress = Callable[[str], Callable[[float], None]]
 """Adds a named bar and returns what sets its share, 0 to 1."""
+
+
+def read_policy(words: Sequence[str]) -> str | dict[str, str]:
+    """Return the policy that is named by one word, or by one for each agent.
+
+    Raises:
+      ValueError: if it is none or more.
+    """
+    policies = read_policies(words)
+    if len(policies) != 1:
+        raise ValueError(
+            "--policy takes one policy, or one for each robot as in robot_1=baseline"
+            f" robot_2=idle, got {' '.join(words) or 'none'}"
+        )
+    return policies[0]
+
+
+def read_policies(words: Sequence[str]) -> list[str | dict[str, str]]:
+    """Return policies; words like robot_1=baseline that follow each other are one."""
+    policies: list[str | dict[str, str]] = []
+    for word in words:
+        agent, _, name = word.partition("=")
+        last = policies[-1] if policies else ""
+        if not (agent.isidentifier() and name):
+            policies.append(word)
+        elif isinstance(last, dict) and agent not in last:
+            last[agent] = name
+        else:
+            policies.append({agent: name})
+    return policies
 
 
 def check_files(*paths: Path | None) -> None:

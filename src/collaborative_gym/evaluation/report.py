@@ -49,23 +49,38 @@ class Statistic:
 
 
 @dataclass(frozen=True)
+class Score:
+    """How one side did, over the episodes.
+
+    Attributes:
+      mean_reward: of the return, the sum over all steps and the side's agents.
+      completion: of whether the goal was reached, 0 to 1.
+      performance: of the share of steps at the goal, 0 to 1, as the task counts it.
+      time_to_success: of the time until the goal was reached, over the episodes in
+        which it was, in s.
+    """
+
+    mean_reward: Statistic
+    completion: Statistic
+    performance: Statistic
+    time_to_success: Statistic
+
+
+@dataclass(frozen=True)
 class Report:
     """How a policy did.
 
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
     agent `robot_1/return` and the sum of each reward term, such as
-    `robot_1/distance`.
+    `robot_1/distance`. Where the task has several sides, their names stand before what
+    each has of its own, as in `side_1/return`; nothing is summed over opponents.
 
     Attributes:
       environment: the environment's id or the task's name.
-      settings: what was evaluated: robots, randomization, policy, episodes, seed, idle
-        agents and MuJoCo's version.
-      mean_reward: of the return, the sum over all steps and agents.
-      completion: of whether the goal was reached, 0 to 1.
-      performance: of the share of steps at the goal, 0 to 1, as the task counts it.
-      time_to_success: of the time until the goal was reached, over the episodes in
-        which it was, in s.
+      settings: what was evaluated: the environment's whole `identity`, the policy,
+        episodes and seed.
+      sides: how each side did, by its name; most tasks have one.
       returns: of each agent's own return, by agent.
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time.
@@ -73,13 +88,46 @@ class Report:
 
     environment: str
     settings: dict[str, Any]
-    mean_reward: Statistic
-    completion: Statistic
-    performance: Statistic
-    time_to_success: Statistic
+    sides: dict[str, Score]
     returns: dict[str, Statistic]
     episodes: tuple[dict[str, Any], ...]
     steps_per_second: float
+
+    @property
+    def mean_reward(self) -> Statistic:
+        """That of the only side; of several, `sides` has one each."""
+        return self._score.mean_reward
+
+    @property
+    def completion(self) -> Statistic:
+        """That of the only side; of several, `sides` has one each."""
+        return self._score.completion
+
+    @property
+    def performance(self) -> Statistic:
+        """That of the only side; of several, `sides` has one each."""
+        return self._score.performance
+
+    @property
+    def time_to_success(self) -> Statistic:
+        """That of the only side; of several, `sides` has one each."""
+        return self._score.time_to_success
+
+    @property
+    def _score(self) -> Score:
+        if len(self.sides) != 1:
+            raise ValueError(
+                f"{self.environment} has the sides {', '.join(self.sides)}, each with a"
+                " score of its own; see report.sides"
+            )
+        return next(iter(self.sides.values()))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the statistics as plain dictionaries, an only side's at the top."""
+        scores = {side: asdict(score) for side, score in self.sides.items()}
+        own = next(iter(scores.values())) if len(scores) == 1 else {"sides": scores}
+        returns = {agent: asdict(own) for agent, own in self.returns.items()}
+        return {"settings": self.settings, **own, "returns": returns}
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN."""
@@ -96,7 +144,15 @@ class Report:
 
 def reports_to_json(reports: Sequence[Report]) -> str:
     """Return reports as one JSON object by environment, with null for NaN."""
-    content = {report.environment: asdict(report) for report in reports}
+    content = {
+        report.environment: {
+            "environment": report.environment,
+            **report.summary(),
+            "episodes": report.episodes,
+            "steps_per_second": report.steps_per_second,
+        }
+        for report in reports
+    }
     return json.dumps(without_nan(content), indent=2) + "\n"
 
 
@@ -122,49 +178,72 @@ def reports_to_markdown(reports: Sequence[Report]) -> str:
         "|---|---|---|---|",
     ]
     for report in reports:
-        measures: list[tuple[str, Statistic, bool, str]] = [
-            ("return", report.mean_reward, False, ""),
+        measures = [
+            *_measures(report, "mean_reward"),
             *(
                 (f"return of {agent}", own, False, "")
                 for agent, own in report.returns.items()
             ),
-            ("completion", report.completion, True, ""),
-            ("performance", report.performance, True, ""),
-            ("time to success", report.time_to_success, False, " s"),
+            *_measures(report, "completion", True),
+            *_measures(report, "performance", True),
+            *_measures(report, "time_to_success", unit=" s"),
         ]
         for name, statistic, percent, unit in measures:
-            iqm = show_value(statistic.iqm, percent, unit)
-            cells = report.environment, name, show(statistic, percent, unit), iqm
+            cells = (
+                report.environment,
+                name,
+                format_statistic(statistic, percent=percent, unit=unit),
+                format_number(statistic.iqm, percent=percent, unit=unit),
+            )
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
-def show(statistic: Statistic, percent: bool = False, unit: str = "") -> str:
+def _measures(
+    report: Report, field: str, percent: bool = False, unit: str = ""
+) -> list[tuple[str, Statistic, bool, str]]:
+    """Return names, statistics and forms of a measure, one for each side."""
+    name = "return" if field == "mean_reward" else field.replace("_", " ")
+    is_alone = len(report.sides) == 1
+    return [
+        (
+            name if is_alone else f"{name} of {side}",
+            getattr(score, field),
+            percent,
+            unit,
+        )
+        for side, score in report.sides.items()
+    ]
+
+
+def format_statistic(
+    statistic: Statistic, *, percent: bool = False, unit: str = ""
+) -> str:
     """Return a mean and its interval for people, such as `98.0 % (95.0 to 100)`.
 
     Args:
-      statistic: what to show.
+      statistic: what to tell.
       percent: whether it is a share from 0 to 1.
       unit: what to put after the mean.
     """
     if math.isnan(statistic.mean):
         return "-"
     digits = 1 if percent or max(abs(statistic.low), abs(statistic.high)) < 1000 else 0
-    mean = show_value(statistic.mean, percent, unit, digits)
+    mean = format_number(statistic.mean, percent=percent, unit=unit, digits=digits)
     low, high = (
-        show_value(end, percent, digits=digits).removesuffix(" %")
+        format_number(end, percent=percent, digits=digits).removesuffix(" %")
         for end in (statistic.low, statistic.high)
     )
     return f"{mean} ({low} to {high})"
 
 
-def show_value(
-    value: float, percent: bool = False, unit: str = "", digits: int = 1
+def format_number(
+    value: float, *, percent: bool = False, unit: str = "", digits: int = 1
 ) -> str:
     """Return a number for people to read, such as `98.0 %`; a dash for NaN.
 
     Args:
-      value: what to show.
+      value: what to tell.
       percent: whether it is a share from 0 to 1.
       unit: what to put after it.
       digits: how many after the point; a share of all is `100 %` in any case.

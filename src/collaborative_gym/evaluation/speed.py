@@ -81,6 +81,7 @@ class Benchmark:
 def benchmark(
     env_ids: Sequence[str],
     num_envs: int = 256,
+    *,
     num_threads: int = 0,
     on_progress: Callable[[float], object] | None = None,
 ) -> Benchmark:

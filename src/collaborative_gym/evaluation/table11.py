@@ -10,7 +10,7 @@ from collaborative_gym.evaluation.play import evaluate
 from collaborative_gym.evaluation.report import (
     Report,
     Statistic,
-    show_value,
+    format_number,
     without_nan,
 )
 from collaborative_gym.policies import load_policy
@@ -160,7 +160,10 @@ class Table11:
                 for column in COLUMNS:
                     statistic = comparison.statistic(column, measure)
                     values.append(math.nan if statistic is None else statistic.mean)
-                cells = [show_value(value, is_share, "", digits) for value in values]
+                cells = [
+                    format_number(value, percent=is_share, digits=digits)
+                    for value in values
+                ]
                 for i, column in enumerate(COLUMNS, start=1):
                     if (column, measure) in verdicts:
                         word = "PASS" if verdicts[column, measure] else "FAIL"
@@ -190,7 +193,7 @@ class Table11:
             entry: dict[str, object] = {"thesis": asdict(comparison.thesis)}
             for column in COLUMNS:
                 report = comparison.reports.get(column)
-                entry[column] = None if report is None else _summary(report)
+                entry[column] = None if report is None else report.summary()
             verdicts: dict[str, dict[str, bool]] = {}
             for (column, measure), is_passed in comparison.verdicts().items():
                 verdicts.setdefault(column, {})[measure] = is_passed
@@ -210,6 +213,7 @@ class Table11:
 def reproduce_table11(
     episodes: int = 200,
     seed: int = 0,
+    *,
     env_ids: Sequence[str] | None = None,
     num_threads: int = 0,
     on_progress: Callable[[float], object] | None = None,
@@ -250,8 +254,8 @@ def reproduce_table11(
         reports.setdefault(env_id, {})[column] = evaluate(
             env_id,
             policy,
-            episodes,
-            seed,
+            episodes=episodes,
+            seed=seed,
             randomization=randomization,
             num_threads=num_threads,
             on_progress=_part(on_progress, i, len(jobs)),
@@ -284,11 +288,3 @@ def _part(
     if on_progress is None:
         return None
     return lambda share: on_progress((i + share) / count)
-
-
-def _summary(report: Report) -> dict[str, object]:
-    """Return a report without its episodes."""
-    summary = asdict(report)
-    for name in ("environment", "episodes", "steps_per_second"):
-        del summary[name]
-    return summary

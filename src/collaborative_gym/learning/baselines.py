@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.machine import describe_machine
-from collaborative_gym.evaluation.report import show
+from collaborative_gym.evaluation.report import format_statistic
 from collaborative_gym.files import replacing, write_text
 from collaborative_gym.learning.config import (
     Hyperparameters,
@@ -201,10 +201,10 @@ def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
             f"{candidate.result.steps / 1e6:.1f} M",
             f"{candidate.result.seconds / 60:.0f} min",
             preset,
-            show(report.mean_reward),
-            show(report.completion, percent=True),
-            show(report.performance, percent=True),
-            show(report.time_to_success, unit=" s"),
+            format_statistic(report.mean_reward),
+            format_statistic(report.completion, percent=True),
+            format_statistic(report.performance, percent=True),
+            format_statistic(report.time_to_success, unit=" s"),
         ]
         yield f"| {' | '.join(cells)} |"
 

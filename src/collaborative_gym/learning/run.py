@@ -139,15 +139,18 @@ class Run:
         return self._before + time.monotonic() - self._since
 
     def _policy(self) -> NetworkPolicy:
-        identity = self._settings.identity
-        facts = {
-            "environment": identity.name,
-            "robots": list(identity.robot_names),
-            **self._settings.to_dict(),
-            "steps": self._backend.steps,
-        }
-        activation = self._settings.hyperparameters.activation
-        return NetworkPolicy(self._parts, self._backend.weights(), activation, facts)
+        settings, content = self._settings, self._settings.to_dict()
+        kept = ("mode", "seed", "backend", "hyperparameters")
+        return NetworkPolicy(
+            self._parts,
+            self._backend.weights(),
+            activation=settings.hyperparameters.activation,
+            identity=settings.identity,
+            observation_sizes=settings.observation_sizes,
+            action_sizes=settings.action_sizes,
+            metadata={name: content[name] for name in kept}
+            | {"steps": self._backend.steps},
+        )
 
     def _validate(self) -> Report:
         return evaluate(

@@ -9,7 +9,7 @@ from collaborative_gym.control.actions import grip_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.learning.config import MODES, Mode
-from collaborative_gym.policies.network import Part, with_identity
+from collaborative_gym.policies.network import Part, with_index
 from collaborative_gym.tasks.task import Task
 
 
@@ -45,7 +45,7 @@ class Learner:
 
     Its rows are the worlds, and a row has the observations, the actions and the mean
     reward of all its agents. Where it is `stacked`, each of its agents has a block of
-    rows of its own instead, told by identity.
+    rows of its own instead, told by index.
 
     Attributes:
       name: what to call it.
@@ -106,7 +106,7 @@ class Learner:
             return np.concatenate([by_agent[agent] for agent in self.agents], axis=1)
         return np.concatenate(
             [
-                with_identity(by_agent[agent], i, len(self.agents))
+                with_index(by_agent[agent], i, len(self.agents))
                 for i, agent in enumerate(self.agents)
             ]
         )

@@ -2,7 +2,7 @@
 
 import io
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,7 +17,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, check_kind, shown, unknown
 from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
-from collaborative_gym.policies import Policy, as_policy
+from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
@@ -32,9 +32,6 @@ _VISIBLE = 3e-4
 
 Frames = Iterator[np.ndarray]
 """Pictures, (height, width, 3) uint8."""
-
-AnyPolicy = str | Path | Policy
-"""A policy, or what `load_policy` finds it by."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,9 @@ class _Format:
 def record(
     env: str | Task,
     output: str | Path,
+    *,
     policy: AnyPolicy | Sequence[AnyPolicy] = "expert",
+    any_env: bool = False,
     episodes: int = 1,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
@@ -71,8 +70,10 @@ def record(
     Args:
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
-      policy: a name for `load_policy`, or a function from observations to actions.
-        Several are shown side by side, each at the same episodes, under their names.
+      policy: a name for `load_policy`, a function from observations to actions, or one
+        of these for each agent. Several are shown side by side, each at the same
+        episodes, under their names.
+      any_env: whether a trained policy may play another environment than its own.
       episodes: how many, one after the other.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
@@ -101,9 +102,7 @@ def record(
             f"on_progress must be a function of the share that is done, got"
             f" {shown(on_progress)}"
         )
-    policies: Sequence[AnyPolicy] = (
-        [policy] if isinstance(policy, str | Path) or callable(policy) else policy
-    )
+    policies: Sequence[Any] = policy if isinstance(policy, list | tuple) else [policy]
     if not policies:
         raise ValueError("name at least one policy")
     task = as_task(env, robots, randomization)
@@ -112,7 +111,7 @@ def record(
         for each in policies:
             vector_env = VectorEnv(task, 1, seed=seed, num_threads=1)
             stack.callback(vector_env.close)
-            act = as_policy(each, vector_env)
+            act = as_policy(each, vector_env, any_env=any_env)
             # All films advance together, and the last one tells how far.
             report = on_progress if len(films) == len(policies) - 1 else None
             films.append(
@@ -138,7 +137,8 @@ def check_ready() -> None:
 
 def picture(
     env: str | Task,
-    policy: str | Policy = "expert",
+    policy: AnyPolicy = "expert",
+    *,
     seed: int = 0,
     size: tuple[int, int] = (640, 480),
 ) -> np.ndarray:
@@ -149,7 +149,7 @@ def picture(
 
     Args:
       env: an environment id, a task's name, or a task.
-      policy: a name for `load_policy`, or a function from observations to actions.
+      policy: as `evaluate` takes it.
       seed: which episode.
       size: width and height in pixels.
 
@@ -313,9 +313,9 @@ def _labelled(frame: np.ndarray, name: str) -> np.ndarray:
 
 def _name(policy: AnyPolicy) -> str:
     """Return what to call a policy in a picture."""
-    if isinstance(policy, str | Path):
-        return Path(policy).name
-    return getattr(policy, "__name__", type(policy).__name__)
+    if isinstance(policy, Mapping):
+        return " ".join(f"{agent}={_name(own)}" for agent, own in policy.items())
+    return Path(name_policy(policy)).name
 
 
 def _write_mp4(output: Path, frames: Frames, rate: int) -> None:

@@ -1,5 +1,11 @@
 """What turns observations into actions."""
 
-from collaborative_gym.policies.policy import Policy, as_policy, load_policy
+from collaborative_gym.policies.policy import (
+    AnyPolicy,
+    Policy,
+    as_policy,
+    load_policy,
+    name_policy,
+)
 
-__all__ = ["Policy", "as_policy", "load_policy"]
+__all__ = ["AnyPolicy", "Policy", "as_policy", "load_policy", "name_policy"]

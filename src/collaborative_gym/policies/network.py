@@ -1,25 +1,33 @@
 """Trained policies: small networks in a file, run by NumPy alone."""
 
+import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.numpy import save
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.files import replacing
 from collaborative_gym.math import Array
+from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 
 OBSERVATION_LIMIT = 5.0
 """Networks see observations in standard deviations, cut off at this many."""
 
-_FORMAT = 1
+_FORMAT = 2
 """Number of the file format; a file of another one is refused."""
+
+_KEY = "collaborative_gym"
+"""Where a file's digest and, right after it, its description are in its metadata."""
+
+_DIGEST_LENGTH = 64
 
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "relu": lambda x: np.maximum(x, 0.0),
@@ -36,13 +44,13 @@ class Part:
     Attributes:
       agents: whose observations it sees, one after the other, and whom it commands.
       weights: name of its weights. Parts of one name share them.
-      identity: its place among the parts that share its weights, which it is told
+      index: its number among the parts that share its weights, which it is told
         after the observations, one-hot; None where it has weights of its own.
     """
 
     agents: tuple[str, ...]
     weights: str
-    identity: int | None = None
+    index: int | None = None
 
 
 @dataclass(frozen=True)
@@ -69,40 +77,64 @@ class NetworkPolicy:
       parts: its networks.
       weights: by name.
       activation: one of `ACTIVATIONS`.
-      facts: what else the file tells of it, such as environment, robots, mode, seed,
-        steps and hyperparameters.
+      identity: the environment that it is for.
+      observation_sizes: by agent.
+      action_sizes: by agent.
+      metadata: what else is to be known of it, such as mode, seed and steps; goes into
+        JSON.
 
     Attributes:
-      facts: what it was trained for, and how.
+      agents: whom it commands.
+      identity: the environment that it is for.
+      observation_sizes: by agent.
+      action_sizes: by agent.
+      metadata: how it was trained.
+
+    Raises:
+      ValueError: if the parts do not fit the weights or the sizes.
     """
 
     def __init__(
         self,
         parts: Sequence[Part],
         weights: Mapping[str, Weights],
+        *,
         activation: str,
-        facts: Mapping[str, Any],
+        identity: Identity,
+        observation_sizes: Mapping[str, int],
+        action_sizes: Mapping[str, int],
+        metadata: Mapping[str, Any],
     ):
-        self.facts = dict(facts)
+        check_activation(activation)
+        self.agents = tuple(agent for part in parts for agent in part.agents)
+        self.identity = identity
+        self.metadata = dict(metadata)
         self._parts = tuple(parts)
         self._weights = dict(weights)
         self._activation = activation
-        self._sharing = {
-            name: sum(part.weights == name for part in parts) for name in weights
-        }
+        self.observation_sizes = dict(observation_sizes)
+        self.action_sizes = dict(action_sizes)
+        if len(set(self.agents)) != len(self.agents):
+            raise ValueError("two networks command one agent")
+        for part in parts:
+            _check_widths(self._weights[part.weights], *self._widths(part))
 
     def __call__(self, observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
-        """Return actions by agent, (num_envs, k) float32 in [-1, 1]."""
+        """Return actions by agent, (num_envs, k) float32 in [-1, 1].
+
+        It looks at the observations of its own agents alone.
+        """
         actions = {}
         for part in self._parts:
+            weights = self._weights[part.weights]
             rows = np.concatenate(
                 [np.asarray(observations[agent], np.float32) for agent in part.agents],
                 axis=1,
             )
-            if part.identity is not None:
-                rows = with_identity(rows, part.identity, self._sharing[part.weights])
-            out = np.clip(self._forward(rows, self._weights[part.weights]), -1.0, 1.0)
-            sizes = [self.facts["action_sizes"][agent] for agent in part.agents]
+            if part.index is not None:
+                rows = with_index(rows, part.index, len(weights.mean) - rows.shape[1])
+            out = np.clip(self._forward(rows, weights), -1.0, 1.0)
+            sizes = [self.action_sizes[agent] for agent in part.agents]
             blocks = np.split(out, np.cumsum(sizes)[:-1], axis=1)
             actions |= dict(zip(part.agents, blocks, strict=True))
         return actions
@@ -119,24 +151,74 @@ class NetworkPolicy:
             x = x @ weight.T + bias
         return x[:, 0]
 
-    def check(self, env: VectorEnv) -> None:
-        """Raise unless the policy fits the environment's agents and spaces.
+    def _widths(self, part: Part) -> tuple[int, int]:
+        """Return how many numbers go into a part and come out of it."""
+        inputs = sum(self.observation_sizes[agent] for agent in part.agents)
+        outputs = sum(self.action_sizes[agent] for agent in part.agents)
+        if part.index is not None:
+            inputs += sum(each.weights == part.weights for each in self._parts)
+        return inputs, outputs
+
+    def serving(self, agents: Collection[str]) -> "NetworkPolicy":
+        """Return the policy of these agents alone.
+
+        Raises:
+          ValueError: if it has no network for one of them, or one that commands others
+            too.
+        """
+        missing = [agent for agent in agents if agent not in self.agents]
+        parts = [
+            part for part in self._parts if not set(part.agents).isdisjoint(agents)
+        ]
+        if missing:
+            raise ValueError(
+                f"this policy commands {_and(self.agents)}, not {_and(missing)}; name"
+                " another for that, as in --policy robot_1=A robot_2=B"
+            )
+        for part in parts:
+            if not set(part.agents) <= set(agents):
+                raise ValueError(
+                    f"one network of this policy commands {_and(part.agents)}"
+                    " together; let it play all of these or none"
+                )
+        served = copy(self)
+        served._parts, served.agents = tuple(parts), tuple(agents)
+        return served
+
+    def check(self, env: VectorEnv, *, any_env: bool = False) -> None:
+        """Raise unless the policy is for this environment.
+
+        Args:
+          env: what it is to play. Episodes may start and last as they like.
+          any_env: whether the environment may be another one with spaces of the same
+            sizes.
 
         Raises:
           ValueError: says what differs.
         """
-        for kind, spaces in (
-            ("observation", env.single_observation_spaces),
-            ("action", env.single_action_spaces),
+        here = Identity.of(env.task)
+        differences = here.differences(self.identity, ignore=ON_PLAYING)
+        title = f"this policy is for {self.identity.title}"
+        for kind, all_sizes, spaces in (
+            ("observation", self.observation_sizes, env.single_observation_spaces),
+            ("action", self.action_sizes, env.single_action_spaces),
         ):
-            own = self.facts[f"{kind}_sizes"]
-            sizes = {agent: space.shape[0] for agent, space in spaces.items()}
-            if own != sizes:
+            own = {agent: all_sizes[agent] for agent in self.agents}
+            sizes = {
+                agent: space.shape[0]
+                for agent, space in spaces.items()
+                if agent in self.agents
+            }
+            if own != sizes and (any_env or not differences):
                 raise ValueError(
-                    f"this policy is for {self.facts['environment']} with"
-                    f" {', '.join(self.facts['robots'])}: its {kind} sizes are"
-                    f" {_listed(own)}, the environment's {_listed(sizes)}"
+                    f"{title}: its {kind} sizes are {_listed(own)}, the environment's"
+                    f" {_listed(sizes)}"
                 )
+        if differences and not any_env:
+            raise ValueError(
+                f"{title}; here {'; '.join(differences)}. Train one for here, or play"
+                " this one all the same with any_env=True (--any-env)"
+            )
 
     def save(self, path: str | Path) -> None:
         """Write it into a safetensors file, whole or not at all."""
@@ -153,11 +235,16 @@ class NetworkPolicy:
             "format": _FORMAT,
             "parts": [asdict(part) for part in self._parts],
             "activation": self._activation,
-            "facts": self.facts,
+            "identity": self.identity.to_dict(),
+            "observation_sizes": self.observation_sizes,
+            "action_sizes": self.action_sizes,
+            "metadata": self.metadata,
         }
+        text = json.dumps(description)
+        # In one entry, as several would come in any order, and files differ.
         with replacing(path) as partial:
-            text = json.dumps(description)
-            partial.write_bytes(save(tensors, {"collaborative_gym": text}))
+            entry = _digest(text, tensors) + text
+            partial.write_bytes(save(tensors, {_KEY: entry}))
 
     @classmethod
     def load(cls, path: str | Path) -> "NetworkPolicy":
@@ -168,28 +255,48 @@ class NetworkPolicy:
           ValueError: if it is damaged or not of this format.
         """
         try:
-            with safe_open(path, framework="numpy") as file:
-                text = (file.metadata() or {}).get("collaborative_gym")
-                names = list(file.keys())
-                tensors = {name: file.get_tensor(name) for name in names}
-        except SafetensorError as error:
-            raise ValueError(f"{path} is no policy, or is damaged: {error}") from error
-        description = {} if text is None else json.loads(text)
+            return cls._read(path)
+        except OSError:
+            raise
+        except Exception as error:  # A file may be spoilt in any way.
+            missing = "it has no " if isinstance(error, KeyError) else ""
+            reason = missing + str(error).partition("\n")[0]
+            raise ValueError(
+                f"{path} is no policy, or is damaged: {reason}; give the"
+                " policy.safetensors of a training run, or fetch the file again"
+            ) from error
+
+    @classmethod
+    def _read(cls, path: str | Path) -> "NetworkPolicy":
+        with safe_open(path, framework="numpy") as file:
+            entry = (file.metadata() or {}).get(_KEY, "")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        digest, text = entry[:_DIGEST_LENGTH], entry[_DIGEST_LENGTH:]
+        description = json.loads(text or "{}")
         if description.get("format") != _FORMAT:
             raise ValueError(
-                f"{path} is no policy of this version: its format is"
-                f" {description.get('format')}, not {_FORMAT}"
+                f"its format is {description.get('format')}, that of this version is"
+                f" {_FORMAT}"
             )
+        if digest != _digest(text, tensors):
+            raise ValueError("its content is not what its digest says")
         parts = [
-            Part(tuple(part["agents"]), part["weights"], part["identity"])
+            Part(tuple(part["agents"]), part["weights"], part["index"])
             for part in description["parts"]
         ]
         names = dict.fromkeys(part.weights for part in parts)
-        weights = {name: _weights(tensors, name) for name in names}
-        return cls(parts, weights, description["activation"], description["facts"])
+        return cls(
+            parts,
+            {name: _weights(tensors, name) for name in names},
+            activation=description["activation"],
+            identity=Identity.from_dict(description["identity"]),
+            observation_sizes=description["observation_sizes"],
+            action_sizes=description["action_sizes"],
+            metadata=description["metadata"],
+        )
 
 
-def with_identity(observations: np.ndarray, i: int, count: int) -> np.ndarray:
+def with_index(observations: np.ndarray, i: int, count: int) -> np.ndarray:
     """Return observations followed by a one-hot that tells the i-th of `count`."""
     one_hot = np.zeros((len(observations), count), observations.dtype)
     one_hot[:, i] = 1.0
@@ -215,5 +322,36 @@ def _weights(tensors: Mapping[str, np.ndarray], name: str) -> Weights:
     return Weights(tensors[f"{name}/mean"], tensors[f"{name}/std"], layers)
 
 
+def _check_widths(weights: Weights, inputs: int, outputs: int) -> None:
+    """Raise ValueError unless the layers lead from so many numbers to so many."""
+    shapes: list[tuple[int, ...]] = [(inputs,), (inputs,)]
+    width = inputs
+    for weight, _ in weights.layers:
+        shapes += [(len(weight), width), (len(weight),)]
+        width = len(weight)
+    arrays = [
+        weights.mean,
+        weights.std,
+        *(a for layer in weights.layers for a in layer),
+    ]
+    found = [array.shape for array in arrays]
+    if found != shapes or width != outputs:
+        raise ValueError(
+            f"a network from {inputs} to {outputs} numbers has arrays of shapes {found}"
+        )
+
+
+def _digest(text: str, tensors: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())
+        digest.update(tensor.tobytes())
+    return digest.hexdigest()
+
+
 def _listed(sizes: Mapping[str, int]) -> str:
     return ", ".join(f"{agent} {size}" for agent, size in sizes.items())
+
+
+def _and(agents: Collection[str]) -> str:
+    return " and ".join(agents)

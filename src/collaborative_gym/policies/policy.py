@@ -1,18 +1,28 @@
 """Policies by name: scripted ones, shipped ones, and those of a training run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import UnknownName, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.scripted import RandomPolicy, expert_policy
+from collaborative_gym.policies.scripted import (
+    RandomPolicy,
+    expert_policy,
+    idle_policy,
+)
 from collaborative_gym.tasks.registry import find_env, list_envs
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 """From observations to actions, both by agent, with one row per world."""
+
+AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
+"""A policy, or what `load_policy` finds it by, or one of these for each agent."""
 
 BASELINES = Path(__file__).parents[1] / "baselines"
 """Where the shipped policies and their cards are, by environment id."""
@@ -21,65 +31,122 @@ POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 
 
-def load_policy(name: str | Path, env: Any = None) -> Policy:
-    """Return a policy.
+def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) -> Any:
+    """Return a policy, ready to play.
+
+    A file's networks see the observations of the agents that they command alone; the
+    same file for several agents is loaded once.
 
     Args:
-      name: an environment id, for its baseline, the trained policy that is shipped; a
+      policy: an environment id, for its baseline, the trained policy that is shipped; a
         path to a policy file or to the folder of a training run; "baseline", that of
         `env`; "expert", the task's scripted expert, which looks at the state of the
-        worlds and not at the observations; or "random", uniform actions, the same for
-        an episode of a seed in any batch.
-      env: a `VectorEnv`, or a PettingZoo environment of this package, which the policy
-        must fit. Actions have the form that its `step` takes; without it, that of
-        `VectorEnv.step`. "baseline", "expert" and "random" need it.
+        worlds and not at the observations; "random", uniform actions, the same for an
+        episode of a seed in any batch; "idle", which holds still with an open grip; a
+        function from observations to actions; or one of these for each agent, such as
+        `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
+      env: what it is to play: a `VectorEnv`, or an environment of this package under
+        PettingZoo's or Gymnasium's contract, whose observations and actions it then
+        takes and returns. Only an id and a path do without; they play a `VectorEnv`.
+      any_env: whether a trained policy may play another environment than the one that
+        it is for, if the sizes of its spaces are the same.
 
     Raises:
       FileNotFoundError: if there is no such file, or the environment has no baseline.
-      KeyError: if there is no such policy.
-      TypeError: if it is for another kind of environment, or needs one.
-      ValueError: if the file is damaged, or does not fit the environment.
+      KeyError: if there is no such policy or agent.
+      TypeError: if it is of another kind, or needs an environment.
+      ValueError: if a file is damaged, is for another environment or has no network for
+        an agent, or an agent has no policy.
     """
-    vector_env = getattr(env, "vector_env", env)
-    if vector_env is not None and not isinstance(vector_env, VectorEnv):
+    own = getattr(env, "unwrapped", env)
+    vector_env = getattr(own, "vector_env", own)
+    if vector_env is None:
+        if not isinstance(policy, str | Path) or policy in _NAMES:
+            raise TypeError(f"{shown(policy)} needs an environment; pass env too")
+        return _load_file(policy)
+    if not isinstance(vector_env, VectorEnv):
         raise TypeError(
-            "policies play a VectorEnv or a PettingZoo environment of this package,"
-            f" got {env!r}"
+            "policies play a VectorEnv, or a PettingZoo or Gymnasium environment of"
+            f" this package, got {shown(env)}"
         )
-    policy = _load(name, vector_env)
-    return policy if vector_env is env else _for_one_world(policy)
+    act = as_policy(policy, vector_env, any_env=any_env)
+    if own is vector_env:
+        return act
+    if isinstance(own, gymnasium.Env | gymnasium.vector.VectorEnv):
+        act = _joined(act, vector_env)
+    is_batch = isinstance(own, gymnasium.vector.VectorEnv)
+    return act if is_batch else _for_one_world(act)
 
 
-def as_policy(policy: str | Path | Policy, env: VectorEnv) -> Policy:
-    """Return a policy as it is, or the one of a name as `load_policy` does.
+def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Policy:
+    """Return what `load_policy` does, for a `VectorEnv`.
 
     Raises:
-      FileNotFoundError: if there is no such file, or the environment has no baseline.
-      KeyError: if there is no policy of that name.
-      TypeError: if it is neither a name nor a function.
-      ValueError: if it does not fit the environment.
+      Exception: as `load_policy` does.
     """
+    if not isinstance(policy, Mapping):
+        return _commanding(env.agents, policy, env, any_env)
+    for agent in policy:
+        if agent not in env.agents:
+            raise UnknownName(unknown("agent", agent, env.agents))
+    groups: dict[object, list[str]] = {}
+    for agent in env.agents:
+        if agent not in policy:
+            raise ValueError(
+                f"there is no policy for {agent}; name one for each of"
+                f' {", ".join(env.agents)}, "idle" for one that holds still'
+            )
+        given = policy[agent]
+        same = Path(given) if isinstance(given, str | Path) else id(given)
+        groups.setdefault(same, []).append(agent)
+    leaders = [
+        (_commanding(agents, policy[agents[0]], env, any_env), agents)
+        for agents in groups.values()
+    ]
+    return lambda observations: {
+        agent: actions
+        for leader, agents in leaders
+        for agent, actions in _of(agents, leader(observations)).items()
+    }
+
+
+def name_policy(policy: AnyPolicy) -> str:
+    """Return what to call a policy, as the command line takes it if it can."""
+    if isinstance(policy, Mapping):
+        return " ".join(f"{agent}={name_policy(own)}" for agent, own in policy.items())
     if isinstance(policy, str | Path):
-        return load_policy(policy, env)
-    if not callable(policy):
-        raise TypeError(
-            f"policy must be one of {', '.join(map(repr, _BY_ENV))}, a path, or a"
-            f" function from observations to actions, got {policy!r}"
-        )
+        return str(policy)
+    return getattr(policy, "__name__", type(policy).__name__)
+
+
+def _commanding(
+    agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
+) -> Policy:
+    """Return what commands these agents, and maybe others."""
+    if isinstance(policy, str | Path):
+        if policy in _BY_ENV:
+            return _BY_ENV[str(policy)](env)
+        policy = _baseline(env) if policy == "baseline" else _load_file(policy)
     if isinstance(policy, NetworkPolicy):
-        policy.check(env)
-    return policy
+        policy = policy.serving(agents)
+        policy.check(env, any_env=any_env)
+    if callable(policy):
+        return cast(Policy, policy)
+    raise TypeError(
+        f"policy must be one of {', '.join(map(repr, _NAMES))}, a path, a function from"
+        " observations to actions, or one of these for each agent, got"
+        f" {shown(policy)}"
+    )
 
 
-def _load(name: str | Path, env: VectorEnv | None) -> Policy:
-    if name in _BY_ENV:
-        if env is None:
-            raise TypeError(f"{name!r} needs an environment; pass env too")
-        return _BY_ENV[str(name)](env)
-    policy = _load_file(name)
-    if env is not None:
-        policy.check(env)
-    return policy
+def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
+    """Return the actions of some agents among those that their policy returned."""
+    if not isinstance(actions, Mapping) or not actions.keys() >= set(agents):
+        raise ValueError(
+            f"the policy of {' and '.join(agents)} returned {shown(actions)}; it must"
+            " return a dictionary with actions of its own agents"
+        )
+    return {agent: actions[agent] for agent in agents}
 
 
 def _load_file(name: str | Path) -> NetworkPolicy:
@@ -101,10 +168,10 @@ def _load_file(name: str | Path) -> NetworkPolicy:
         return NetworkPolicy.load(path)
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(f"no policy file {path}")
-    raise UnknownName(unknown("policy", name, [*_BY_ENV, *list_envs()]))
+    raise UnknownName(unknown("policy", name, [*_NAMES, *list_envs()]))
 
 
-def _baseline(env: VectorEnv) -> Policy:
+def _baseline(env: VectorEnv) -> NetworkPolicy:
     env_id = find_env(env.task)
     if env_id is None:
         robots = ", ".join(robot.name for robot in env.task.robots.values())
@@ -112,23 +179,38 @@ def _baseline(env: VectorEnv) -> Policy:
             f"no baseline is shipped for {type(env.task).__name__} with {robots}; give"
             " the path of a policy that you trained"
         )
-    policy = _load_file(env_id)
-    policy.check(env)
-    return policy
+    return _load_file(env_id)
 
 
-def _for_one_world(policy: Policy) -> Policy:
+def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Return a policy over observations and actions without the axis of worlds."""
 
-    def act(observations: Mapping[str, Array]) -> dict[str, Array]:
+    def act_once(observations: Any) -> Any:
+        if not isinstance(observations, Mapping):
+            return act(observations[None])[0]
         batch = {agent: row[None] for agent, row in observations.items()}
-        return {agent: rows[0] for agent, rows in policy(batch).items()}
+        return {agent: rows[0] for agent, rows in act(batch).items()}
+
+    return act_once
+
+
+def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a policy over all agents' observations and actions, side by side."""
+    sizes = [space.shape[0] for space in env.single_observation_spaces.values()]
+    ends = np.cumsum(sizes)[:-1]
+
+    def act(observations: np.ndarray) -> np.ndarray:
+        blocks = np.split(np.asarray(observations), ends, axis=1)
+        actions = policy(dict(zip(env.agents, blocks, strict=True)))
+        return np.concatenate([actions[agent] for agent in env.agents], axis=1)
 
     return act
 
 
 _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
-    "baseline": _baseline,
     "expert": expert_policy,
+    "idle": idle_policy,
     "random": RandomPolicy,
 }
+
+_NAMES = ("baseline", *_BY_ENV)

@@ -14,6 +14,12 @@ def expert_policy(env: VectorEnv):
     return lambda observations: env.expert()
 
 
+def idle_policy(env: VectorEnv):
+    """Return what holds still with an open grip."""
+    still = env.idle()
+    return lambda observations: still
+
+
 class RandomPolicy:
     """Uniform actions that an episode's own generator draws, all at its first step."""
 

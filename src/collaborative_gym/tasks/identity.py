@@ -9,9 +9,11 @@ nothing for a training run that goes on.
 import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib.metadata import version
 from typing import Any
+from xml.etree.ElementTree import ParseError, canonicalize
 
 import mujoco
 import numpy as np
@@ -62,6 +64,11 @@ class Identity:
         )
 
     @property
+    def title(self) -> str:
+        """What to call it."""
+        return f"{self.name} with {', '.join(self.robot_names)}"
+
+    @property
     def robot_names(self) -> tuple[str, ...]:
         """The arms' names, in the order of the agents."""
         return tuple(robot["name"] for robot in self.robots.values())
@@ -94,6 +101,9 @@ class Identity:
         self, other: "Identity", *, ignore: Collection[str] = ()
     ) -> list[str]:
         """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
+
+        Settings that only one of them has are not compared: a later version brought
+        them.
 
         Args:
           other: what this one should be.
@@ -129,9 +139,9 @@ def _differing(
 ) -> Iterator[str]:
     """Yield a sentence for each number or text, at any depth, that differs."""
     if isinstance(value, Mapping) and isinstance(wanted, Mapping):
-        for key in dict.fromkeys([*value, *wanted]):
+        for key in (key for key in value if key in wanted):
             inner = f"{name}{separator}{key}" if name else str(key)
-            yield from _differing(inner, value.get(key), wanted.get(key), separator)
+            yield from _differing(inner, value[key], wanted[key], separator)
     elif value != wanted:
         yield f"{name} is {_short(value)}, not {_short(wanted)}"
 
@@ -158,11 +168,21 @@ def _plain(value: Any) -> Any:
 
 
 def _digest(robot: Robot) -> str:
-    """Return a short digest that tells apart arms of one name."""
-    content = _plain(robot)
-    for name in ("title", "model_file", "_overlaps"):
-        del content[name]
+    """Return a short digest that tells apart arms of one name.
+
+    Fields that are left at their defaults do not count, so that a new one changes
+    nothing; nor does what the model file has for people alone.
+    """
+    content = {
+        each.name: _plain(getattr(robot, each.name))
+        for each in fields(robot)
+        if each.init and getattr(robot, each.name) != each.default
+    }
+    del content["model_file"], content["title"]
     # Numbers that were filled in differ by rounding from one machine to another.
     rounded = json.loads(json.dumps(content), parse_float=lambda x: f"{float(x):.6g}")
-    text = json.dumps(rounded, sort_keys=True) + robot.model_file.read_text()
+    model = robot.model_file.read_text()
+    with suppress(ParseError):  # MuJoCo reads files that are not quite XML.
+        model = canonicalize(model, strip_text=True)
+    text = json.dumps(rounded, sort_keys=True) + model
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -16,6 +16,7 @@ from collaborative_gym.errors import (
     unknown,
 )
 from collaborative_gym.robots import Robot, get_robot
+from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
 
 
@@ -102,12 +103,17 @@ def get_env(env_id: str) -> EnvSpec:
 
 
 def find_env(task: Task) -> str | None:
-    """Return the id of the environment that has this task and these robots, if any."""
-    robots = tuple(robot.name for robot in task.robots.values())
-    for env_id, spec in _ENVS.items():
-        if spec.task is type(task) and spec.robots == robots:
-            return env_id
-    return None
+    """Return the id of this task with these robots that is most like it, if any."""
+    here = Identity.of(task)
+    alike = {
+        env_id: here.differences(Identity.of(make_task(env_id)), ignore=ON_PLAYING)
+        for env_id, spec in _ENVS.items()
+        if spec.task is type(task) and spec.robots == here.robot_names
+    }
+    # Of those that are equally like it, the one that it was made by.
+    return min(
+        alike, key=lambda each: (len(alike[each]), each != task.name), default=None
+    )
 
 
 def make_task(

@@ -5,7 +5,7 @@ from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.policies import load_policy
+from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization
@@ -16,7 +16,9 @@ def view(
     env_id: str,
     tell: Callable[[str], object],
     warn: Callable[[str], object],
-    policy: str = "random",
+    *,
+    policy: AnyPolicy = "random",
+    any_env: bool = False,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization = "default",
@@ -33,7 +35,8 @@ def view(
       env_id: an environment id or a task's name.
       tell: takes what the user needs to know, such as where the page is.
       warn: takes what should alarm the user.
-      policy: a name for `load_policy`.
+      policy: as `evaluate` takes it.
+      any_env: whether a trained policy may play another environment than its own.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn.
@@ -49,10 +52,10 @@ def view(
     task = make_task(env_id, robots, randomization)
     env = VectorEnv(task, 1, seed=seed, num_threads=1)
     with closing(env):
-        session = Session(env, load_policy(policy, env), warn)
+        session = Session(env, as_policy(policy, env, any_env=any_env), warn)
         face = None if web else _window(session, tell)
         if face is None:
-            face = _page(session, f"{env_id}, {policy}", host, port)
+            face = _page(session, f"{env_id}, {name_policy(policy)}", host, port)
             if face.is_public:
                 warn(
                     f"WARNING: the viewer listens on {host}. Everyone who reaches this"
