@@ -3,7 +3,7 @@ import re
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.report import show
+from collaborative_gym.evaluation.report import format_statistic
 from collaborative_gym.learning import baselines, config
 from collaborative_gym.learning.baselines import train_baselines
 from collaborative_gym.learning.checkpoint import Checkpoint
@@ -52,7 +52,7 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
         carry_id, policy, episodes=4, randomization="paper", num_threads=1
     )
     (paper,) = [row for row in shown if "| paper |" in row]
-    assert f"| {show(report.mean_reward)} |" in paper
+    assert f"| {format_statistic(report.mean_reward)} |" in paper
 
 
 def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):

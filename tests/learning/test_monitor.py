@@ -10,7 +10,7 @@ pytest.importorskip("matplotlib", reason="needs the extra train")
 
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from collaborative_gym.evaluation.report import Statistic
+from collaborative_gym.evaluation.report import Score, Statistic
 from collaborative_gym.learning import curve, monitor
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve, learning_curve
@@ -84,15 +84,17 @@ def test_summary_leaves_out_what_is_not_known():
 
 
 def test_summary_of_a_validation():
-    validation = SimpleNamespace(
-        mean_reward=Statistic.of([-3.0, -5.0]),
-        completion=Statistic.of([1.0, 0.0]),
-        performance=Statistic.of([0.25]),
-    )
-    summary = summarize(1, 1.0, 1.0, Iteration([], {}), validation)
+    statistics = [Statistic.of(each) for each in ([-3.0, -5.0], [1.0, 0.0], [0.25], [])]
+    score = Score(*statistics)
+    alone = SimpleNamespace(sides={"side_1": score})
+    summary = summarize(1, 1.0, 1.0, Iteration([], {}), alone)
     assert summary["validation/return"] == -4.0
     assert summary["validation/completion"] == 0.5
     assert summary["validation/performance"] == 0.25
+    rivals = SimpleNamespace(sides={"side_1": score, "side_2": score})
+    summary = summarize(1, 1.0, 1.0, Iteration([], {}), rivals)
+    assert summary["validation/side_2/return"] == -4.0
+    assert "validation/return" not in summary
 
 
 def test_progress_reads_back_exactly(start, read_progress, tmp_path):

@@ -60,9 +60,11 @@ def summarize(
     for learner, update in iteration.updates.items():
         row |= {f"{learner}/{name}": float(value) for name, value in update.items()}
     if validation is not None:
-        row["validation/return"] = validation.mean_reward.mean
-        row["validation/completion"] = validation.completion.mean
-        row["validation/performance"] = validation.performance.mean
+        for side, score in validation.sides.items():
+            own = f"validation/{side}/" if len(validation.sides) > 1 else "validation/"
+            row[f"{own}return"] = score.mean_reward.mean
+            row[f"{own}completion"] = score.completion.mean
+            row[f"{own}performance"] = score.performance.mean
     return row
 
 
