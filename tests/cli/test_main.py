@@ -226,7 +226,8 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
     options = "--seed 3 --robots panda jaco --randomization paper --any-env"
     served = "--policy robot_1=expert robot_2=idle --web --host 0.0.0.0 --port 99"
     assert main(["view", "Lift", *options.split(), *served.split()]) == 0
-    (env_id, tell, warn), named = asked[0]
+    (env_id, tell), named = asked[0]
+    warn = named.pop("warn")
     assert env_id == "Lift"
     assert named == {
         "policy": "random",
@@ -239,6 +240,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         "port": 8080,
     }
     assert asked[1][1] == {
+        "warn": warn,
         "policy": {"robot_1": "expert", "robot_2": "idle"},
         "any_env": True,
         "seed": 3,

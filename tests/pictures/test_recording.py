@@ -163,6 +163,24 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
+    named = []
+    labelled = recording._labelled
+
+    def note(frame, name):
+        named.append(name)
+        return labelled(frame, name)
+
+    monkeypatch.setattr(recording, "_labelled", note)
+    policies = [{"robot_1": "idle", "robot_2": "random"}, "expert"]
+    path = recording.record(
+        carry(max_episode_steps=2), tmp_path / "a.gif", policy=policies, size=SIZE
+    )
+    assert set(named) == {"robot_1=idle robot_2=random", "expert"}
+    with Image.open(path) as video:
+        assert video.size == (2 * SIZE[0], SIZE[1])
+
+
 def test_picture_shows_the_robots_at_work(carry):
     first = recording.picture(carry(), size=SIZE)
     assert first.shape == (48, 64, 3) and first.dtype == np.uint8

@@ -43,7 +43,7 @@ def opened(monkeypatch):
 
 def test_it_opens_a_window(carry_id, opened):
     told = []
-    launch.view(carry_id, told.append, told.append)
+    launch.view(carry_id, told.append, warn=told.append)
     assert [kind for kind, *_ in opened] == ["window"]
     assert opened[0][1].was_closed
     assert told == []
@@ -57,7 +57,7 @@ def test_where_no_window_opens_it_serves_a_page_and_says_so(
 
     monkeypatch.setattr(window, "Window", fail)
     told = []
-    launch.view(carry_id, told.append, pytest.fail, "expert", port=1234)
+    launch.view(carry_id, told.append, warn=pytest.fail, policy="expert", port=1234)
     assert opened[0][0] == "page" and opened[0][1].was_closed
     assert opened[0][2:] == (f"{carry_id}, expert", "127.0.0.1", 1234)
     assert told == [
@@ -70,9 +70,15 @@ def test_a_page_for_all_the_world_comes_with_a_warning(carry_id, opened, monkeyp
     monkeypatch.setattr(Face, "is_public", True)
     warned = []
     told = warned.append
-    launch.view(carry_id, told, warned.append, web=True, host="0.0.0.0")
+    launch.view(carry_id, told, warn=warned.append, web=True, host="0.0.0.0")
     assert [kind for kind, *_ in opened] == ["page"]
     assert warned[0].startswith("WARNING: the viewer listens on 0.0.0.0. Everyone who")
+
+
+def test_each_robot_may_have_a_policy_of_its_own(carry_id, opened):
+    policy = {"robot_1": "idle", "robot_2": "random"}
+    launch.view(carry_id, str, warn=pytest.fail, policy=policy, web=True)
+    assert opened[0][2] == f"{carry_id}, robot_1=idle robot_2=random"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window may open")

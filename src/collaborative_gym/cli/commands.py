@@ -285,7 +285,7 @@ class View(_World):
         view(
             self.env,
             show,
-            warn,
+            warn=warn,
             policy=read_policy(self.policy),
             any_env=self.any_env,
             seed=self.seed,

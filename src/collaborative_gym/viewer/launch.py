@@ -15,8 +15,8 @@ from collaborative_gym.viewer.session import Session
 def view(
     env_id: str,
     tell: Callable[[str], object],
-    warn: Callable[[str], object],
     *,
+    warn: Callable[[str], object],
     policy: AnyPolicy = "random",
     any_env: bool = False,
     seed: int = 0,
@@ -34,7 +34,7 @@ def view(
     Args:
       env_id: an environment id or a task's name.
       tell: takes what the user needs to know, such as where the page is.
-      warn: takes what should alarm the user.
+      warn: takes what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
       seed: which episodes.
