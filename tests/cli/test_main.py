@@ -261,11 +261,15 @@ def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
     module = [sys.executable, "-m", "collaborative_gym", "record"]
     output = ["--output", str(tmp_path / "a.mp4"), "--episodes", "20"]
     process = subprocess.Popen([*module, "PokeTaskSawyers-v0", *output])
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
-        assert process.poll() is None
-        time.sleep(0.05)
-    time.sleep(0.5)
-    os.kill(process.pid, sent)
-    assert process.wait(timeout=30) == status
-    assert list(tmp_path.iterdir()) == []
+    try:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.05)
+        time.sleep(0.5)
+        os.kill(process.pid, sent)
+        assert process.wait(timeout=30) == status
+        assert list(tmp_path.iterdir()) == []
+    finally:
+        process.kill()
+        process.wait()

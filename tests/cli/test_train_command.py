@@ -140,12 +140,14 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(curve, carry_id, tmp_path):
         [sys.executable, "-c", IN_A_PROCESS, tests, *arguments, str(cut)],
         stderr=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 60.0
-    while time.monotonic() < deadline and num_updates(cut) <= update:
-        assert process.poll() is None
-        time.sleep(0.002)
-    time.sleep(pause)
-    process.kill()
+    try:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline and num_updates(cut) <= update:
+            assert process.poll() is None
+            time.sleep(0.002)
+        time.sleep(pause)
+    finally:
+        process.kill()
     moment = f"{pause} s after update {update}"
     assert process.wait() == -signal.SIGKILL, moment
     assert Checkpoint.load(cut / LAST).backend["steps"] < steps

@@ -108,13 +108,16 @@ def test_a_signal_ends_a_page_and_leaves_no_process(sent, status):
         start_new_session=True,
     )
     assert process.stdout is not None
-    line = process.stdout.readline()
-    assert line.startswith("open http://127.0.0.1:") and "Ctrl-C ends it" in line
-    url = line.split()[1].replace("http", "ws")
-    with connect(url, max_size=None, subprotocols=[f"viser-v{version()}"]) as tab:
-        tab.recv(timeout=10)
-        os.kill(process.pid, sent)
-        output, errors = process.communicate(timeout=30)
+    try:
+        line = process.stdout.readline()
+        assert line.startswith("open http://127.0.0.1:") and "Ctrl-C ends it" in line
+        url = line.split()[1].replace("http", "ws")
+        with connect(url, max_size=None, subprotocols=[f"viser-v{version()}"]) as tab:
+            tab.recv(timeout=10)
+            os.kill(process.pid, sent)
+            output, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
     assert (process.returncode, output, errors) == (status, "", "")
     with pytest.raises(ProcessLookupError):  # Its group had nobody else.
         os.killpg(process.pid, 0)
@@ -138,11 +141,13 @@ def display(tmp_path, monkeypatch):
         stderr=subprocess.DEVNULL,
     )
     os.close(write)
-    with os.fdopen(read) as pipe:
-        number = pipe.readline().strip()
-    yield f":{number}"
-    server.terminate()
-    server.wait()
+    try:
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        yield f":{number}"
+    finally:
+        server.kill()
+        server.wait()
 
 
 WINDOWED = """

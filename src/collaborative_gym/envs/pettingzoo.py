@@ -16,6 +16,7 @@ from collaborative_gym.envs.faces import (
     fresh_seed,
 )
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
 
@@ -66,11 +67,11 @@ class PettingZooEnv(ParallelEnv):
 
     def observation_space(self, agent: str) -> Box:
         """Return the space of an agent's observations."""
-        return self.vector_env.single_observation_spaces[agent]
+        return look_up("agent", agent, self.vector_env.single_observation_spaces)
 
     def action_space(self, agent: str) -> Box:
         """Return the space of an agent's actions."""
-        return self.vector_env.single_action_spaces[agent]
+        return look_up("agent", agent, self.vector_env.single_action_spaces)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.errors import check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.robots import Robot
 from collaborative_gym.sim.sim import Sim
@@ -76,6 +77,7 @@ def check_state(
         raise TypeError(
             f"a state comes from get_state(), and is no {type(state).__name__}"
         )
+    check_kind("the state's identity", state.identity, Identity, "an Identity")
     differs = state.identity.differences(blank.identity, ignore=ON_STATE)
     if differs and not from_another:
         raise ValueError(
@@ -87,6 +89,7 @@ def check_state(
         ("progress", state.progress, blank.progress),
         ("physics", {"rows": state.physics}, {"rows": blank.physics}),
     ):
+        check_kind(f"the state's {part}", given, Mapping, "a dictionary of arrays")
         shapes = {name: np.shape(array) for name, array in given.items()}
         needed = {name: tuple(array.shape) for name, array in own.items()}
         if shapes != needed:
