@@ -205,7 +205,8 @@ def connect(address: str | None, num_cpus: int) -> bool:
         try:
             ray.init(address, **quiet)
         except (ConnectionError, RuntimeError, RayError) as error:
-            cause = str(error.__cause__ or error).strip().partition("\n")[0]
+            # What happened stands last in it, after Ray's own traceback.
+            cause = str(error.__cause__ or error).strip().splitlines()[-1]
             raise ConnectionError(f"cannot join Ray at {address}: {cause}") from error
         return True
     # "local", because None joins a cluster that happens to run on this machine.
