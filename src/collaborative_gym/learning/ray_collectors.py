@@ -197,11 +197,12 @@ def connect(address: str | None, num_cpus: int) -> bool:
       RuntimeError: if Ray was imported too early to keep it to this machine.
       ValueError: if the address is none.
     """
+    if address is not None:
+        _check_answers(address)
     if ray.is_initialized():
         return False
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     if address is not None:
-        _check_answers(address)
         try:
             ray.init(address, **quiet)
         except (ConnectionError, RuntimeError, RayError) as error:
