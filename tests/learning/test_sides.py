@@ -1,9 +1,59 @@
-"""Nothing is averaged over sides that play against each other."""
+"""Two sides that play against each other learn, in every mode."""
 
 import numpy as np
 import pytest
 
+import collaborative_gym as cg
+from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.team import Sizes, make_learners
+
+
+@pytest.fixture
+def duel(carry):
+    """Return a task where who is nearer to the cube wins, until it falls."""
+
+    class Duel(type(carry())):
+        @property
+        def sides(self):
+            return (("robot_1",), ("robot_2",))
+
+        def lead(self, facts):
+            return facts.distance["robot_2"] - facts.distance["robot_1"]
+
+        def reward(self, facts, actions):
+            lead = self.lead(facts)
+            return {"robot_1": {"lead": lead}, "robot_2": {"lead": -lead}}
+
+        def success(self, facts):
+            return self.lead(facts) > 0.0, self.lead(facts) < 0.0
+
+        def over(self, facts):
+            self.falls.append(bool((facts.height < 0.4).any()))
+            return facts.height < 0.4
+
+    Duel.falls = []
+    task = carry()
+    return Duel(list(task.robots.values()), task.config)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_opponents_learn_by_side(train_tiny, tiny, duel, mode, read_progress):
+    result = train_tiny(
+        task=duel, mode=mode, hyperparameters=tiny(total_steps=256, rollout_steps=16)
+    )
+    rows = read_progress(result.folder)
+    assert [row["steps"] for row in rows] == [64, 128, 192, 256]
+    for row in rows:
+        assert not {"return", "completion", "validation/return"} & row.keys()
+        assert row["validation/side_1/return"] == -row["validation/side_2/return"] != 0
+    ended = [row for row in rows if "side_1/return" in row]
+    assert ended and all("side_2/completion" in row for row in ended)
+    # Of opponents, the latest are the best.
+    assert result.best["steps"] == 256
+    assert any(duel.falls)
+    report = cg.evaluate(duel, result.policy(), episodes=4, num_threads=1)
+    last = report.sides["side_1"].mean_reward.mean
+    assert last == -report.sides["side_2"].mean_reward.mean
 
 
 @pytest.mark.parametrize(

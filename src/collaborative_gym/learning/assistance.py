@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.curve import sides_of
 
 _EASE = 0.01
 """How much less is carried after a rollout that went well."""
@@ -34,8 +35,15 @@ class Assistance:
             env.sim.xfrc_applied[:, bodies, 2] = self.share * weights
 
     def adapt(self, episodes: Sequence[Mapping[str, Any]]) -> None:
-        """Carry less from now on if at least half of these episodes were completed."""
-        if episodes and np.mean([row["completion"] for row in episodes]) >= 0.5:
+        """Carry less from now on if at least half of these episodes were completed.
+
+        Where there are several sides, it is enough that one of them did.
+        """
+        completed = [
+            max(row.get(f"{side}completion", 0.0) for side in sides_of(row))
+            for row in episodes
+        ]
+        if completed and np.mean(completed) >= 0.5:
             self.share = max(0.0, self.share - _EASE)
 
 
