@@ -11,7 +11,7 @@ import collaborative_gym as cg
 from collaborative_gym.learning.config import Hyperparameters, Resources
 from collaborative_gym.pictures.recording import record
 
-NO_ROBOTS = (3, "panda", {"panda", "jaco"}, THING, [], ["panda"], ["panda", "x"])
+NO_ROBOTS = (3, "panda", {"panda"}, THING, [], ["panda"], ["panda", "x"])
 NO_RANDOMIZATION = (3, [], {}, THING, "", "papr", True)
 NO_CALLBACK = (3, "print", [], THING)
 TINY = {

@@ -109,7 +109,10 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
         ("evaluate", "name the environments to evaluate, or pass --all"),
         ("evaluate Carry --policy exprt", "did you mean 'expert'?"),
         ("evaluate Carry --policy expert idle", "robot_2=idle, got expert idle"),
-        ("evaluate Carry --policy robot_1=idle", "there is no policy for robot_2"),
+        (
+            "evaluate Carry --policy robot_1=idle",
+            "there is no policy for the agent robot_2",
+        ),
         ("evaluate Carry --policy robot_3=idle", "no agent 'robot_3'"),
         ("evaluate Carry --robots panda", "needs 2 robots, got 1"),
         ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),

@@ -93,7 +93,7 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
     for agent in env.agents:
         if agent not in policy:
             raise ValueError(
-                f"there is no policy for {agent}; name one for each of"
+                f"there is no policy for the agent {agent}; name one for each of"
                 f' {", ".join(env.agents)}, "idle" for one that holds still'
             )
         given = policy[agent]
