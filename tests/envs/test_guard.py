@@ -157,3 +157,16 @@ def test_a_task_that_fails_leaves_the_worlds_as_they_were(
             env.step(idle(env))
         assert_same(env.get_state(), before)
     assert env.step(idle(env))[-1]["ended"].all()
+
+
+def test_any_thread_may_draw_in_its_turn(make_env):
+    env = make_env(1)
+    env.reset(seed=0)
+
+    def draw():
+        return env.render(width=32, height=24)
+
+    draw()
+    picture = draw()
+    np.testing.assert_array_equal(in_thread(draw), picture)
+    assert in_thread(env.close) is None
