@@ -173,6 +173,12 @@ def check_flag(name: str, given: Any) -> bool:
     return bool(given)
 
 
+def check_callback(name: str, given: Any) -> None:
+    """Raise TypeError unless what was given can be called, or is None."""
+    if given is not None and not callable(given):
+        raise TypeError(f"{name} must be a function or None, got {shown(given)}")
+
+
 def check_kind(name: str, given: Any, kinds: type | tuple[type, ...], a: str) -> None:
     """Raise TypeError unless what was given is of a kind, such as `a` "string"."""
     if not isinstance(given, kinds):

@@ -84,4 +84,4 @@ def naming(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno is None:  # It has its message already.
             raise
-        raise type(error)(f"cannot write {path}: {error.strerror}") from error
+        raise OSError(f"cannot write {path}: {error.strerror}") from error

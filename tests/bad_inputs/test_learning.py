@@ -198,7 +198,7 @@ LEARN = [
         "hyperparameters",
         "hidden_sizes",
         _hyper("hidden_sizes"),
-        [3, "256", None, [], (), [0], [-1], [1.5], ["a"], {}, THING, [True], [2**63]],
+        [3, "256", None, [0], [-1], [1.5], ["a"], {}, THING, [True], [2**63]],
     ),
     *table("hyperparameters", "activation", _hyper("activation"), NO_NAME, [None]),
     *table("resources", "device", _resource("device"), NO_NAME[:8], [None]),

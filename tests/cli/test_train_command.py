@@ -235,7 +235,7 @@ def test_a_missing_or_foreign_folder_is_named(carry_id, capsys, tmp_path):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / LAST).write_text("something else")
-    for folder, status in ((tmp_path / "nowhere", 1), (foreign, 2)):
+    for folder, status in ((tmp_path / "nowhere", 2), (foreign, 2)):
         assert main(["train", carry_id, "--resume", str(folder)]) == status
         printed = capsys.readouterr().err
         assert str(folder / LAST) in printed and printed.count("\n") == 1
@@ -245,7 +245,7 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
     arguments = ["train", carry_id, "--output", str(tmp_path), "--total-steps", "1"]
     assert main([*arguments, *TINY]) == 0
     before = (tmp_path / LAST).read_bytes()
-    assert main([*arguments, *TINY]) == 1
+    assert main([*arguments, *TINY]) == 2
     assert "go on with it (--resume)" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
 

@@ -30,7 +30,7 @@ _CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
 
 _PACKAGE = Path(__file__).parents[1]
 
-_BAD = KeyError, ValueError, TypeError
+_BAD = LookupError, ValueError, TypeError, FileNotFoundError, FileExistsError
 """Errors of bad input."""
 
 _CANNOT_BE_DONE = ImportError, OSError, RuntimeError
@@ -110,7 +110,7 @@ def _run(arguments: list[str]) -> None:
 
 def _fail(error: Exception) -> int:
     """Tell what is wrong, and where in a user's file; raise where it is our own bug."""
-    cannot = isinstance(error, _CANNOT_BE_DONE)
+    cannot = isinstance(error, _CANNOT_BE_DONE) and not isinstance(error, _BAD)
     place, words = place_of(error), str(error)
     if place:
         # Python's own words are often no sentence, as those of a KeyError.

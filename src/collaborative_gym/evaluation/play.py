@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import check_count, shown
+from collaborative_gym.errors import check_callback, check_count
 from collaborative_gym.evaluation.report import Report, Score, Statistic
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.robots import Robot
@@ -64,11 +64,7 @@ def evaluate(
         `robots` or `randomization` is given beside a task, which has its own.
     """
     check_count("episodes", episodes, at_least=1)
-    if on_progress is not None and not callable(on_progress):
-        raise TypeError(
-            "on_progress must be a function of the share that is done, got"
-            f" {shown(on_progress)}"
-        )
+    check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
     if num_envs is None:
         num_envs = math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))

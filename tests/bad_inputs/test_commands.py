@@ -1,0 +1,151 @@
+"""Bad inputs to the command line: status 2, a sentence, and no traceback."""
+
+import subprocess
+import sys
+
+import pytest
+from judging import command_fault
+from test_scenes import BROKEN
+
+from collaborative_gym.learning.config import Hyperparameters
+
+EVALUATE = "evaluate Poke --policy random --episodes 1 --num-threads 1"
+TRAIN = "train Poke --output {folder}/run --total-steps 32 --num-envs 2"
+RECORD = "record Poke --policy random --output {folder}/film.gif --size 32 32"
+
+NO_INTEGERS = ("two", "1.5", "nan", "-1")
+NO_NUMBERS = ("two", "nan", "inf", "-1", "1e300")
+
+OPTIONS = [
+    (EVALUATE, "--episodes", (*NO_INTEGERS, "0", "99999999999999999999")),
+    (EVALUATE, "--seed", NO_INTEGERS),
+    (EVALUATE, "--num-envs", (*NO_INTEGERS, "0", "99999999999999999999")),
+    (EVALUATE, "--num-threads", (*NO_INTEGERS, "1000000")),
+    (EVALUATE, "--randomization", ("papr", "", "0.1")),
+    (EVALUATE, "--robots", ("panda", "x y", "panda x")),
+    (EVALUATE, "--policy", ("nobody", "nowhere.safetensors", "", "{folder}", "a/b")),
+    (EVALUATE, "--idle", ("robot_9", "")),
+    (EVALUATE, "--module", ("nowhere.py", "no.such", "", "a/b")),
+    (EVALUATE, "--colour", ("red",)),
+    (RECORD, "--episodes", (*NO_INTEGERS, "0")),
+    (RECORD, "--seed", NO_INTEGERS),
+    (RECORD, "--size", ("1", "a b", "-2 2", "3 2", "100000 2", "2 2 2")),
+    (RECORD, "--beside", ("nobody",)),
+    (RECORD, "--robots", ("panda", "panda x")),
+    (RECORD, "--randomization", ("papr",)),
+    (RECORD, "--output", ("film", "film.avi", "", ".")),
+    (TRAIN, "--mode", ("sharde", "")),
+    (TRAIN, "--seed", NO_INTEGERS),
+    (TRAIN, "--backend", ("sb3", "")),
+    (TRAIN, "--device", ("tpu", "")),
+    (TRAIN, "--num-threads", NO_INTEGERS),
+    (TRAIN, "--torch-threads", (*NO_INTEGERS, "1000000")),
+    (TRAIN, "--checkpoint-interval", (*NO_INTEGERS, "0")),
+    (TRAIN, "--randomization", ("papr",)),
+    (TRAIN, "--robots", ("panda",)),
+    (TRAIN, "--hidden-sizes", ("0", "-1", "a", "1.5")),
+    (TRAIN, "--activation", ("gelu", "")),
+    (TRAIN, "--seeds", ("0 1", "x")),
+    (TRAIN, "--resume", ("nowhere",)),
+    ("benchmark Poke", "--num-envs", (*NO_INTEGERS, "0")),
+    ("benchmark Poke", "--num-threads", NO_INTEGERS),
+    ("reproduce table11 --output {folder}", "--episodes", (*NO_INTEGERS, "0")),
+    ("reproduce table11 --output {folder}", "--seed", NO_INTEGERS),
+    ("reproduce table11 --output {folder}", "--num-threads", NO_INTEGERS),
+    ("demo --output {folder}", "--episodes", (*NO_INTEGERS, "0")),
+    ("view Poke --web", "--port", ("two", "-1", "70000")),
+    ("view Poke --web", "--policy", ("nobody", "a/b")),
+    ("view Poke --web", "--seed", NO_INTEGERS),
+]
+
+HYPERPARAMETERS = [
+    (
+        TRAIN,
+        f"--{name.replace('_', '-')}",
+        NO_INTEGERS if isinstance(value, int) else NO_NUMBERS,
+    )
+    for name, value in vars(Hyperparameters()).items()
+    if isinstance(value, int | float)
+]
+
+WHOLE = [
+    ("frobnicate", "frobnicate"),
+    ("evaluate", "environment"),
+    ("evaluate Lif --episodes 1", "Lif"),
+    ("evaluate --all Poke", "not both"),
+    ("record Poke", "--output"),
+    ("record Lif --output {folder}/a.gif", "Lif"),
+    ("record Poke Lift --output {folder}/a.gif", "Lift"),
+    ("view", "ENV"),
+    ("view Lif", "Lif"),
+    ("train", "environment"),
+    ("train Poke Lift", "one environment"),
+    ("train Lif", "Lif"),
+    ("train --all --mode shared", "mode"),
+    ("train --all --seed 1", "seed"),
+    ("train Poke --output {folder}/a --resume {folder}/b", "{folder}/b"),
+    ("benchmark Lif", "Lif"),
+    ("reproduce", "TABLE"),
+    ("reproduce table12", "table12"),
+    ("list Poke", "Poke"),
+    ("demo Poke", "Poke"),
+    (EVALUATE + " --json {folder}/same --csv {folder}/same", "same"),
+]
+
+CANNOT = [
+    (EVALUATE + " --json {folder}", "{folder}"),
+    (EVALUATE + " --csv /dev/null/a.csv", "/dev/null/a.csv"),
+    (RECORD + " --output /proc/film.gif", "/proc/film.gif"),
+    ("benchmark Poke --json {folder}", "{folder}"),
+    ("reproduce table11 --output /dev/null", "/dev/null"),
+    ("demo --output /dev/null", "/dev/null"),
+]
+
+INPUTS = [
+    (
+        f"{command} {option} {value}".split(" "),
+        2,
+        (option.lstrip("-"), repr(value), *value.split()),
+    )
+    for command, option, values in (*OPTIONS, *HYPERPARAMETERS)
+    for value in values
+]
+INPUTS += [(line.split(" "), 2, (mentions,)) for line, mentions in WHOLE]
+INPUTS += [(line.split(" "), 1, (mentions,)) for line, mentions in CANNOT]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "mentions"), INPUTS, ids=lambda given: str(given)[:150]
+)
+def test_a_command_tells_what_is_wrong(arguments, status, mentions, tmp_path):
+    given, hints = (
+        [part.replace("{folder}", str(tmp_path)) for part in parts]
+        for parts in (arguments, mentions)
+    )
+    assert not command_fault(given, status, tuple(hints))
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_command_tells_where_a_users_file_is_wrong(name, tmp_path):
+    path = tmp_path / f"commanded_{name}.py"
+    text = BROKEN[name]
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    status = 1 if name == "missing" else 2
+    arguments = [*EVALUATE.split(), "--module", str(path)]
+    assert not command_fault(arguments, status, (path.name,))
+
+
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("evaluate Lif", 2),
+        ("evaluate Poke --episodes two", 2),
+        ("frobnicate", 2),
+        (EVALUATE + " --json /proc/a.json", 1),
+    ],
+)
+def test_a_process_ends_with_the_status(line, status):
+    command = [sys.executable, "-m", "collaborative_gym", *line.split()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr and len(done.stderr.split()) > 3
