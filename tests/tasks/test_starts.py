@@ -9,9 +9,6 @@ import collaborative_gym as cg
 from collaborative_gym import rng
 
 STARTS = 150
-UNSOLVED = {"PokeTaskPandaSawyer-v0": {18, 50}}
-"""Where the expert turns the Panda's wrist into two limits, and stays there."""
-
 NONE = cg.Randomization(0.0, 0.0, 0.0, 0.0)
 
 
@@ -115,4 +112,4 @@ def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
         reached |= env.step(env.expert())[4]["success"]
         if reached.all():
             break
-    assert set(np.flatnonzero(~reached)) == UNSOLVED.get(env_id, set())
+    assert reached.all(), np.flatnonzero(~reached)

@@ -43,6 +43,9 @@ _STICK, _DONUT = "robot_1", "robot_2"
 _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
 
+_FAR = 0.5
+"""Distance from stick to ring from which on the expert goes straight, in m."""
+
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
 
@@ -190,11 +193,14 @@ class Poke(Task[TaskConfig, PokeFacts]):
         position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
         present, turned = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[_DONUT])
         goals = {_STICK: (position, normal), _DONUT: (present, turned)}
-        motions = {}
+        motions, is_far = {}, facts.distance[:, None] > _FAR
         for agent, arm in self.scene.arms.items():
             tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
             change = reach(sim, arm, tcp=tcp, goal=goals[agent], posture=posture)
-            motions[agent] = Motion(change)
+            # From afar all joints go to the posture at once: a straight way may turn a
+            # wrist into the ends of its joints, where it would stay.
+            swing = posture - sim.qpos[:, arm.qpos]
+            motions[agent] = Motion(np.where(is_far, swing, change))
         return motions
 
 
