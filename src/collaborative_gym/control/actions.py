@@ -168,33 +168,38 @@ def check_actions(
             f" give one for each of {', '.join(shapes)}"
         )
     last = ", and one for the grip" if gripping else " (gripping is False)"
-    checked = {}
-    for agent, shape in shapes.items():
-        given = actions[agent]
-        if not hasattr(given, "__array_namespace__"):
-            try:
-                given = xp.asarray(given)
-            except (TypeError, ValueError, RuntimeError) as error:
-                raise ValueError(
-                    f"the action of {agent} cannot be read as numbers: {error}"
-                ) from None
-        if given.shape != shape:
+    return {
+        agent: _checked(actions[agent], xp, agent, shape, last)
+        for agent, shape in shapes.items()
+    }
+
+
+def _checked(
+    given: Any, xp: Any, agent: str, shape: tuple[int, ...], last: str
+) -> Array:
+    if not hasattr(given, "__array_namespace__"):
+        try:
+            given = xp.asarray(given)
+        except (TypeError, ValueError, RuntimeError) as error:
             raise ValueError(
-                f"the action of {agent} has shape {tuple(given.shape)}, not {shape}: a"
-                f" number for each joint{last}"
-            )
-        if not xp.isdtype(given.dtype, ("integral", "real floating")):
-            raise ValueError(
-                f"the action of {agent} is of type {given.dtype}; give numbers"
-            )
-        action = xp.astype(given, xp.float64)
-        finite = xp.isfinite(action)
-        if not xp.all(finite):
-            world, index = (int(axis[0]) for axis in xp.nonzero(~finite))
-            raise ValueError(
-                f"the action of {agent} in world {world} is"
-                f" {float(action[world, index])} at index {index}; every component"
-                " must be finite"
-            )
-        checked[agent] = xp.clip(action, -1.0, 1.0)
-    return checked
+                f"the action of {agent} cannot be read as numbers: {error}"
+            ) from None
+    if given.shape != shape:
+        raise ValueError(
+            f"the action of {agent} has shape {tuple(given.shape)}, not {shape}: a"
+            f" number for each joint{last}"
+        )
+    if not xp.isdtype(given.dtype, ("integral", "real floating")):
+        raise ValueError(
+            f"the action of {agent} is of type {given.dtype}; give numbers"
+        )
+    action = xp.astype(given, xp.float64)
+    finite = xp.isfinite(action)
+    if not xp.all(finite):
+        world, index = (int(axis[0]) for axis in xp.nonzero(~finite))
+        raise ValueError(
+            f"the action of {agent} in world {world} is"
+            f" {float(action[world, index])} at index {index}; every component"
+            " must be finite"
+        )
+    return xp.clip(action, -1.0, 1.0)

@@ -19,6 +19,7 @@ from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
     SimulationDiverged,
+    check_callback,
     check_count,
     check_flag,
     check_kind,
@@ -102,25 +103,16 @@ class VectorEnv:
         num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
         num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
         seed, auto_reset = check_seed(seed), check_flag("auto_reset", auto_reset)
-        self._options = {
-            "num_envs": num_envs,
-            "seed": seed,
-            "num_threads": num_threads,
-            "auto_reset": auto_reset,
-        }
+        self._options = dict(
+            num_envs=num_envs, seed=seed, num_threads=num_threads, auto_reset=auto_reset
+        )
         # A copy of its own, so that one task may serve several environments.
         self.task = task = copy(task)
         self.num_envs = num_envs
         self.agents = task.agents
         self.substeps = SUBSTEPS
         self.control_dt = CONTROL_DT
-        self.scene = Scene()
-        task.build(self.scene)
-        self.model = self.scene.compile()
-        self.sim = CpuSim(self.model, num_envs, num_threads)
-        self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
-        self._controller = Controller(self.scene, self.sim, self._mode)
-        task.setup(self.scene, self.sim, self._mode)
+        self._build(num_threads)
         self._process = os.getpid()
         self._lock, self._visitor = threading.RLock(), ""
         self._is_changing = False
@@ -130,16 +122,6 @@ class VectorEnv:
         self._auto_reset = auto_reset
         self._is_started = False
         self._is_closed = False
-        definition = try_out(task, self.scene, self.sim, self._controller)
-        self.observation_blocks = definition.observation_blocks
-        self.single_observation_spaces = definition.observation_spaces
-        self.single_action_spaces = definition.action_spaces
-        self.reward_terms = definition.reward_terms
-        self.sides = definition.sides
-        self._action_shapes = {
-            agent: (num_envs, *space.shape)
-            for agent, space in definition.action_spaces.items()
-        }
         self._progress = Progress(
             task,
             self.sim.xp,
@@ -148,6 +130,26 @@ class VectorEnv:
             sides=self.sides,
             reward_terms=self.reward_terms,
         )
+
+    def _build(self, num_threads: int) -> None:
+        """Make the worlds, and find out what the task's definition comes to."""
+        task, self.scene = self.task, Scene()
+        task.build(self.scene)
+        self.model = self.scene.compile()
+        self.sim = CpuSim(self.model, self.num_envs, num_threads)
+        self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
+        self._controller = Controller(self.scene, self.sim, self._mode)
+        task.setup(self.scene, self.sim, self._mode)
+        definition = try_out(task, self.scene, self.sim, self._controller)
+        self.observation_blocks = definition.observation_blocks
+        self.single_observation_spaces = definition.observation_spaces
+        self.single_action_spaces = definition.action_spaces
+        self.reward_terms = definition.reward_terms
+        self.sides = definition.sides
+        self._action_shapes = {
+            agent: (self.num_envs, *space.shape)
+            for agent, space in definition.action_spaces.items()
+        }
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.get_state() if self._is_started else None
@@ -346,8 +348,7 @@ class VectorEnv:
         shots = check_count("shots", shots)
         if shots < 1 or self.substeps % shots:
             raise ValueError(f"shots must divide {self.substeps}, got {shots}")
-        if watcher is not None and not callable(watcher):
-            raise TypeError(f"a watcher must be a function, got {watcher!r}")
+        check_callback("watcher", watcher)
         self._watcher = watcher
         self._shots = 1 if watcher is None else shots
 

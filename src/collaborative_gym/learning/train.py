@@ -14,7 +14,7 @@ except ImportError as error:
         " pip install 'collaborative-gym[train]'"
     ) from error
 
-from collaborative_gym.errors import check_count, check_kind
+from collaborative_gym.errors import check_callback, check_count, check_kind
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import write_text
 from collaborative_gym.learning.checkpoint import Checkpoint
@@ -123,8 +123,7 @@ def _check(
     """Raise if something is wrong that shows without the environment."""
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
     check_kind("resources", resources, Resources, "Resources(...)")
-    if on_row is not None and not callable(on_row):
-        raise TypeError(f"on_row must be a function of two rows, got {on_row!r}")
+    check_callback("on_row", on_row)
     try:
         kind = torch.device(resources.device).type
     except RuntimeError:

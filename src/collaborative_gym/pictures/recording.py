@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import check_count, check_kind, shown, unknown
+from collaborative_gym.errors import (
+    check_callback,
+    check_count,
+    check_kind,
+    shown,
+    unknown,
+)
 from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
@@ -97,11 +103,7 @@ def record(
     width, height = _sides(kind.size if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
-    if on_progress is not None and not callable(on_progress):
-        raise TypeError(
-            f"on_progress must be a function of the share that is done, got"
-            f" {shown(on_progress)}"
-        )
+    check_callback("on_progress", on_progress)
     policies: Sequence[Any] = policy if isinstance(policy, list | tuple) else [policy]
     if not policies:
         raise ValueError("name at least one policy")
