@@ -135,24 +135,19 @@ def check_number(
     return number
 
 
-def check_numbers(
-    name: str, given: Any, count: int | None = None, *, at_least: float = -math.inf
-) -> tuple[float, ...]:
+def check_numbers(name: str, given: Any, count: int | None = None) -> tuple[float, ...]:
     """Return that many numbers, or any, each as `check_number` wants it.
 
     Raises:
       TypeError: if it is no sequence or array, or holds what is no number.
-      ValueError: if there are fewer or more, or one is not finite or below the least.
+      ValueError: if there are fewer or more, or one is not finite.
     """
     wanted = "a sequence of numbers" if count is None else f"{count} numbers"
     if isinstance(given, str | bytes) or not isinstance(given, Sequence | np.ndarray):
         raise TypeError(f"{name} must be {wanted}, got {shown(given)}")
     if len(given) != (len(given) if count is None else count):
         raise ValueError(f"{name} must be {wanted}, got {shown(given)}")
-    return tuple(
-        check_number(f"{name}[{i}]", value, at_least=at_least)
-        for i, value in enumerate(given)
-    )
+    return tuple(check_number(f"{name}[{i}]", each) for i, each in enumerate(given))
 
 
 def check_name(name: str, given: Any) -> None:

@@ -29,9 +29,6 @@ KINDS = (
 TIME = 30.0
 """Seconds after which a call counts as hung."""
 
-UNMENDED = {"record", "train"}
-"""Groups of which some cases are known to fail."""
-
 Call = Callable[[Any, Any], object]
 
 
