@@ -1,5 +1,7 @@
 """What `import collaborative_gym` offers."""
 
+import dataclasses
+import inspect
 import os
 import subprocess
 import sys
@@ -8,6 +10,7 @@ import gymnasium
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym import motion, objects
 from collaborative_gym.tasks.registry import get_env
 
 
@@ -114,3 +117,17 @@ def test_names_are_taken_once(carry_id):
         with pytest.raises(ValueError, match="is not a name and a version"):
             cg.register_env(cg.EnvSpec(wrong, cg.Task, ("panda", "panda")))
         assert wrong not in cg.list_envs()
+
+
+def test_arguments_after_the_second_go_by_name():
+    rooms = cg, motion, objects
+    things = {
+        f"{room.__name__}.{name}": getattr(room, name)
+        for room in rooms
+        for name in room.__all__
+    }
+    for name, thing in things.items():
+        if dataclasses.is_dataclass(thing) or not callable(thing):
+            continue
+        kinds = [each.kind for each in inspect.signature(thing).parameters.values()]
+        assert kinds.count(inspect.Parameter.POSITIONAL_OR_KEYWORD) <= 2, name

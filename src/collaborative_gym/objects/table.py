@@ -12,7 +12,7 @@ _LEG_RGBA = (0.52, 0.55, 0.57, 1.0)
 
 
 def table(
-    length: float = 0.6, width: float = 1.2, height: float = 0.64
+    length: float = 0.6, width: float = 1.2, *, height: float = 0.64
 ) -> mujoco.MjSpec:
     """Return a table with a rectangular top on four round legs.
 

@@ -120,7 +120,7 @@ class Pass(Task[PassConfig, PassFacts]):
             near, heights[agent] = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
             place = self.placements[agent]
             scene.add_robot(agent, self.robots[agent], place, stand=before)
-            top = table(_TABLE_END - near, width, heights[agent])
+            top = table(_TABLE_END - near, width, height=heights[agent])
             scene.add(f"{agent}_table", top, ((_TABLE_END + near) / 2, y, 0.0))
         x = min(bases[giver][0] + 0.635 * self.robots[giver].reach, _TABLE_END - 0.1)
         z = heights[giver] + _CUBE_SIZE / 2
