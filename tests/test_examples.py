@@ -57,7 +57,7 @@ RUNS = {
     ),
     "run_numpy_policy.py": Run(
         (
-            r"PokeTaskSawyers-v0 with sawyer and sawyer",
+            r"PokeTaskSawyers-v0 with sawyer, sawyer, mode collaborative",
             r"robot_2 sees \(1, 21\), does \[",
             "torch was not imported",
         ),

@@ -321,6 +321,9 @@ def test_a_learner_goes_on_where_its_state_was_taken(make, same, mode):
     practise(learners)
     for learner, other in zip(learners, others, strict=True):
         other.load_state_dict(deepcopy(learner.state_dict()))
+        for each in (learner, other):  # A collector's noise is its own affair.
+            each.rng = np.random.default_rng(1)
+            each.player.start(each.rng)
     generator = torch.get_rng_state()
     practise(learners, updates=1)
     torch.set_rng_state(generator)

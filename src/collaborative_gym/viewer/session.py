@@ -182,11 +182,11 @@ class Session:
 
     def _stop(self, error: Exception) -> None:
         """Pause, and say what failed; whoever plays on tries again."""
-        self._is_paused = True
         place = place_of(error)
         trouble = f"{type(error).__name__}: {error}{f' ({place})' if place else ''}"
         self.reading = replace(self.reading, trouble=trouble)
         self._warn(f"the policy failed: {trouble}")
+        self._is_paused = True
         self._draw()
 
     def _after_physics(self) -> None:
