@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -178,6 +179,17 @@ def test_an_address_that_does_not_answer_is_told_soon(make_job):
         with pytest.raises(ValueError, match="ray_address must be HOST:PORT"):
             RayCollectors(make_job(), 2, address)
     assert time.monotonic() - since < 20
+
+
+@pytest.mark.slow
+def test_who_listens_but_is_no_ray_is_told_soon(make_job):
+    since = time.monotonic()
+    with (
+        socket.create_server(("127.0.0.1", 0)) as silent,
+        pytest.raises(ConnectionError, match="said nothing that Ray knows in 12 s"),
+    ):
+        RayCollectors(make_job(), 2, f"127.0.0.1:{silent.getsockname()[1]}")
+    assert time.monotonic() - since < 60  # Alone it is 12 s.
 
 
 def test_a_users_task_travels_with_the_modules_beside_it(make_job, tmp_path):

@@ -3,6 +3,7 @@
 import logging
 import os
 import socket
+import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator, Mapping
@@ -44,7 +45,10 @@ _PATIENCE = 300.0
 """Seconds to wait for any collector, where all are lost or starting."""
 
 _PROBE = 5.0
-"""Seconds that a cluster has to answer at its address."""
+"""Seconds that a machine has to accept a connection."""
+
+_HEALTH = 12.0
+"""Seconds that a cluster then has to answer, with the start of who asks."""
 
 
 class RayCollectors:
@@ -229,7 +233,7 @@ def connect(address: str | None, num_cpus: int) -> bool:
 
 
 def _check_answers(address: str) -> None:
-    """Raise ConnectionError unless something listens there; Ray waits for minutes."""
+    """Raise ConnectionError unless Ray listens there; `ray.init` waits for minutes."""
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise ValueError(
@@ -237,11 +241,27 @@ def _check_answers(address: str) -> None:
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), _PROBE).close()
+        # Nothing in Ray's calls bounds the wait for who accepts but is no Ray.
+        command = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
+        subprocess.run(
+            [*command, "--address", address],
+            capture_output=True,
+            text=True,
+            timeout=_HEALTH,
+            check=True,
+        )
+    except subprocess.TimeoutExpired:
+        cause = f"what listens there said nothing that Ray knows in {_HEALTH:.0f} s"
+    except subprocess.CalledProcessError as error:
+        cause = (error.stderr.strip().splitlines() or ["it is no healthy Ray"])[-1]
     except (OSError, OverflowError) as error:
-        raise ConnectionError(
-            f"no Ray cluster answers at {address} ({error}); start one there with `ray"
-            " start --head`, or leave ray_address out"
-        ) from error
+        cause = str(error)
+    else:
+        return
+    raise ConnectionError(
+        f"no Ray cluster answers at {address} ({cause}); start one there with `ray"
+        " start --head`, or leave ray_address out"
+    )
 
 
 def _cpus() -> int:
