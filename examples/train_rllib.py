@@ -3,11 +3,11 @@
     pip install -e ".[rllib]"
     python examples/train_rllib.py
 
-All that RLlib needs is the import of `collaborative_gym.envs.rllib`. Prints the mean
-return and environment steps per second of each iteration; then saves a checkpoint,
-restores the algorithm from it, evaluates what the robots learned and writes a picture
-of how they stand at the end of an episode. RLlib's runners step worlds one by one, so
-this takes minutes; `collaborative-gym train` collects several times as fast.
+All that RLlib needs is the import of `collaborative_gym.envs.rllib`; a runner that
+steps its worlds in one batch, `BatchedEnvRunner`, collects several times as fast as
+RLlib's own. Prints the mean return and environment steps per second of each iteration;
+then saves a checkpoint, restores the algorithm from it, evaluates what the robots
+learned and writes a picture of how they stand at the end of an episode.
 """
 
 import logging
@@ -28,6 +28,7 @@ from ray.rllib.core.rl_module.rl_module import RLModule
 
 import collaborative_gym as cg
 import collaborative_gym.envs.rllib  # registers every id with RLlib
+from collaborative_gym.envs.rllib_runner import BatchedEnvRunner
 
 
 def policy_of(modules: Mapping[str, RLModule]):
@@ -83,7 +84,14 @@ def main(
     config = (
         PPOConfig()
         .environment(env, env_config={"randomization": "default"})
-        .env_runners(num_env_runners=runners, num_envs_per_env_runner=10)
+        .env_runners(
+            env_runner_cls=BatchedEnvRunner,
+            num_env_runners=runners,
+            # Each world plays an episode of 200 steps in an iteration.
+            num_envs_per_env_runner=max(
+                1, steps_per_iteration // 200 // max(1, runners)
+            ),
+        )
         .multi_agent(policies=set(agents), policy_mapping_fn=lambda agent, *_: agent)
         .rl_module(
             # In layers that they share, a critic's large errors drown out the policy.
