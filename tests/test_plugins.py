@@ -47,15 +47,15 @@ def test_an_installed_module_is_loaded_by_name(wave, monkeypatch):
     assert cg.load_module("my_wave").Wave.reach == 0.5
 
 
-def test_the_place_of_an_error_is_the_users_line(wave):
+def test_the_location_of_an_error_is_the_users_line(wave):
     wave.write_text(TASK + "\n\ndef lift(height):\n    return cg.make(height)\n")
     module = cg.load_module(str(wave))
     with pytest.raises(KeyError) as caught:
         module.lift("no such environment")
-    assert plugins.place_of(caught.value) == "my_wave.py, line 12, in lift"
+    assert plugins.location_of(caught.value) == "my_wave.py, line 12, in lift"
     with pytest.raises(KeyError) as caught:
         cg.make("no such environment")
-    assert plugins.place_of(caught.value) == ""
+    assert plugins.location_of(caught.value) == ""
 
 
 @pytest.mark.parametrize(

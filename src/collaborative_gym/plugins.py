@@ -79,7 +79,7 @@ def loaded_files() -> tuple[str, ...]:
     return tuple(map(str, _loaded))
 
 
-def place_of(error: BaseException) -> str:
+def location_of(error: BaseException) -> str:
     """Return where in a file of `load_module` an error arose, or nothing if elsewhere.
 
     That is the innermost of their lines on the way to it, such as

@@ -21,7 +21,7 @@ from collaborative_gym.cli.terminal import (
     progress_bars,
     read_policies,
     read_policy,
-    show,
+    tell,
     warn,
 )
 
@@ -38,8 +38,8 @@ class List(Command):
         from collaborative_gym.cli.tables import environments_table
 
         envs = ((env_id, make_vec(env_id, 1, num_threads=1)) for env_id in list_envs())
-        show(environments_table(envs))
-        show(
+        tell(environments_table(envs))
+        tell(
             f"\nAny robots ({', '.join(list_robots())}) go into any task"
             f" ({', '.join(list_tasks())}):\n"
             "  collaborative-gym record Lift --robots panda jaco --output lift.mp4"
@@ -106,7 +106,7 @@ class Record(_World):
                 size=None if self.size == OWN_SIZE else self.size,
                 on_progress=progress(self.env),
             )
-        show(f"wrote {self.output}")
+        tell(f"wrote {self.output}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +169,7 @@ class Evaluate(_World):
                         on_progress=progress(env_id),
                     )
                 )
-        show(reports_table(reports))
+        tell(reports_table(reports))
         if self.json is not None:
             write_text(self.json, report.reports_to_json(reports))
         if self.csv is not None:
@@ -212,10 +212,10 @@ class Reproduce:
                 num_threads=self.num_threads,
                 on_progress=progress("table11"),
             )
-        show(table11_table(table11))
+        tell(table11_table(table11))
         write_text(markdown, table11.to_markdown())
         write_text(json, table11.to_json())
-        show(f"wrote {markdown} and {json}\n{table11.verdict}")
+        tell(f"wrote {markdown} and {json}\n{table11.verdict}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,7 +249,7 @@ class Benchmark(Command):
                 num_threads=self.num_threads,
                 on_progress=progress("benchmark"),
             )
-        show(benchmark_table(measured))
+        tell(benchmark_table(measured))
         if self.json is not None:
             write_text(self.json, measured.to_json())
 
@@ -284,7 +284,7 @@ class View(_World):
 
         view(
             self.env,
-            show,
+            tell,
             warn=warn,
             policy=read_policy(self.policy),
             any_env=self.any_env,
@@ -330,7 +330,7 @@ class Demo:
             for comparison in table11.comparisons
             if "ours_on_default" in comparison.reports
         }
-        show(reports_table(list(trained.values())))
+        tell(reports_table(list(trained.values())))
         policies = {
             comparison.environment: (
                 "baseline" if comparison.environment in trained else "expert"
@@ -338,9 +338,9 @@ class Demo:
             for comparison in table11.comparisons
         }
         for path in [*files, *self._film(policies)]:
-            show(f"wrote {path}")
-        show(table11_table(table11))
-        show(table11.verdict)
+            tell(f"wrote {path}")
+        tell(table11_table(table11))
+        tell(table11.verdict)
 
     def _film(self, policies: Mapping[str, str]) -> list[Path]:
         from collaborative_gym.cli import demo
@@ -349,7 +349,7 @@ class Demo:
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
-            show(f"no videos and pictures: {error}")
+            tell(f"no videos and pictures: {error}")
             return []
         paths: list[Path] = []
         with progress_bars() as progress:

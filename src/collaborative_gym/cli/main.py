@@ -22,9 +22,9 @@ from collaborative_gym.cli.commands import (
     Reproduce,
     View,
 )
-from collaborative_gym.cli.terminal import Command, show
+from collaborative_gym.cli.terminal import Command, tell
 from collaborative_gym.cli.train import Train
-from collaborative_gym.plugins import load_modules, place_of
+from collaborative_gym.plugins import load_modules, location_of
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
 
@@ -94,7 +94,7 @@ def _heeding_sigterm() -> Iterator[None]:
 
 def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
-        show(f"collaborative-gym {version('collaborative-gym')}")
+        tell(f"collaborative-gym {version('collaborative-gym')}")
         return
     command = tyro.cli(
         _Command,
@@ -111,13 +111,13 @@ def _run(arguments: list[str]) -> None:
 def _fail(error: Exception) -> int:
     """Tell what is wrong, and where in a user's file; raise where it is our own bug."""
     cannot = isinstance(error, _CANNOT_BE_DONE) and not isinstance(error, _BAD)
-    place, words = place_of(error), str(error)
-    if place:
+    location, words = location_of(error), str(error)
+    if location:
         # Python's own words are often no sentence, as those of a KeyError.
         raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
         if _PACKAGE not in Path(raised_in).parents:
             words = f"{type(error).__name__}: {words}"
-        words = f"{words} ({place})"
+        words = f"{words} ({location})"
     elif not (cannot or isinstance(error, _BAD)):
         raise error
     return _end(f"error: {words}", _CANNOT if cannot else _BAD_INPUT)

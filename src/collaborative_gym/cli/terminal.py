@@ -114,7 +114,7 @@ def check_files(*paths: Path | None) -> None:
         check_writable(path)
 
 
-def show(content: Table | str) -> None:
+def tell(content: Table | str) -> None:
     """Print a table or a text on standard output."""
     console = Console()
     if isinstance(content, str):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, show
+from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, tell
 from collaborative_gym.learning.config import (
     Hyperparameters,
     Mode,
@@ -108,8 +108,8 @@ class Train(Command):
             )
         update = hyperparameters.steps_per_update
         if hyperparameters.total_steps < update:
-            show(f"trained {update:,} steps, the least: num_envs x rollout_steps")
-        show(f"wrote {result.folder / 'policy.safetensors'}")
+            tell(f"trained {update:,} steps, the least: num_envs x rollout_steps")
+        tell(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters]:
         """Return the environment and how to learn; a run that goes on knows its own."""
@@ -154,4 +154,4 @@ class Train(Command):
             checkpoint_interval=self.checkpoint_interval,
             displays=Display,
         ):
-            show(f"wrote {card}")
+            tell(f"wrote {card}")

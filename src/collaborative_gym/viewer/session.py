@@ -10,7 +10,7 @@ from typing import Literal
 import mujoco
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.plugins import place_of
+from collaborative_gym.plugins import location_of
 from collaborative_gym.policies import Policy
 from collaborative_gym.viewer.reading import read, sum_up
 from collaborative_gym.viewer.spring import Spring
@@ -182,8 +182,10 @@ class Session:
 
     def _stop(self, error: Exception) -> None:
         """Pause, and say what failed; whoever plays on tries again."""
-        place = place_of(error)
-        trouble = f"{type(error).__name__}: {error}{f' ({place})' if place else ''}"
+        location = location_of(error)
+        trouble = (
+            f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"
+        )
         self.reading = replace(self.reading, trouble=trouble)
         self._warn(f"the policy failed: {trouble}")
         self._is_paused = True
