@@ -237,6 +237,7 @@ def end_early(envs, worlds):
 def test_worlds_reset_in_the_next_step(make_vec, make_env):
     envs, twin = make_vec(AutoresetMode.NEXT_STEP), make_env(3)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert envs.autoreset_mode is AutoresetMode.NEXT_STEP
     envs.reset(seed=0)
     twin.reset(seed=0)
     end_early(envs, [1])

@@ -53,6 +53,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
 
     Attributes:
       vector_env: the batch, with dictionaries by agent.
+      autoreset_mode: as given; TorchRL, which wants `DISABLED`, looks at it.
     """
 
     closed = True  # until all is made: Gymnasium closes what is thrown away
@@ -71,10 +72,10 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
     ):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
-        self._mode = _mode(autoreset_mode)
-        self.metadata = {**RENDERING, "autoreset_mode": self._mode}
+        self.autoreset_mode = _mode(autoreset_mode)
+        self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
         task = make_task(env_id, robots, randomization, **settings)
-        is_same = self._mode is AutoresetMode.SAME_STEP
+        is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.vector_env = VectorEnv(
             task, num_envs, num_threads=num_threads, auto_reset=is_same
         )
@@ -135,7 +136,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 f" {self.action_space.shape}: {self._agents.describe_action()}"
             )
         begins = self._ended
-        if begins.any() and self._mode is AutoresetMode.DISABLED:
+        if begins.any() and self.autoreset_mode is AutoresetMode.DISABLED:
             raise RuntimeError(
                 f"the episodes of the worlds {np.flatnonzero(begins).tolist()} have"
                 " ended; call reset(options={'reset_mask': mask}) with a mask of them"
@@ -147,7 +148,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         )
         observations = self._agents.joined(by_agent)
         told, ended = _step_info(infos), infos["ended"]
-        if self._mode is AutoresetMode.SAME_STEP:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
             masked = self._final_infos(infos)
         else:
             if begins.any():
