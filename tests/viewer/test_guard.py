@@ -21,7 +21,7 @@ from collaborative_gym.viewer import guard
 from collaborative_gym.viewer.web import Page
 
 PROTOCOL = f"viser-v{viser.__version__}"
-REFUSED = ConnectionError, InvalidHandshake, TimeoutError
+REFUSED = ConnectionClosed, ConnectionError, InvalidHandshake, TimeoutError
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": [1, 0, 0, 0],
