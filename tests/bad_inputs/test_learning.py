@@ -85,6 +85,7 @@ EVALUATE = [
     *table("evaluate", "policy", _evaluate("policy"), NO_NAME, [None]),
     *table("evaluate", "episodes", _evaluate("episodes"), NO_COUNT, [0, -1, None]),
     *table("evaluate", "seed", _evaluate("seed"), NO_COUNT, [-1, None]),
+    *table("evaluate", "delay", _evaluate("delay"), NO_COUNT, [-1, 101, None]),
     *table("evaluate", "num_envs", _evaluate("num_envs"), NO_COUNT, [0, -1, 2**63]),
     *table("evaluate", "num_threads", _evaluate("num_threads"), NO_COUNT, [-1, 2**63]),
     *table("evaluate", "robots", _evaluate("robots"), NO_ROBOTS),

@@ -103,6 +103,36 @@ def test_a_function_is_a_policy(carry):
     assert report.completion.mean == 0.0
 
 
+def test_delayed_actions_are_done_late_and_nothing_before_them(carry):
+    def counting(first):
+        steps = iter(range(first, 99))
+
+        def count(observations):
+            step = next(steps)
+            moves = np.full(8, 0.0 if step < 0 else 0.02 * (step % 12))
+            moves[-1] = -1.0 if step < 0 else 1.0
+            return dict.fromkeys(observations, np.tile(moves, (2, 1)))
+
+        return count
+
+    options = {"episodes": 2, "num_envs": 2, "num_threads": 1}
+    for delay in (1, 3):
+        late = cg.evaluate(carry(), counting(0), delay=delay, **options)
+        assert late.settings["delay"] == delay
+        assert (
+            late.to_csv() == cg.evaluate(carry(), counting(-delay), **options).to_csv()
+        )
+    on_time = cg.evaluate(carry(), counting(0), **options)
+    assert on_time.settings["delay"] == 0 and on_time.to_csv() != late.to_csv()
+
+
+def test_every_episode_begins_without_delayed_actions(carry):
+    options = {"delay": 12, "num_envs": 1, "num_threads": 1}
+    wild = cg.evaluate(carry(), "random", episodes=3, **options)
+    idle = cg.evaluate(carry(), "idle", episodes=3, **options)
+    assert wild.to_csv() == idle.to_csv()
+
+
 def test_diverged_episodes_count_as_failed(carry):
     def wild(observations):
         return {agent: np.ones((len(rows), 8)) for agent, rows in observations.items()}

@@ -139,3 +139,37 @@ def test_what_rollouts_say_is_learned_beside_one_another(make):
     numbers, others = learner.learn([rollout]), other.learn(halves)
     for name, value in numbers.items():
         assert others[name] == pytest.approx(value, rel=1e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize("delayed", [0.0, 0.5, 1.0])
+def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
+    free = {"torque_penalty": 0.0, "change_penalty": 0.0}
+    collector, learners = make(delayed=delayed, rollout_steps=2 * LENGTH, **free)
+    done = []
+    step = collector.env.step
+    monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
+    rollout = collector.collect(acting(learners), 0, NOTHING).rollouts["team"]
+    done = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
+    chosen = np.clip(rollout.actions, -1.0, 1.0)
+    late = round(delayed * WORLDS)
+    np.testing.assert_array_equal(done[:, late:], chosen[:, late:])
+    idle = np.concatenate([each[0] for each in collector.env.idle().values()])
+    for world in range(late):
+        ended = rollout.truncated[:, world]
+        assert ended.any()
+        for i in range(1, 2 * LENGTH):
+            before = idle if ended[i - 1] else chosen[i - 1, world]
+            np.testing.assert_array_equal(done[i, world], before)
+        np.testing.assert_array_equal(done[0, world], idle)
+
+
+def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
+    found = []
+    for weight in (0.0, 5.0):
+        penalties = {"torque_penalty": weight, "change_penalty": weight}
+        collector, learners = make(rollout_steps=2 * LENGTH, **penalties)
+        found.append(collector.collect(acting(learners), 0, NOTHING))
+    free, charged = found
+    assert (free.rollouts["team"].rewards > charged.rollouts["team"].rewards).all()
+    earned = [[row["return"] for row in each.episodes] for each in found]
+    assert earned[0] == earned[1] != []

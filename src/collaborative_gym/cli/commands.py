@@ -117,6 +117,7 @@ class Evaluate(_World):
       envs: environment ids, or tasks' names.
       all: evaluate every environment; name none then.
       episodes: how many per environment.
+      delay: how many control steps late each action is done.
       num_envs: worlds to play in beside one another; the numbers do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
       json: file for all statistics, interquartile means and each robot's return too,
@@ -127,6 +128,7 @@ class Evaluate(_World):
     envs: Envs = ()
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     episodes: int = 200
+    delay: int = 0
     num_envs: Annotated[
         int | None,
         tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
@@ -164,6 +166,7 @@ class Evaluate(_World):
                         seed=self.seed,
                         robots=self.robots or None,
                         randomization=self.randomization,
+                        delay=self.delay,
                         num_envs=self.num_envs,
                         num_threads=self.num_threads,
                         on_progress=progress(env_id),

@@ -12,10 +12,14 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_count
 from collaborative_gym.evaluation.report import Report, Score, Statistic
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
+from collaborative_gym.policies.delayed import DelayedPolicy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
+
+MOST_DELAY = 100
+"""Control steps, ten seconds."""
 
 _MOST_ENVS = 64
 """Worlds beside one another unless told otherwise; more run hardly faster on a CPU."""
@@ -32,6 +36,7 @@ def evaluate(
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
+    delay: int = 0,
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
@@ -51,6 +56,8 @@ def evaluate(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn, a preset's name or a value; None for
         "default".
+      delay: how many control steps late each action is done; the robots hold still
+        before the first.
       num_envs: worlds to play in beside one another; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether a trained policy may play another environment than its own.
@@ -64,6 +71,7 @@ def evaluate(
         `robots` or `randomization` is given beside a task, which has its own.
     """
     check_count("episodes", episodes, at_least=1)
+    delay = check_count("delay", delay, 0, MOST_DELAY)
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
     if num_envs is None:
@@ -71,6 +79,8 @@ def evaluate(
     vector_env = VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
     with closing(vector_env):
         act = as_policy(policy, vector_env, any_env=any_env)
+        for _ in range(delay):
+            act = DelayedPolicy(act, vector_env)
         started = time.perf_counter()
         rows, steps = _play(vector_env, act, episodes, seed, on_progress)
         duration = time.perf_counter() - started
@@ -79,6 +89,7 @@ def evaluate(
         settings={
             "identity": Identity.of(task).to_dict(),
             "policy": name_policy(policy),
+            "delay": delay,
             "episodes": episodes,
             "seed": seed,
         },

@@ -12,12 +12,15 @@ from collaborative_gym.envs.vector_env import Observations, VectorEnv
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
+from collaborative_gym.learning.penalties import Penalties
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
+    arrays,
     full_episodes,
     load_worlds,
     save_worlds,
+    tensors,
 )
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
 
@@ -226,6 +229,8 @@ class Collector:
         seed = training_seed(job.seed)
         self.env = VectorEnv(job.task, share, seed=seed, num_threads=job.num_threads)
         self._players = [Player(learner, job, share) for learner in job.learners]
+        self._penalties = Penalties(self.env, job.hyperparameters)
+        self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)
         self._observations: Observations | None = None
 
     def collect(
@@ -252,7 +257,7 @@ class Collector:
             for player in self._players:
                 actions |= player.act(observations, rng)
             assistance.carry(self.env)
-            observations, rewards, *ends, infos = self.env.step(actions)
+            observations, rewards, *ends, infos = self._step(actions)
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
             episodes += full_episodes(infos)
@@ -269,7 +274,11 @@ class Collector:
         noise = {
             each.learner.name: torch.from_numpy(each.noise) for each in self._players
         }
-        return {**save_worlds(self.env), "noise": noise}
+        return {
+            **save_worlds(self.env),
+            "noise": noise,
+            "previous": tensors(self._previous),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state_dict` returned."""
@@ -278,16 +287,29 @@ class Collector:
             return
         for player in self._players:
             player.noise = state["noise"][player.learner.name].numpy()
+        self._previous = arrays(state["previous"])
         self._observations = load_worlds(self.env, state)
 
     def close(self) -> None:
         """Free the worlds."""
         self.env.close()
 
+    def _step(self, chosen: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
+        """Do what the robots chose, late in some worlds, and charge them for it."""
+        chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
+        late = self._is_late[:, None]
+        done = {a: np.where(late, self._previous[a], chosen[a]) for a in chosen}
+        observations, rewards, *ends, infos = self.env.step(done)
+        rewards = self._penalties.charge(rewards, chosen, previous=self._previous)
+        fresh, idle = infos["ended"][:, None], self.env.idle()
+        self._previous = {a: np.where(fresh, idle[a], chosen[a]) for a in chosen}
+        return observations, rewards, *ends, infos
+
     def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
         """Start episodes that no collector has played."""
         for player in self._players:
             player.start(rng)
+        self._previous = self.env.idle()
         first = (iteration * _STARTS + self._index) * _BLOCK
         observations, _ = self.env.reset(
             seed=training_seed(self._job.seed),

@@ -68,6 +68,12 @@ class Hyperparameters:
       assistance: share of the weight of what moves freely that is carried at first; it
         falls by 0.01 with each rollout of whose episodes half are completed. Nothing is
         carried in validations.
+      torque_penalty: what a control step costs a robot while its servos ask for their
+        torque limits: this times the mean square of asked torque over limit.
+      change_penalty: what a change of action costs it: this times its mean square.
+        Penalties are never part of a reported return.
+      delayed: share of the worlds in which each action is done one control step late.
+        No validation is delayed.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for none but at
@@ -95,6 +101,9 @@ class Hyperparameters:
     grip_limit: float = 0.0
     grip_persistence: float = 0.9
     assistance: float = 0.0
+    torque_penalty: float = 0.0
+    change_penalty: float = 0.0
+    delayed: float = 0.0
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = 250_000
@@ -167,6 +176,9 @@ _RANGES = {
     "grip_limit": (0.0, 100.0),
     "grip_persistence": (0.0, 0.999),
     "assistance": (0.0, 1.0),
+    "torque_penalty": (0.0, 1e3),
+    "change_penalty": (0.0, 1e3),
+    "delayed": (0.0, 1.0),
 }
 
 _MOST_THREADS = 1024

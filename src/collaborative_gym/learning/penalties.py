@@ -1,0 +1,64 @@
+"""What training charges beside the task's reward, so that robots act gently."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.config import Hyperparameters
+
+_MOST_TORQUE = 3.0
+"""Share of its limit above which a torque costs no more. A servo may ask for many times
+what its motor has, and less would not change what the arm does at once."""
+
+
+class Penalties:
+    """Costs of torque and of changing actions, of each robot for itself.
+
+    They steer what is learned and are in no episode's return.
+
+    Args:
+      env: the worlds.
+      hyperparameters: what is charged.
+    """
+
+    def __init__(self, env: VectorEnv, hyperparameters: Hyperparameters):
+        self._env = env
+        self._torque = hyperparameters.torque_penalty
+        self._change = hyperparameters.change_penalty
+
+    def charge(
+        self,
+        rewards: Mapping[str, np.ndarray],
+        actions: Mapping[str, np.ndarray],
+        *,
+        previous: Mapping[str, np.ndarray],
+    ) -> dict[str, np.ndarray]:
+        """Return rewards less what the control step that was just done costs.
+
+        Args:
+          rewards: of the task, (num_envs,) by agent.
+          actions: what each robot chose, (num_envs, k) in [-1, 1] by agent.
+          previous: what it chose one control step earlier, in the same form.
+        """
+        charged = dict(rewards)
+        for agent in charged:
+            if self._torque:
+                asked = np.minimum(self._asked(agent), _MOST_TORQUE)
+                charged[agent] = charged[agent] - self._torque * _mean_square(asked)
+            if self._change:
+                change = actions[agent] - previous[agent]
+                charged[agent] = charged[agent] - self._change * _mean_square(change)
+        return charged
+
+    def _asked(self, agent: str) -> np.ndarray:
+        """Return what the servos ask of the motors, as a share of the torque limits."""
+        sim, arm = self._env.sim, self._env.scene.arms[agent]
+        robot = arm.robot
+        behind = sim.act[:, arm.act] - sim.qpos[:, arm.qpos]
+        torque = robot.stiffness * behind - robot.damping * sim.qvel[:, arm.dof]
+        return np.abs(torque) / np.array(robot.torque_limits)
+
+
+def _mean_square(columns: np.ndarray) -> np.ndarray:
+    return np.square(columns).mean(axis=1)

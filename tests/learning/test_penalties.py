@@ -1,0 +1,69 @@
+"""What training charges for beside the task's reward."""
+
+import numpy as np
+import pytest
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.penalties import Penalties
+
+
+@pytest.fixture
+def env(carry):
+    env = VectorEnv(carry(), 3, num_threads=1)
+    env.reset()
+    yield env
+    env.close()
+
+
+def moving(env, size):
+    """Do a few control steps of this size, and return the last actions."""
+    actions = {
+        agent: np.tile([*np.full(space.shape[0] - 1, size), -1.0], (env.num_envs, 1))
+        for agent, space in env.single_action_spaces.items()
+    }
+    for _ in range(3):
+        env.step(actions)
+    return actions
+
+
+def charged(env, numbers, actions, previous):
+    rewards = {agent: np.full(env.num_envs, 2.0) for agent in env.agents}
+    return Penalties(env, numbers).charge(rewards, actions, previous=previous)
+
+
+def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
+    numbers = tiny(torque_penalty=0.7, change_penalty=0.0)
+    actions = moving(env, 0.3)
+    found = charged(env, numbers, actions, actions)
+    for agent, arm in env.scene.arms.items():
+        for i in range(env.num_envs):
+            torque = env.sim.data(i).actuator_force[arm.servos]
+            share = torque / np.array(arm.robot.torque_limits)
+            assert 1e-4 < np.max(np.abs(share)) < 1.0  # Below it they are the motors'.
+            expected = 2.0 - 0.7 * np.mean(share**2)
+            assert found[agent][i] == pytest.approx(expected, abs=1e-6)
+
+
+def test_what_a_servo_asks_for_beyond_its_motor_costs_more_up_to_a_bound(env, tiny):
+    numbers = tiny(torque_penalty=1.0, change_penalty=0.0)
+    actions = moving(env, 0.0)
+    costs = []
+    for share in (0.0, 1.0, 2.0, 3.0, 30.0):
+        for arm in env.scene.arms.values():
+            robot = arm.robot
+            ahead = share * np.array(robot.torque_limits) / robot.stiffness
+            env.sim.qvel[:, arm.dof] = 0.0
+            env.sim.act[:, arm.act] = env.sim.qpos[:, arm.qpos] + ahead
+        costs.append(2.0 - charged(env, numbers, actions, actions)["robot_1"][0])
+    assert costs == pytest.approx([0.0, 1.0, 4.0, 9.0, 9.0])
+
+
+def test_a_change_of_action_costs_its_mean_square(env, tiny):
+    actions = moving(env, 0.3)
+    previous = {agent: each - 0.5 for agent, each in actions.items()}
+    numbers = tiny(torque_penalty=0.0, change_penalty=2.0)
+    for agent, found in charged(env, numbers, actions, previous).items():
+        assert found == pytest.approx(2.0 - 2.0 * 0.25), agent
+    numbers = tiny(torque_penalty=0.0, change_penalty=0.0)
+    for found in charged(env, numbers, actions, previous).values():
+        assert (found == 2.0).all()
