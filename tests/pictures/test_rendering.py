@@ -11,7 +11,7 @@ import pytest
 from collaborative_gym.pictures.rendering import Camera
 
 WORLDS = """
-import gc, os, sys, threading
+import gc, os, sys, threading, time
 import mujoco
 import numpy as np
 from collaborative_gym.pictures.rendering import Camera
@@ -77,6 +77,27 @@ assert os.waitpid(child, 0)[1] == 0
 assert (cameras[0].picture(*still) == expected[0]).all()
 """
 
+ENDS = """
+def draw():
+    while children is not None:
+        Camera(models[0], 64, 48).close()
+
+children = []
+thread = threading.Thread(target=draw)
+thread.start()
+for _ in range(5):
+    child = os.fork()
+    if child == 0:
+        children = None
+        sys.exit(0)
+    children.append(child)
+    time.sleep(0.01)
+ends = [os.waitpid(child, 0)[1] for child in children]
+children = None
+thread.join()
+assert not any(ends)
+"""
+
 
 def run(script):
     """Return what a process prints that runs a script."""
@@ -97,6 +118,11 @@ def test_a_forked_process_is_told_that_it_cannot_draw():
     for line in lines:
         assert line.startswith("pictures were drawn before this process was forked")
         assert line.endswith("multiprocessing.get_context('spawn')")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="it cannot fork")
+def test_a_forked_process_ends_as_any_other():
+    assert run(ENDS) == ""
 
 
 @pytest.mark.parametrize(

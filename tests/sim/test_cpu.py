@@ -1,5 +1,9 @@
 """The CPU backend against plain MuJoCo."""
 
+import os
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -124,3 +128,23 @@ def test_velocities_are_read_by_name():
     linear, angular = sim.velocity("top")
     np.testing.assert_allclose(linear, [[0, 0, 0], [1, 2, 3]])
     np.testing.assert_allclose(angular, [[0, 0, 0], [4, 5, 6]])
+
+
+FORK = """
+import os, sys
+import mujoco
+from collaborative_gym.sim.cpu import CpuSim
+
+sim = CpuSim(mujoco.MjSpec().compile(), 4, num_threads=3)
+sim.forward()
+child = os.fork()
+if child == 0:
+    sys.exit(0)
+assert os.waitpid(child, 0)[1] == 0
+sim.forward()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="it cannot fork")
+def test_a_forked_process_ends_though_it_has_none_of_the_threads():
+    subprocess.run([sys.executable, "-c", FORK], check=True, timeout=60)

@@ -1,6 +1,7 @@
 """Off-screen pictures of a world."""
 
 import os
+import sys
 import warnings
 import weakref
 from collections.abc import Callable
@@ -145,3 +146,13 @@ def _free(renderer: mujoco.Renderer, process: int) -> None:
         return
     with suppress(RuntimeError):  # At the end of a process no job can begin any more.
         _drawing.submit(renderer.close)
+
+
+def _forget_display() -> None:
+    """Let a forked process end without EGL, whose locks may be held for ever there."""
+    if _drawn_in and "mujoco.egl" in sys.modules:
+        sys.modules["mujoco.egl"].EGL_DISPLAY = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_display)

@@ -1,5 +1,9 @@
 """The CPU backend: `mujoco.batch` on a pool of threads."""
 
+import ctypes
+import os
+from weakref import WeakSet
+
 import mujoco
 import numpy as np
 from array_api_compat import array_namespace
@@ -29,6 +33,7 @@ class CpuSim:
         self.model = model
         self.num_envs = num_envs
         self._batch = batch.Batch(model, num_envs, num_threads)
+        _living.add(self)
         self.qpos = self._batch.bind("qpos")
         self.xp = array_namespace(self.qpos)
         self.qvel = self._batch.bind("qvel")
@@ -119,3 +124,19 @@ class CpuSim:
         data = self._batch.get_data(env_id)
         mujoco.mj_forward(self.model, data)
         return data
+
+
+_living: WeakSet[CpuSim] = WeakSet()
+
+
+def _keep_inherited() -> None:
+    """Keep a forked process from freeing what it inherited, even as it ends.
+
+    A batch that is freed waits for its threads, which only the first process has.
+    """
+    for sim in _living:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(sim._batch))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_keep_inherited)
