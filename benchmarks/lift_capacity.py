@@ -39,9 +39,9 @@ class LiftAlone(Lift):
     lifter: str
     angles = tuple(np.radians([-75, -60, -45, -30, -15, 0, 20, 40]))
 
-    def setup(self, scene, sim, action_mode):
+    def setup(self, scene, sim, *, action_mode):
         """Find how the lifter carries the pot to each place near the target."""
-        super().setup(scene, sim, action_mode)
+        super().setup(scene, sim, action_mode=action_mode)
         placement = self.placements[self.lifter]
         base = np.array(placement.position)
         flat = (base - self.target) * (1.0, 1.0, 0.0)

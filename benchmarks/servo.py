@@ -39,7 +39,7 @@ class Bench:
 
     def __init__(self, robot: Robot, num_envs: int, payload: float = 0.0):
         scene = Scene()
-        scene.add_robot(AGENT, robot, Placement((0.0, 0.0, 3.0)))
+        scene.add_robot(AGENT, robot, placement=Placement((0.0, 0.0, 3.0)))
         if payload:
             load = mujoco.MjSpec()
             body = load.worldbody.add_body()
@@ -50,7 +50,7 @@ class Bench:
                 contype=0,
                 conaffinity=0,
             )
-            scene.add_tool(AGENT, "load", load)
+            scene.add_tool(AGENT, "load", child=load)
         self.model = scene.compile()
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.arm = scene.arms[AGENT]

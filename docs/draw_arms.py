@@ -15,7 +15,9 @@ SIZE = 640, 480
 def picture(robot: cg.Robot) -> np.ndarray:
     """Return an arm at home on its stand, (height, width, 3) uint8."""
     scene = cg.Scene()
-    scene.add_robot("robot_1", robot, cg.Placement((0.0, 0.0, robot.base_height)))
+    scene.add_robot(
+        "robot_1", robot, placement=cg.Placement((0.0, 0.0, robot.base_height))
+    )
     middle = robot.base_height + 0.25
     scene.spec.worldbody.add_camera(
         name=CAMERA,

@@ -19,22 +19,22 @@ class SimplePick(cg.Task):
     gripping = True
 
     def build(self, scene):
-        for i, agent in enumerate(self.agents):
-            scene.add_robot(agent, self.robots[agent], self.placements[agent])
-            scene.add(f"{agent} table", objects.table(0.5, 1.0), CUBES[i] * (1, 1, 0))
-            scene.add(f"{agent} cube", objects.cube(), CUBES[i])
+        for agent, at in zip(self.agents, CUBES, strict=True):
+            scene.add_robot(agent, self.robots[agent], placement=self.placements[agent])
+            scene.add(f"{agent} table", objects.table(0.5, 1), position=at * (1, 1, 0))
+            scene.add(f"{agent} cube", objects.cube(), position=at)
             scene.add_grip(agent, f"{agent} cube/centre", threshold=0.03, width=0.05)
             scene.add_target(f"{agent} target", radius=0.05)
 
-    def reset(self, sim, env_ids, rng):
-        bounds = self.config.randomization
-        self.start_arms(sim, env_ids, rng)
+    def reset(self, sim, env_ids, *, rng):
+        put, bounds = self.scene.place, self.config.randomization
+        self.start_arms(sim, env_ids, rng=rng)
         for i, agent in enumerate(self.agents):
             place = CUBES[i] + rng.within(bounds.object_position * cg.LEVEL, 3)
             turn = math.from_yaw(rng.within(bounds.object_yaw))
-            self.scene.place(sim, env_ids, f"{agent} cube", place, turn)
+            put(sim, env_ids, name=f"{agent} cube", position=place, quat=turn)
             place = TARGETS[i] + rng.within(bounds.target_position, 3)
-            self.scene.place(sim, env_ids, f"{agent} target", place)
+            put(sim, env_ids, name=f"{agent} target", position=place)
 
     def measure(self, sim):
         facts = SimpleNamespace(seen={}, tcp={}, holds={}, to_cube={}, to_target={})

@@ -62,8 +62,8 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
 
     def build(self, scene):
         for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement, stand=False)
-        scene.add("cube", cube(), (0.0, 0.0, 0.487))
+            scene.add_robot(agent, self.robots[agent], placement=placement, stand=False)
+        scene.add("cube", cube(), position=(0.0, 0.0, 0.487))
         for agent in self.agents:
             scene.add_grip(agent, f"cube/{agent}", threshold=0.08, width=0.02)
         scene.add_pose_sensor("cube", "cube/centre")
@@ -76,11 +76,13 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
             "push": self.xp.zeros((num_envs, 3), dtype=kind),
         }
 
-    def reset(self, sim, env_ids, rng):
+    def reset(self, sim, env_ids, *, rng):
         noise = self.config.randomization.joint_noise
         for agent, arm in self.scene.arms.items():
             draw = rng.uniform(-noise, noise, arm.num_joints)
-            self.scene.bend(sim, env_ids, agent, np.array(arm.robot.home) + draw)
+            self.scene.bend(
+                sim, env_ids, agent=agent, angles=np.array(arm.robot.home) + draw
+            )
         self.memory["push"][env_ids] = sim.xp.asarray(rng.uniform(-20.0, 20.0, 3))
 
     def disturb(self, sim, steps):

@@ -131,3 +131,11 @@ def test_arguments_after_the_second_go_by_name():
             continue
         kinds = [each.kind for each in inspect.signature(thing).parameters.values()]
         assert kinds.count(inspect.Parameter.POSITIONAL_OR_KEYWORD) <= 2, name
+
+
+@pytest.mark.parametrize("kind", [cg.Scene, cg.Task])
+def test_arguments_after_the_second_are_named(kind):
+    for name, method in inspect.getmembers(kind, inspect.isfunction):
+        given = inspect.signature(method).parameters.values()
+        placed = [each for each in given if each.kind is each.POSITIONAL_OR_KEYWORD]
+        assert name.startswith("_") or len(placed) <= 3, name

@@ -17,7 +17,7 @@ def faults(carry):
         base = type(carry())
 
         def wrapped(own, method):
-            return lambda self, *given: method(self, own, *given)
+            return lambda self, *given, **named: method(self, own, *given, **named)
 
         changed = {
             name: wrapped(getattr(base, name), method)
@@ -63,8 +63,8 @@ def test_a_goal_that_is_reached_by_doing_nothing(faults):
 
 
 def test_a_reset_of_other_worlds(faults):
-    def reset(self, own, sim, env_ids, rng):
-        own(self, sim, env_ids, rng)
+    def reset(self, own, sim, env_ids, *, rng):
+        own(self, sim, env_ids, rng=rng)
         self.memory["push"][:] = self.memory["push"][env_ids[0]]
 
     found = faults(reset=reset)
@@ -74,8 +74,8 @@ def test_a_reset_of_other_worlds(faults):
 def test_numbers_that_are_drawn_elsewhere(faults):
     shared = np.random.default_rng(0)
 
-    def reset(self, own, sim, env_ids, rng):
-        own(self, sim, env_ids, rng)
+    def reset(self, own, sim, env_ids, *, rng):
+        own(self, sim, env_ids, rng=rng)
         self.memory["push"][env_ids] = shared.uniform(-20.0, 20.0, (len(env_ids), 3))
 
     found = faults(reset=reset)
@@ -83,7 +83,7 @@ def test_numbers_that_are_drawn_elsewhere(faults):
 
 
 def test_starts_that_are_alike(faults):
-    def reset(self, own, sim, env_ids, rng):
+    def reset(self, own, sim, env_ids, *, rng):
         for arm in self.scene.arms.values():
             sim.qpos[env_ids, arm.qpos] = arm.robot.home
 
@@ -92,11 +92,11 @@ def test_starts_that_are_alike(faults):
 
 
 def test_a_start_inside_a_thing(faults):
-    def reset(self, own, sim, env_ids, rng):
-        own(self, sim, env_ids, rng)
+    def reset(self, own, sim, env_ids, *, rng):
+        own(self, sim, env_ids, rng=rng)
         place = sim.qpos[env_ids, :7].copy()
         place[:, :3] = 0.0, 0.0, 0.01
-        self.scene.place(sim, env_ids, "cube", place[:, :3])
+        self.scene.place(sim, env_ids, name="cube", position=place[:, :3])
 
     found = faults(reset=reset)
     assert any("20.0 mm deep in one another at the start" in each for each in found)
@@ -156,8 +156,8 @@ def test_a_term_that_appears_late(faults):
 
 def test_things_may_move_at_the_start_but_not_arms(faults):
     def moving(of):
-        def reset(self, own, sim, env_ids, rng):
-            own(self, sim, env_ids, rng)
+        def reset(self, own, sim, env_ids, *, rng):
+            own(self, sim, env_ids, rng=rng)
             dof = slice(-6, -3) if of == "cube" else self.scene.arms["robot_1"].dof
             sim.qvel[env_ids, dof] = 0.1
 

@@ -56,7 +56,9 @@ class Shared:
     def scene(self):
         """A world with an arm and a pot."""
         scene = cg.Scene()
-        scene.add_robot("robot_1", cg.get_robot("panda"), cg.Placement((0, 0, 1)))
+        scene.add_robot(
+            "robot_1", cg.get_robot("panda"), placement=cg.Placement((0, 0, 1))
+        )
         scene.add("cube", objects.cube())
         return scene
 

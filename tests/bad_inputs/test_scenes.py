@@ -17,7 +17,7 @@ BELOW, HUGE = (-1, -1e-9), (1e300, 10**400)
 
 def _scene():
     scene = cg.Scene()
-    scene.add_robot("robot_1", PANDA, HOME)
+    scene.add_robot("robot_1", PANDA, placement=HOME)
     scene.add("cube", objects.cube())
     return scene
 
@@ -94,22 +94,25 @@ SCENE = [
     *table(
         "scene",
         "arm",
-        lambda s, v: s.scene.add_tool(v, "stick", objects.stick()),
+        lambda s, v: s.scene.add_tool(v, "stick", child=objects.stick()),
         ["robot_9", None, 3],
     ),
     *table(
-        "scene", "child", lambda s, v: s.scene.add_tool("robot_1", "t", v), [None, "a"]
+        "scene",
+        "child",
+        lambda s, v: s.scene.add_tool("robot_1", "t", child=v),
+        [None, "a"],
     ),
     *table(
         "scene",
         "movable object",
-        lambda s, v: s.env.scene.place(s.env.sim, [0], v, (0, 0, 1)),
+        lambda s, v: s.env.scene.place(s.env.sim, [0], name=v, position=(0, 0, 1)),
         ["no such", None, 3],
     ),
     *table(
         "scene",
         "position",
-        lambda s, v: s.env.scene.place(s.env.sim, [0], "pot", v),
+        lambda s, v: s.env.scene.place(s.env.sim, [0], name="pot", position=v),
         ["a", (0, 0), THING],
     ),
     *table(

@@ -107,10 +107,10 @@ def test_a_joint_turns_most_of_a_full_command_in_its_step(free, robots):
 @pytest.mark.parametrize("name", cg.list_robots())
 def test_a_held_payload_sinks_by_less_than_two_millimetres_a_step(name):
     scene, robot, load = Scene(), cg.get_robot(name), mujoco.MjSpec()
-    scene.add_robot("arm", robot, cg.Placement((0.0, 0.0, 3.0)))
+    scene.add_robot("arm", robot, placement=cg.Placement((0.0, 0.0, 3.0)))
     body = load.worldbody.add_body(name="load")
     body.add_geom(size=[0.03, 0, 0], mass=robot.payload, contype=0, conaffinity=0)
-    scene.add_tool("arm", "load", load)
+    scene.add_tool("arm", "load", child=load)
     model = scene.compile()
     arm, sim = scene.arms["arm"], CpuSim(model, 8, num_threads=1)
     controller = Controller(scene, sim, JointChanges(scene.arms, gripping=False))

@@ -34,16 +34,16 @@ class Touch(cg.Task):
 
     def build(self, scene):
         for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement)
+            scene.add_robot(agent, self.robots[agent], placement=placement)
             scene.add_target(f"{agent} target", radius=0.05)
 
-    def reset(self, sim, env_ids, rng):
-        self.start_arms(sim, env_ids, rng)
+    def reset(self, sim, env_ids, *, rng):
+        self.start_arms(sim, env_ids, rng=rng)
         for agent, placement in self.placements.items():
             draw = rng.within(self.config.randomization.target_position, 3)
             base = np.array(placement.position) * (0.0, 1.0, 1.0)
             place = np.array([0.65, 0.0, 0.25]) + base + draw
-            self.scene.place(sim, env_ids, f"{agent} target", place)
+            self.scene.place(sim, env_ids, name=f"{agent} target", position=place)
 
     def measure(self, sim):
         joints, hands, targets, far = self.joints(sim), {}, {}, {}

@@ -25,7 +25,7 @@ def env():
 def fallen(env, assistance):
     """Return how far a pot in the air falls in two control steps, in m."""
     env.reset(seed=0)
-    env.scene.place(env.sim, [0], "pot", np.array([0.0, 0.0, 2.5]))
+    env.scene.place(env.sim, [0], name="pot", position=np.array([0.0, 0.0, 2.5]))
     for _ in range(2):
         assistance.carry(env)
         env.step(hold_still(env))

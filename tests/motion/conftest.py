@@ -16,7 +16,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "own_arm.py"
 def scene(request):
     scene = Scene()
     robot = get_robot(request.param)
-    scene.add_robot("robot_1", robot, Placement((0.3, -0.2, 1.0), 0.7))
+    scene.add_robot("robot_1", robot, placement=Placement((0.3, -0.2, 1.0), 0.7))
     return scene
 
 
@@ -41,6 +41,6 @@ def pair(monkeypatch):
     monkeypatch.setattr(robots, "_ROBOTS", dict(robots._ROBOTS))
     six = runpy.run_path(str(EXAMPLE))["OWN"]
     scene = Scene()
-    scene.add_robot("robot_1", get_robot("jaco"), Placement((0.0, -1.0, 0.7)))
-    scene.add_robot("robot_2", six, Placement((0.1, 1.0, 1.0), 2.0))
+    scene.add_robot("robot_1", get_robot("jaco"), placement=Placement((0.0, -1.0, 0.7)))
+    scene.add_robot("robot_2", six, placement=Placement((0.1, 1.0, 1.0), 2.0))
     return scene

@@ -72,7 +72,7 @@ def in_a_world():
 
     def make(robot, holds=None):
         scene = Scene()
-        scene.add_robot("arm", robot, cg.Placement((0, 0, 1)), holds=holds)
+        scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)), holds=holds)
         return scene, scene.compile()
 
     return make

@@ -131,7 +131,7 @@ def test_home_is_well_inside_the_ranges_and_touches_nothing(robot):
 
 def test_servos_have_the_arms_limits(robot):
     scene = Scene()
-    scene.add_robot("arm", robot, cg.Placement((0, 0, 1)))
+    scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)))
     model = scene.compile()
     for i, joint in enumerate(robot.joints):
         servo = model.actuator(f"arm/{joint}")
@@ -142,7 +142,7 @@ def test_servos_have_the_arms_limits(robot):
 def test_links_float_and_fingers_do_not_stray(robot):
     """Links are gravity compensated, as real controllers do; fingers are not."""
     scene = Scene()
-    scene.add_robot("arm", robot, cg.Placement((0, 0, 1)))
+    scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)))
     model = scene.compile()
     for joint in robot.joints:
         body = model.jnt_bodyid[model.joint(f"arm/{joint}").id]

@@ -20,11 +20,14 @@ def ball():
 @pytest.fixture
 def scene():
     scene = Scene()
-    scene.add_robot("robot_1", get_robot("panda"), Placement((0, -1, 0.7)))
+    scene.add_robot("robot_1", get_robot("panda"), placement=Placement((0, -1, 0.7)))
     scene.add_robot(
-        "robot_2", get_robot("sawyer"), Placement((0, 1, 1.0), np.pi), holds=0.02
+        "robot_2",
+        get_robot("sawyer"),
+        placement=Placement((0, 1, 1.0), np.pi),
+        holds=0.02,
     )
-    scene.add("ball", ball(), (0, 0, 1.0))
+    scene.add("ball", ball(), position=(0, 0, 1.0))
     scene.add_grip("robot_1", "ball/centre", threshold=0.03, width=0.04)
     scene.add_target("goal", 0.02, rgba=(0, 1, 0, 1))
     return scene
@@ -47,7 +50,7 @@ def test_fingers_that_hold_a_tool_are_fixed_at_its_width():
     for width in (0.02, 0.05):
         scene = Scene()
         scene.add_robot(
-            "robot_1", get_robot("panda"), Placement((0, 0, 1)), holds=width
+            "robot_1", get_robot("panda"), placement=Placement((0, 0, 1)), holds=width
         )
         model = scene.compile()
         data = mujoco.MjData(model)
@@ -108,8 +111,8 @@ def test_a_table_carries_and_its_legs_are_in_the_way():
 def test_collision_bits(first, second, collide):
     scene = Scene()
     for agent, y in (("robot_1", -1), ("robot_2", 1)):
-        scene.add_robot(agent, get_robot("panda"), Placement((0, y, 0.7)))
-    scene.add("ball", ball(), (0, 0, 1.0))
+        scene.add_robot(agent, get_robot("panda"), placement=Placement((0, y, 0.7)))
+    scene.add("ball", ball(), position=(0, 0, 1.0))
     model = scene.compile()
     a, b = _geom(model, first), _geom(model, second)
     bits = (model.geom_contype, model.geom_conaffinity)
@@ -126,15 +129,15 @@ def _geom(model, name):
 def test_things_are_placed_by_name(scene):
     sim = CpuSim(scene.compile(), 3, 1)
     places = np.array([[0.5, 0.0, 1.0], [0.6, 0.0, 1.0]])
-    scene.place(sim, [0, 2], "ball", places, [0.0, 0.0, 0.0, 1.0])
-    scene.place(sim, [0, 2], "goal", [0.1, 0.2, 0.3])
+    scene.place(sim, [0, 2], name="ball", position=places, quat=[0.0, 0.0, 0.0, 1.0])
+    scene.place(sim, [0, 2], name="goal", position=[0.1, 0.2, 0.3])
     sim.forward()
     np.testing.assert_allclose(sim.pose("ball/centre")[0][[0, 2]], places)
     np.testing.assert_allclose(sim.pose("ball/centre")[1][0], [0, 0, 0, 1])
     np.testing.assert_allclose(sim.pose("ball/centre")[0][1], [0.0, 0.0, 1.0])
     np.testing.assert_allclose(scene.targets(sim)["goal"][2], [0.1, 0.2, 0.3])
     with pytest.raises(ValueError, match=r"no movable object 'bal'.*mean 'ball'"):
-        scene.place(sim, [0], "bal", [0.0, 0.0, 0.0])
+        scene.place(sim, [0], name="bal", position=[0.0, 0.0, 0.0])
 
 
 def test_a_grip_tells_where_it_holds(scene):

@@ -50,7 +50,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
     name = type(task).__name__
     tried = np.arange(min(sim.num_envs, 2))
     task.memory = task.remember(sim.num_envs)
-    task.reset(sim, tried, EpisodeRandom(0 * tried, tried))
+    task.reset(sim, tried, rng=EpisodeRandom(0 * tried, tried))
     controller.start(tried)
     sim.forward()
     _check_targets(name, task, scene, sim)

@@ -139,7 +139,7 @@ class VectorEnv:
         self.sim = CpuSim(self.model, self.num_envs, num_threads)
         self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
         self._controller = Controller(self.scene, self.sim, self._mode)
-        task.setup(self.scene, self.sim, self._mode)
+        task.setup(self.scene, self.sim, action_mode=self._mode)
         definition = try_out(task, self.scene, self.sim, self._controller)
         self.observation_blocks = definition.observation_blocks
         self.single_observation_spaces = definition.observation_spaces
@@ -483,7 +483,7 @@ class VectorEnv:
         self.sim.reset(env_ids)
         for name, array in self.task.remember(len(env_ids)).items():
             self.task.memory[name][env_ids] = array
-        self.task.reset(self.sim, env_ids, EpisodeRandom(seeds, episodes))
+        self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))
         self._controller.start(env_ids)
         self.sim.forward(env_ids)
 

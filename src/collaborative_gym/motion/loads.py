@@ -143,7 +143,7 @@ def strong_paths(
       (n, points, 4) that come of them, in the frame of the base.
     """
     scene = Scene()
-    scene.add_robot("arm", robot, Placement((0.0, 0.0, 0.0)), stand=False)
+    scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
     sim = CpuSim(scene.compile(), len(positions), num_threads=1)
     arm = scene.arms["arm"]
     low, high = arm.joint_range
@@ -237,7 +237,7 @@ def strongest_way(
 def _stays_above(robot: Robot, angles: np.ndarray, path: Array) -> np.ndarray:
     """Return on which ways no elbow is lower than both the load and the arm's table."""
     scene = Scene()
-    scene.add_robot("arm", robot, Placement((0.0, 0.0, 0.0)), stand=False)
+    scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
     model = scene.compile()
     arm, data = scene.arms["arm"], mujoco.MjData(model)
     # The first joint that carries another one stays where it is.

@@ -151,7 +151,7 @@ def _free(renderer: mujoco.Renderer, process: int) -> None:
 def _forget_display() -> None:
     """Let a forked process end without EGL, whose locks may be held for ever there."""
     if _drawn_in and "mujoco.egl" in sys.modules:
-        sys.modules["mujoco.egl"].EGL_DISPLAY = None
+        vars(sys.modules["mujoco.egl"])["EGL_DISPLAY"] = None
 
 
 if hasattr(os, "register_at_fork"):

@@ -66,8 +66,8 @@ class Scene:
         self,
         agent: str,
         robot: Robot,
-        placement: Placement,
         *,
+        placement: Placement,
         holds: float | None = None,
         stand: bool = True,
     ) -> None:
@@ -114,6 +114,7 @@ class Scene:
         self,
         name: str,
         child: mujoco.MjSpec,
+        *,
         position: ArrayLike = (0.0, 0.0, 0.0),
         quat: ArrayLike = (1.0, 0.0, 0.0, 0.0),
     ) -> None:
@@ -131,7 +132,7 @@ class Scene:
         self.spec.attach(child, frame=frame, prefix=f"{name}/")
         self._objects.append(name)
 
-    def add_tool(self, agent: str, name: str, child: mujoco.MjSpec) -> None:
+    def add_tool(self, agent: str, name: str, *, child: mujoco.MjSpec) -> None:
         """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
         self._check_arm(agent)
         check_kind("child", child, mujoco.MjSpec, "an MjSpec")
@@ -255,6 +256,7 @@ class Scene:
         self,
         sim: Sim,
         env_ids: EnvIds,
+        *,
         name: str,
         position: Array,
         quat: Array | None = None,
@@ -292,7 +294,7 @@ class Scene:
                 f" {shown(quat)}; give (3,) and (4,) numbers, or a row for each world"
             ) from error
 
-    def bend(self, sim: Sim, env_ids: EnvIds, agent: str, angles: ArrayLike) -> None:
+    def bend(self, sim: Sim, env_ids: EnvIds, *, agent: str, angles: ArrayLike) -> None:
         """Put an arm at joint angles in these worlds, kept within the joints' ranges.
 
         Args:
@@ -371,7 +373,7 @@ class Scene:
             stand = table(height=height)
         else:
             return
-        self.add(f"{agent}_stand", stand, (x, y, 0.0), placement.quat)
+        self.add(f"{agent}_stand", stand, position=(x, y, 0.0), quat=placement.quat)
 
     def _add_servos(self, agent: str, robot: Robot) -> None:
         rows = zip(

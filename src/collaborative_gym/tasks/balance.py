@@ -120,17 +120,17 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def build(self, scene: Scene) -> None:
         first, second = self.agents
         for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement, holds=BAR)
+            scene.add_robot(agent, self.robots[agent], placement=placement, holds=BAR)
         radius = np.sqrt(self.config.success_distance**2 - _REST_HEIGHT**2)
         # A free board with two welds would move in the same way, more slowly computed.
-        scene.add_tool(first, "board", _held(board(marked_radius=radius)))
+        scene.add_tool(first, "board", child=_held(board(marked_radius=radius)))
         tcp = scene.spec.site(f"{second}/{self.robots[second].tcp}")
         scene.add_weld(tcp.name, f"{first}/board/{HANDLES[1]}")
         for body in (tcp.parent, *tcp.parent.find_all(mujoco.mjtObj.mjOBJ_BODY)):
             plate = f"{first}/board/board"
             scene.spec.add_exclude(bodyname1=body.name, bodyname2=plate)
         above = (0.0, 0.0, self.config.board_height + _REST_HEIGHT)
-        scene.add("ball", ball(), above)
+        scene.add("ball", ball(), position=above)
         # With MuJoCo's own settings rolling friction is a creep: a ball rolls down
         # slopes on which it should rest, along some directions more than others.
         scene.spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -140,8 +140,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_velocity_sensor("ball", "ball/ball")
         scene.add_camera((4.2, 0, 2.1), (0, 1, 0, -0.32, 0, 1))
 
-    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
-        super().setup(scene, sim, action_mode)
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
         self._chains = motion.Chains(model, list(scene.arms.values()))
         prefix = f"{self.agents[0]}/board"
@@ -165,7 +165,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             memory["pushes"] = self.xp.zeros(shape, dtype=self.xp.float64)
         return memory
 
-    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
         moves = np.array([bounds.object_position] * 3 + [bounds.object_yaw])
         moved = rng.within(moves, 4)
@@ -178,7 +178,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         place, quat = self._take_hold(sim, env_ids, moved, near)
         resting = np.full((len(rolled), 1), _REST_HEIGHT)
         on_board = math.rotate(quat, np.concatenate([rolled, resting], axis=1))
-        self.scene.place(sim, env_ids, "ball", place + on_board, quat)
+        place = place + on_board
+        self.scene.place(sim, env_ids, name="ball", position=place, quat=quat)
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)

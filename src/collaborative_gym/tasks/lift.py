@@ -152,15 +152,15 @@ class Lift(Task[LiftConfig, LiftFacts]):
             x, y, z = placement.position
             robot = self.robots[agent]
             own = robot.stand == "pedestal" or self.config.placements is not None
-            scene.add_robot(agent, robot, placement, stand=own)
+            scene.add_robot(agent, robot, placement=placement, stand=own)
             if not own and abs(y) > 0.55:
                 # Push the arm's table against the pot's, which it would overlap.
                 place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
-                quarter = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-                scene.add(f"{agent}_stand", table(height=z), place, quarter)
+                turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+                scene.add(f"{agent}_stand", table(height=z), position=place, quat=turn)
         scene.add("table", table())
         balance = float(np.dot(self.weighing.shares, _GRIP_OFFSETS[:, 1]))
-        scene.add("pot", pot(self.pot_mass, balance), _START)
+        scene.add("pot", pot(self.pot_mass, balance), position=_START)
         scene.add_pose_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
             threshold = self.config.picking_threshold
@@ -188,8 +188,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self.pot_mass = self.weighing.pot_mass if given is None else given
         self._ways = dict(zip(self.agents, self.weighing.ways, strict=True))
 
-    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
-        super().setup(scene, sim, action_mode)
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
@@ -203,14 +203,14 @@ class Lift(Task[LiftConfig, LiftFacts]):
                 model, arm, goal=(place, way.approach), start=angles[0]
             )
 
-    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        self.start_arms(sim, env_ids, rng, self._start)
-        yaw = rng.within(bounds.object_yaw)
+        self.start_arms(sim, env_ids, rng=rng, angles=self._start)
+        quat = math.from_yaw(rng.within(bounds.object_yaw))
         place = _START + rng.within(bounds.object_position * LEVEL, 3)
-        self.scene.place(sim, env_ids, "pot", place, math.from_yaw(yaw))
+        self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
         shift = rng.within(bounds.target_position, 3)
-        self.scene.place(sim, env_ids, "target", self.target + shift)
+        self.scene.place(sim, env_ids, name="target", position=self.target + shift)
 
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}

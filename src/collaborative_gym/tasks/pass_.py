@@ -119,22 +119,22 @@ class Pass(Task[PassConfig, PassFacts]):
             before = self.robots[agent].stand == "pedestal"
             near, heights[agent] = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
             place = self.placements[agent]
-            scene.add_robot(agent, self.robots[agent], place, stand=before)
+            scene.add_robot(agent, self.robots[agent], placement=place, stand=before)
             top = table(_TABLE_END - near, width, height=heights[agent])
-            scene.add(f"{agent}_table", top, ((_TABLE_END + near) / 2, y, 0.0))
+            scene.add(f"{agent}_table", top, position=((_TABLE_END + near) / 2, y, 0.0))
         x = min(bases[giver][0] + 0.635 * self.robots[giver].reach, _TABLE_END - 0.1)
         z = heights[giver] + _CUBE_SIZE / 2
         self._cube_start = np.array([x, bases[giver][1] + 0.1, z])
         self._target = np.array([1.2, bases[taker][1], 1.3])
-        scene.add("cube", cube(_CUBE_SIZE), self._cube_start)
+        scene.add("cube", cube(_CUBE_SIZE), position=self._cube_start)
         scene.add_target("target", self.config.success_radius)
         picks, hands = self.config.picking_threshold, self.config.handover_threshold
         for agent, threshold in ((giver, picks), (taker, hands)):
             scene.add_grip(agent, _CUBE, threshold=threshold, width=_GRIP_WIDTH)
         scene.add_camera((3.3, 0, 2.05), (0, 1, 0, -0.38, 0, 0.9))
 
-    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
-        super().setup(scene, sim, action_mode)
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
         self._meeting = meeting = self._find_meeting()
         giver, taker = self.agents
         above = self._cube_start - 0.25 * _DOWN
@@ -165,15 +165,15 @@ class Pass(Task[PassConfig, PassFacts]):
                 place = shoulder + arm * min(1.0, easy / math.norm(arm))
         return place
 
-    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         spread = self.config.randomization
         starts = {agent: angles[0] for agent, angles in self._angles.items()}
-        self.start_arms(sim, env_ids, rng, starts)
+        self.start_arms(sim, env_ids, rng=rng, angles=starts)
         place = self._cube_start + rng.within(spread.object_position * LEVEL, 3)
-        yaw = rng.within(spread.object_yaw)
-        self.scene.place(sim, env_ids, "cube", place, math.from_yaw(yaw))
+        quat = math.from_yaw(rng.within(spread.object_yaw))
+        self.scene.place(sim, env_ids, name="cube", position=place, quat=quat)
         place = self._target + rng.within(spread.target_position, 3)
-        self.scene.place(sim, env_ids, "target", place)
+        self.scene.place(sim, env_ids, name="target", position=place)
 
     def measure(self, sim: Sim) -> PassFacts:
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}

@@ -98,21 +98,21 @@ class Poke(Task[TaskConfig, PokeFacts]):
         return _opposite((-half, heights[0]), (half, heights[1]))
 
     def build(self, scene: Scene) -> None:
-        for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement, holds=THICKNESS)
+        for agent, place in self.placements.items():
+            scene.add_robot(agent, self.robots[agent], placement=place, holds=THICKNESS)
         stick_spec, donut_spec = stick(), donut()
         stick_spec.body("stick").pos = (0, 0, _STICK_AHEAD)
         donut_spec.body("donut").pos = (0, 0, _DONUT_AHEAD)
         donut_spec.body("donut").quat = _DONUT_QUAT
-        scene.add_tool(_STICK, "stick", stick_spec)
-        scene.add_tool(_DONUT, "donut", donut_spec)
+        scene.add_tool(_STICK, "stick", child=stick_spec)
+        scene.add_tool(_DONUT, "donut", child=donut_spec)
         scene.add_pose_sensor("stick", f"{_STICK}/stick/stick")
         scene.add_pose_sensor("donut", f"{_DONUT}/donut/donut")
         *_, (eye, axes) = _lay_out(self.placements, self.robots)
         scene.add_camera(eye, axes)
 
-    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
-        super().setup(scene, sim, action_mode)
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
         start, self._goal, _ = _lay_out(self.placements, self.robots)
         self._start: dict[str, np.ndarray] = {}
         self._spread: dict[str, np.ndarray] = {}
@@ -124,7 +124,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
             goal = self._goal[agent]
             self._posture[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
 
-    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
         moves = [bounds.object_position] * 3 + [bounds.object_yaw]
         for agent, arm in self.scene.arms.items():
@@ -132,7 +132,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
             moved = rng.within(moves, len(moves))
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
             angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
-            self.scene.bend(sim, env_ids, agent, angles)
+            self.scene.bend(sim, env_ids, agent=agent, angles=angles)
 
     def measure(self, sim: Sim) -> PokeFacts:
         stick_pose, donut_pose = sim.pose("stick"), sim.pose("donut")

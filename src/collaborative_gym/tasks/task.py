@@ -186,7 +186,7 @@ class Task(Generic[ConfigT, FactsT]):
         """Fill the scene with arms and objects."""
         raise self._missing("build")
 
-    def setup(self, scene: Scene, sim: Sim, action_mode: ActionMode) -> None:
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         """Keep what later calls need of the compiled world, such as start poses.
 
         Args:
@@ -203,7 +203,7 @@ class Task(Generic[ConfigT, FactsT]):
         """Return a fresh `memory` for that many worlds, arrays of `self.xp`."""
         return {}
 
-    def reset(self, sim: Sim, env_ids: np.ndarray, rng: EpisodeRandom) -> None:
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         """Write the start of an episode into these worlds, and only these.
 
         What is drawn is NumPy's; `start_arms` and the scene's `place` and `bend` make
@@ -220,6 +220,7 @@ class Task(Generic[ConfigT, FactsT]):
         self,
         sim: Sim,
         env_ids: np.ndarray,
+        *,
         rng: EpisodeRandom,
         angles: Mapping[str, Array] | None = None,
     ) -> None:
@@ -235,7 +236,7 @@ class Task(Generic[ConfigT, FactsT]):
         for agent, arm in self.scene.arms.items():
             start = np.array(arm.robot.home) if angles is None else angles[agent]
             noise = rng.within(self.config.randomization.joint_noise, arm.num_joints)
-            self.scene.bend(sim, env_ids, agent, start + noise)
+            self.scene.bend(sim, env_ids, agent=agent, angles=start + noise)
 
     def joints(self, sim: Sim) -> dict[str, Array]:
         """Return copies of the arms' joint angles by agent, (num_envs, joints)."""
