@@ -114,6 +114,16 @@ def test_a_memory_that_is_kept_elsewhere(faults):
     assert any("measure() gives something else when it" in each for each in found)
 
 
+def test_a_memory_that_is_written_to(faults):
+    def measure(self, own, sim):
+        highest = self.memory["highest"]
+        np.maximum(highest, np.abs(sim.qvel).max(axis=1), out=highest)
+        return own(self, sim)
+
+    found = faults(measure=measure)
+    assert any("measure() writes into the arrays of self.memory" in e for e in found)
+
+
 def test_an_observation_that_blows_up(faults):
     def observe(self, own, facts):
         blocks = own(self, facts)

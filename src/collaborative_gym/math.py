@@ -90,7 +90,7 @@ def roll_pitch(q: Array) -> tuple[Array, Array]:
     xp = array_namespace(q)
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     roll = xp.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = xp.asin(xp.clip(2 * (w * y - z * x), -1.0, 1.0))
+    pitch = xp.asin(xp.minimum(xp.maximum(2 * (w * y - z * x), -1.0), 1.0))
     return roll, pitch
 
 

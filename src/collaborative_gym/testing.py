@@ -247,6 +247,12 @@ def check_measuring(trial: Trial) -> None:
         " update self.memory so that a second time changes nothing, as"
         " maximum(old, new) does"
     )
+    held = dict(task.memory)
+    play(env, 5)
+    assert all(_equal(array, held[name]) for name, array in memory.items()), (
+        "measure() writes into the arrays of self.memory, which are kept in case that"
+        " the step fails; put new ones there: self.memory[name] = maximum(old, new)"
+    )
     actions = _episode_actions(env)
     for name, ask in (
         ("observe", lambda: task.observe(env.facts)),

@@ -159,6 +159,36 @@ def test_a_task_that_fails_leaves_the_worlds_as_they_were(
     assert env.step(idle(env))[-1]["ended"].all()
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda env, state: env.reset(),
+        lambda env, state: env.reset(seed=5, episodes=[7], env_ids=[2]),
+        lambda env, state: env.set_state(state),
+        lambda env, state: env.set_state(state, [1, 0, 2]),
+    ],
+    ids=["reset", "reset one", "set_state", "set_state in others"],
+)
+def test_a_reset_that_fails_at_its_end_leaves_the_worlds_as_they_were(
+    make_env, monkeypatch, call
+):
+    env = make_env(3)
+    env.reset(seed=0)
+    state = env.get_state()
+    for _ in range(LENGTH // 2):
+        env.step(env.expert())
+    before = env.get_state()
+
+    def fail(*_):
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env.task, "observe", fail)
+        with pytest.raises(ZeroDivisionError):
+            call(env, state)
+    assert_same(env.get_state(), before)
+
+
 def test_any_thread_may_draw_in_its_turn(make_env):
     env = make_env(1)
     env.reset(seed=0)

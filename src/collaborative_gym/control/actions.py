@@ -202,4 +202,4 @@ def _checked(
             f" {float(action[world, index])} at index {index}; every component"
             " must be finite"
         )
-    return xp.clip(action, -1.0, 1.0)
+    return xp.minimum(xp.maximum(action, -1.0), 1.0)

@@ -1,6 +1,6 @@
 """What the contracts of other libraries for one world have in common."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def check_can_render(render_mode: str | None) -> None:
 
 def first_row(value: Any) -> Any:
     """Return world 0 of nested dictionaries of (num_envs,) arrays, None for NaN."""
-    if isinstance(value, Mapping):
+    if isinstance(value, dict):
         return {name: first_row(part) for name, part in value.items()}
     scalar = value[0].item()
     return None if scalar != scalar else scalar

@@ -177,6 +177,6 @@ def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
 def _of_side(by_name: Mapping[str, Any], side: str) -> ByAgent:
     """Return values, and one side's of those that are told by side."""
     return {
-        name: value[side] if isinstance(value, Mapping) and side in value else value
+        name: value[side] if isinstance(value, dict) and side in value else value
         for name, value in by_name.items()
     }

@@ -25,7 +25,8 @@ class Progress:
       reward_terms: names of a reward's parts, by agent.
 
     Attributes:
-      rows: (num_envs,) arrays by name, part of a saved state: `seed` and index
+      rows: (num_envs,) arrays by name, part of a saved state, never written to but
+        replaced, so that what held them still holds what was: `seed` and index
         (`episode`) of the episode, its control steps (`step`; `length` counts only
         those that were played where starts are staggered), the sums, and how it ended
         (`terminated` or `truncated`, and whether it `diverged`).
@@ -76,15 +77,19 @@ class Progress:
 
     def begin(self, seed: int, episodes: np.ndarray, env_ids: np.ndarray) -> None:
         """Let the next episodes of these worlds be these of a seed."""
-        self.rows["seed"][env_ids] = seed
-        self.rows["episode"][env_ids] = episodes - self._num_envs
+        for name, value in ("seed", seed), ("episode", episodes - self._num_envs):
+            self.rows[name] = self.rows[name].copy()
+            self.rows[name][env_ids] = value
 
     def start(self, env_ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Go on to these worlds' next episodes; return their seeds and indices."""
-        self.rows["episode"][env_ids] += self._num_envs
+        rows, starts = self.rows, np.zeros(self._num_envs, bool)
+        starts[env_ids] = True
+        rows["episode"] = rows["episode"] + self._num_envs * starts
+        starts = self._xp.asarray(starts)
         for name, value in self._blank.items():
-            self.rows[name][env_ids] = value
-        return self.rows["seed"][env_ids], self.rows["episode"][env_ids]
+            rows[name] = self._xp.where(starts, value, rows[name])
+        return rows["seed"][env_ids], rows["episode"][env_ids]
 
     def stagger(self, env_ids: np.ndarray) -> None:
         """Pretend that these worlds' episodes began at evenly spread times."""
@@ -104,10 +109,10 @@ class Progress:
         """
         rows, task, xp = self.rows, self._task, self._xp
         moved = ~self.has_ended
-        rows["diverged"] |= diverged
+        rows["diverged"] = rows["diverged"] | diverged
         counts = ~rows["diverged"]
-        rows["step"] += moved
-        rows["length"] += moved
+        for name in "step", "length":
+            rows[name] = rows[name] + moved
         for agent, names in self._sums.items():
             if terms[agent].keys() ^ names:
                 raise ValueError(
@@ -116,7 +121,7 @@ class Progress:
                     " return every term at every step, zero where it does not count"
                 )
             for name, row in names.items():
-                rows[row] += terms[agent][name]
+                rows[row] = rows[row] + terms[agent][name]
         met, performing = task.success(facts), task.performing(facts)
         successes = {}
         is_late = (rows["step"] > task.success_after) & counts
@@ -129,12 +134,14 @@ class Progress:
             now = now & counts & moved
             if not task.performance_from_start:
                 now &= rows[f"{side}: first_success"] >= 0
-            rows[f"{side}: performing_steps"] += now
+            performed = rows[f"{side}: performing_steps"]
+            rows[f"{side}: performing_steps"] = performed + now
         over = task.over(facts)
         if over is not None:
-            rows["terminated"] |= over & counts & moved
+            rows["terminated"] = rows["terminated"] | (over & counts & moved)
         is_late = rows["step"] >= task.config.max_episode_steps
-        rows["truncated"] |= (is_late | diverged) & ~rows["terminated"]
+        is_late = (is_late | diverged) & ~rows["terminated"]
+        rows["truncated"] = rows["truncated"] | is_late
         return successes if self._is_divided else successes[side]
 
     def endings(self, agents: tuple[str, ...]) -> tuple[dict[str, Array], ...]:

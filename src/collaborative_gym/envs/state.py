@@ -45,15 +45,17 @@ def taken(
 def put(
     state: EnvState,
     sim: Sim,
-    memory: Mapping[str, Array],
-    progress: Mapping[str, Array],
+    memory: dict[str, Array],
+    progress: dict[str, Array],
     rows: Array,
 ) -> None:
-    """Write the rows of a state into these worlds."""
+    """Put the rows of a state into these worlds, as new arrays of all of them."""
     order = np.argsort(rows)
     sim.set_state(state.physics[order], rows[order])
+    every = np.arange(sim.num_envs)
     for kept, given in (memory, state.memory), (progress, state.progress):
         for name, array in given.items():
+            kept[name] = kept[name][every]
             kept[name][rows] = array
 
 

@@ -414,9 +414,9 @@ class VectorEnv:
                     "the environment is in the middle of a step; what watches it may"
                     " look and draw, but not step, reset or set the state"
                 )
+            # Arrays of memory and progress are not written to, but replaced.
             physics = self.sim.get_state()
-            memory = copied(self.task.memory, self.sim.xp)
-            rows = copied(self._progress.rows, self.sim.xp)
+            memory, rows = dict(self.task.memory), dict(self._progress.rows)
             self._is_changing = True
             try:
                 yield
@@ -481,6 +481,7 @@ class VectorEnv:
             return
         seeds, episodes = self._progress.start(env_ids)
         self.sim.reset(env_ids)
+        self.task.memory = copied(self.task.memory, self.sim.xp)
         for name, array in self.task.remember(len(env_ids)).items():
             self.task.memory[name][env_ids] = array
         self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))

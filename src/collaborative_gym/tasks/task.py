@@ -257,7 +257,8 @@ class Task(Generic[ConfigT, FactsT]):
         """Return everything that the task looks at, computed once per control step.
 
         Called again in the same state, it returns the same and leaves `memory` as it
-        is: worlds are measured again when others start an episode.
+        is: worlds are measured again when others start an episode. It puts new arrays
+        into `memory` and writes to none, since what a failed step did is undone.
         """
         raise self._missing("measure")
 
