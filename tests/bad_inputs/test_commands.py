@@ -149,3 +149,16 @@ def test_a_process_ends_with_the_status(line, status):
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == status
     assert "Traceback" not in done.stderr and len(done.stderr.split()) > 3
+
+
+def test_a_full_disk_is_told_where_no_file_has_a_name():
+    command = [sys.executable, "-m", "collaborative_gym", "list"]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300
+        )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "error: the system says 'No space left on device' of a file without a name,"
+        " such as the output\n"
+    )

@@ -8,9 +8,13 @@ from judging import Case, accepted, fault, table
 from values import NO_COUNT, NO_NAME, NO_NUMBER, NO_PATH, THING
 
 import collaborative_gym as cg
+from collaborative_gym.evaluation.speed import benchmark
+from collaborative_gym.evaluation.table11 import reproduce_table11
+from collaborative_gym.learning.baselines import train_baselines
 from collaborative_gym.learning.config import Hyperparameters, Resources
 from collaborative_gym.pictures.recording import record
 
+ENV = "PokeTaskSawyers-v0"
 NO_ROBOTS = (3, "panda", {"panda"}, THING, [], ["panda"], ["panda", "x"])
 NO_RANDOMIZATION = (3, [], {}, THING, "", "papr", True)
 NO_CALLBACK = (3, "print", [], THING)
@@ -101,6 +105,27 @@ EVALUATE = [
         "evaluate", "agent", _evaluate("policy"), [{}, {"robot_9": "idle"}, {3: "idle"}]
     ),
     *table("evaluate", "on_progress", _evaluate("on_progress"), NO_CALLBACK),
+    *table(
+        "table11",
+        "on_progress",
+        lambda s, v: reproduce_table11(1, env_ids=[ENV], on_progress=v),
+        NO_CALLBACK,
+    ),
+    *table(
+        "table11",
+        "environment",
+        lambda s, v: reproduce_table11(1, env_ids=[v]),
+        [3, "Lift"],
+    ),
+    *table(
+        "benchmark",
+        "on_progress",
+        lambda s, v: benchmark([ENV], 1, on_progress=v),
+        NO_CALLBACK,
+    ),
+    *table(
+        "benchmark", "num_envs", lambda s, v: benchmark([ENV], v), NO_COUNT, [0, -1]
+    ),
     *table(
         "returned", "action", _played, [None, 3, "a", [], {}, THING, np.zeros((2, 7))]
     ),
@@ -208,6 +233,19 @@ LEARN = [
         for name in ("num_threads", "torch_threads")
         for case in table("resources", name, _resource(name), NO_COUNT, [-1, 10**6])
     ),
+]
+
+
+def _baselines(shared, value):
+    output, resources = shared.folder / "baselines", Resources(num_threads=1)
+    given = {"seeds": (0,), "changes": value, "resources": resources}
+    next(train_baselines([ENV], output, **given, displays=accepted))
+
+
+LEARN += [
+    *table("baselines", "changes", _baselines, [3, "fast", [1], THING]),
+    *table("baselines", "hyperparameter", _baselines, [{"typo": 1}, {3: 1}]),
+    *table("baselines", "epochs", _baselines, [{"epochs": "two"}, {"epochs": 0}]),
 ]
 
 

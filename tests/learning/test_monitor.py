@@ -172,6 +172,22 @@ def test_full_disk_is_named_and_earlier_rows_stay(start, tmp_path):
     assert (tmp_path / "progress.csv").read_text().startswith(before)
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_full_disk_is_named_where_the_file_has_no_name(start, tmp_path):
+    monitor = start()
+    monitor.log(row(1))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    (events,) = tmp_path.glob("events.*")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (events.stat().st_size + 3, hard))
+    try:
+        for act in (lambda: monitor.log(row(2)), monitor.close):
+            with pytest.raises(OSError, match=f"^cannot write {tmp_path}: File too l"):
+                act()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        monitor._events.all_writers = None  # They would raise once more.
+
+
 def test_folder_that_is_a_file_is_refused(start, tmp_path):
     (tmp_path / "run").write_text("")
     with pytest.raises(OSError, match=r"progress\.csv"):

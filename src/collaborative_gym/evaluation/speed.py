@@ -14,6 +14,7 @@ from mujoco import batch
 
 from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
@@ -97,6 +98,7 @@ def benchmark(
       KeyError: if there is no such environment.
       ValueError: if a number is out of range.
     """
+    check_callback("on_progress", on_progress)
     for env_id in env_ids:
         make_task(env_id)  # Unknown names show before the work.
     num_threads = num_threads or cores()

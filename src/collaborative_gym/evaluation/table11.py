@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-from collaborative_gym.errors import UnknownName, check_count, unknown
+from collaborative_gym.errors import UnknownName, check_callback, check_count, unknown
 from collaborative_gym.evaluation.play import evaluate
 from collaborative_gym.evaluation.report import (
     Report,
@@ -236,6 +236,7 @@ def reproduce_table11(
         damaged or does not fit.
     """
     check_count("episodes", episodes, at_least=1)
+    check_callback("on_progress", on_progress)
     if env_ids is not None and not env_ids:
         raise ValueError("env_ids is empty; name environments, or None for all eight")
     jobs: list[tuple[str, str]] = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.machine import describe_machine
 from collaborative_gym.evaluation.report import format_statistic
@@ -82,20 +83,24 @@ def train_baselines(
       displays: makes what shows a run; None for no display.
 
     Raises:
-      KeyError: if there is no such environment.
+      KeyError: if there is no such environment, or hyperparameter.
       ValueError: if there are no seeds, or a run that is there has other
         hyperparameters.
       Exception: what `train` raises.
     """
     if not seeds:
         raise ValueError("give at least one seed")
+    changes = {} if changes is None else changes
+    check_kind("changes", changes, Mapping, "a mapping, or None")
+    for name in changes:
+        look_up("hyperparameter", name, vars(Hyperparameters()))
     for env_id in env_ids:
         as_task(env_id)  # An unknown one shows before the work.
     output = Path(output)
     resources = resources or Resources()
     for env_id in env_ids:
         candidates = []
-        hyperparameters = replace(recipe(env_id), **(changes or {}))
+        hyperparameters = replace(recipe(env_id), **changes)
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
             is_there = (folder / LAST).exists()

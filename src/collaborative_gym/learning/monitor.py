@@ -134,10 +134,11 @@ class Monitor:
         else:
             self._columns = columns
             self._rewrite()
-        for name, value in row.items():
-            if name != "steps":
-                self._events.add_scalar(name, value, int(row["steps"]))
-        self._events.flush()
+        with naming(self._folder):  # TensorBoard's errors name no file.
+            for name, value in row.items():
+                if name != "steps":
+                    self._events.add_scalar(name, value, int(row["steps"]))
+            self._events.flush()
         if time.monotonic() >= self._next_drawing:
             self._draw()
 
@@ -146,7 +147,8 @@ class Monitor:
         try:
             self._draw()
         finally:
-            self._events.close()
+            with naming(self._folder):
+                self._events.close()
 
     @property
     def _path(self) -> Path:
