@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs import strain
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task, Terms
 from collaborative_gym.timing import CONTROL_DT
@@ -23,6 +24,7 @@ class Progress:
       seed: of the first episodes.
       sides: the agents of each side, by its name.
       reward_terms: names of a reward's parts, by agent.
+      has_strain: whether the strain of the episodes is told, too.
 
     Attributes:
       rows: (num_envs,) arrays by name, part of a saved state, never written to but
@@ -41,12 +43,14 @@ class Progress:
         seed: int,
         sides: Mapping[str, tuple[str, ...]],
         reward_terms: Mapping[str, tuple[str, ...]],
+        has_strain: bool = False,
     ):
         self._task = task
         self._xp = xp
         self._num_envs = num_envs
         self._sides = sides
         self._is_divided = len(sides) > 1
+        self._has_strain = has_strain
         self._sums = {
             agent: {name: f"{agent}: {name}" for name in names}
             for agent, names in reward_terms.items()
@@ -57,6 +61,8 @@ class Progress:
             blank |= {f"{side}: performing_steps": 0, f"{side}: first_success": -1}
         for names in self._sums.values():
             blank |= dict.fromkeys(names.values(), 0.0)
+        if has_strain:
+            blank |= strain.BLANK
         self._blank = blank
         self.rows: dict[str, Array] = {
             name: xp.full(num_envs, value, dtype=_dtype(xp, value))
@@ -176,6 +182,7 @@ class Progress:
                 "performance": xp.where(counts, share, 0.0),
                 "time_to_success": xp.where(completed, first * CONTROL_DT, xp.nan),
             }
+        told = {"strain": strain.told(rows)} if self._has_strain else {}
         return {
             **(_by_name(by_side) if self._is_divided else by_side[side]),
             "returns": returns,
@@ -183,6 +190,7 @@ class Progress:
             "reward_terms": sums,
             "episode": rows["episode"] + 0,
             "seed": rows["seed"] + 0,
+            **told,
         }
 
     def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:

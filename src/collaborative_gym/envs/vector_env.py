@@ -15,6 +15,7 @@ from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
+from collaborative_gym.envs.strain import Strain, add_strain_sensors
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
@@ -52,8 +53,9 @@ class VectorEnv:
     `ended`, and `metrics`, which describe the episode until now, and all of it where it
     `ended`: `return` (summed over agents), `returns` by agent, `completion`,
     `performance`, `length`, `time_to_success` (s, NaN if never), `reward_terms` (sums),
-    `episode` and `seed`. Performance is a share of the steps that were played, from the
-    first success on or from the start, however early the episode ended.
+    `episode` and `seed`, and where it is asked for, `strain`, of contacts, torques and
+    more, as `envs.strain` describes it. Performance is a share of the steps that were
+    played, from the first success on or from the start, however early the end.
 
     Where a task has several sides, `success` and the metrics `return`, `completion`,
     `performance` and `time_to_success` are dictionaries by side; nothing is summed over
@@ -72,6 +74,8 @@ class VectorEnv:
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
       auto_reset: whether a world goes on to its next episode by itself.
+      strain: whether to measure the strain, too; it takes some time, and changes no bit
+        of anything else.
 
     Attributes:
       task: the task.
@@ -98,21 +102,22 @@ class VectorEnv:
         seed: int = 0,
         num_threads: int = 0,
         auto_reset: bool = True,
+        strain: bool = False,
     ):
         check_kind("task", task, Task, "a task, as make_task returns it")
         num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
         num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
         seed, auto_reset = check_seed(seed), check_flag("auto_reset", auto_reset)
-        self._options = dict(
-            num_envs=num_envs, seed=seed, num_threads=num_threads, auto_reset=auto_reset
-        )
+        strain = check_flag("strain", strain)
+        self._options = dict(num_envs=num_envs, seed=seed, num_threads=num_threads)
+        self._options |= dict(auto_reset=auto_reset, strain=strain)
         # A copy of its own, so that one task may serve several environments.
         self.task = task = copy(task)
         self.num_envs = num_envs
         self.agents = task.agents
         self.substeps = SUBSTEPS
         self.control_dt = CONTROL_DT
-        self._build(num_threads)
+        self._build(num_threads, strain)
         self._process = os.getpid()
         self._lock, self._visitor = threading.RLock(), ""
         self._is_changing = False
@@ -129,14 +134,18 @@ class VectorEnv:
             seed=seed,
             sides=self.sides,
             reward_terms=self.reward_terms,
+            has_strain=strain,
         )
 
-    def _build(self, num_threads: int) -> None:
+    def _build(self, num_threads: int, strain: bool) -> None:
         """Make the worlds, and find out what the task's definition comes to."""
         task, self.scene = self.task, Scene()
         task.build(self.scene)
+        if strain:
+            add_strain_sensors(self.scene)
         self.model = self.scene.compile()
         self.sim = CpuSim(self.model, self.num_envs, num_threads)
+        self._strain = Strain(self.scene, self.sim) if strain else None
         self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
         self._controller = Controller(self.scene, self.sim, self._mode)
         task.setup(self.scene, self.sim, action_mode=self._mode)
@@ -445,12 +454,15 @@ class VectorEnv:
         controls = self._controller.command(actions)
         self.task.disturb(sim, self._progress.rows["step"])
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
-        length = self.substeps // self._shots
+        length, strain = self.substeps // self._shots, self._strain
         for start in range(0, self.substeps, length):
             try:
-                sim.step(controls[:, start : start + length])
+                records = strain.records(length) if strain else None
+                sim.step(controls[:, start : start + length], records)
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
+            if strain:
+                strain.count(self._progress.rows, ~(resting | diverged))
             if kept is not None:
                 sim.set_state(kept, idle)
             if self._watcher is not None:
@@ -458,6 +470,8 @@ class VectorEnv:
         # A sum is finite only if all its terms are, and sums are cheap.
         total = sim.xp.sum(sim.qpos, axis=1) + sim.xp.sum(sim.qvel, axis=1)
         diverged = (diverged | ~sim.xp.isfinite(total)) & ~resting
+        if strain:
+            strain.count_clearance(self._progress.rows, ~(resting | diverged))
         if sim.xp.any(diverged):
             sim.reset(diverged)
             sim.forward(diverged)

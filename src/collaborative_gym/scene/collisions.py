@@ -29,7 +29,7 @@ def set_collision_bits(
             # Fingers close around what they grip; the grip itself is a constraint.
             if geom.parent.name not in finger_bodies:
                 geom.conaffinity |= _OBJECT
-        elif not _has_joints(geom.parent):
+        elif not has_joints(geom.parent):
             geom.contype, geom.conaffinity = _FIXED, 0
         else:
             geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
@@ -38,11 +38,11 @@ def set_collision_bits(
 def is_decoration(geom: mujoco.MjsGeom) -> bool:
     """Return whether a geom is there to be seen only."""
     body = geom.parent
-    weighs = geom.mass != 0 and not body.explicitinertial and _has_joints(body)
+    weighs = geom.mass != 0 and not body.explicitinertial and has_joints(body)
     return not (geom.contype or geom.conaffinity or weighs)
 
 
-def _has_joints(body: mujoco.MjsBody) -> bool:
+def has_joints(body: mujoco.MjsBody) -> bool:
     """Return whether joints let a body move against the world."""
     while body.name != "world":
         if body.joints:

@@ -50,11 +50,13 @@ class CpuSim:
             name = model.sensor(i).name
             self._sensors[name] = self.sensordata[:, start : start + size]
 
-    def step(self, controls: Array) -> None:
-        before = self._warnings()
+    def step(self, controls: Array, records: dict[str, Array] | None = None) -> None:
+        before, records = self._warnings(), records or {}
         failed = np.zeros(self.num_envs, bool)
         try:
-            self._batch.rollout(controls.shape[1], controls, record=())
+            self._batch.rollout(
+                controls.shape[1], controls, record=tuple(records), out=records
+            )
         except batch.SimulationError as error:
             failed[error.ids] = True
         self.forward()
@@ -119,6 +121,11 @@ class CpuSim:
     def site_xmat(self) -> np.ndarray:
         """Their rotation matrices, (num_envs, nsite, 9)."""
         return self._batch.bind("site_xmat")
+
+    @property
+    def geom_xpos(self) -> np.ndarray:
+        """Positions of all geoms, (num_envs, ngeom, 3); copied out from now on."""
+        return self._batch.bind("geom_xpos")
 
     def data(self, env_id: int) -> mujoco.MjData:
         data = self._batch.get_data(env_id)

@@ -44,11 +44,14 @@ class Sim(Protocol):
     xfrc_applied: Array
     sensordata: Array
 
-    def step(self, controls: Array) -> None:
+    def step(self, controls: Array, records: dict[str, Array] | None = None) -> None:
         """Advance every world by some physics steps, then make its sensors current.
 
         Args:
           controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
+          records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
+            what each physics step found: what follows from the state is of the one
+            before it, and the state itself is of the one after it.
 
         Raises:
           SimulationDiverged: if some worlds became unstable; the others went on.

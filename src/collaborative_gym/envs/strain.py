@@ -1,0 +1,344 @@
+"""What arms do to one another, to things and to themselves, in every physics step.
+
+It is read from MuJoCo's own sensors and fields, and changes no bit of the physics. Of
+an episode is told, the greatest unless said otherwise:
+
+- `contact_depth_arms`: how deep two arms are in one another, in m.
+- `contact_depth_objects`: how deep a loose thing is in an arm, in what is fixed or in
+  another loose thing, in m.
+- `contact_depth_furniture`: how deep an arm is in what is fixed, in m.
+- `contact_force_arms`, `contact_force_objects`, `contact_force_furniture`: the net
+  force of all contacts between two of these, in N.
+- `torque_limit_share`: the share of their time that joints are at 99 % of their torque
+  limit or above, the mean over the joints.
+- `speed_over_limit`: a joint's speed over its limit.
+- `energy`: the sum over joints and physics steps of abs(torque x turn), in J. A motor
+  that brakes gives nothing back.
+- `clearance`: the least distance between two arms at the ends of control steps, in m,
+  and at most 1 m; minus their greatest depth where they touched.
+- `internal_force`: what arms spend against each other on what they hold, in N.
+- `internal_force_mean`: its mean over the time in which two arms or more hold it.
+
+Tools are parts of their arms. Shapes that cannot collide have no clearance.
+
+The internal force is our definition. Arms pull at one thing by forces f_i, in sum F. An
+arm may well bear a share of F, from nothing to all: only the distance of its f_i from
+the line between 0 and F is spent against the others, and the greatest of these counts.
+Two arms always have the same; it is 0 where both pull in one direction, and the smaller
+force where they pull in opposite ones. Other definitions (Williams and Khatib, "The
+virtual linkage", 1993) divide forces along lines between the grasps, which arms that
+grip at one point do not have.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import mujoco
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.math import Array
+from collaborative_gym.scene import Scene
+from collaborative_gym.scene.collisions import has_joints
+from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.timing import SIM_DT, SUBSTEPS
+
+_KINDS = ("arms", "objects", "furniture")
+
+_BLANK = {
+    **{f"contact_depth_{kind}": 0.0 for kind in _KINDS},
+    **{f"contact_force_{kind}": 0.0 for kind in _KINDS},
+    "torque_limit_share": 0.0,
+    "speed_over_limit": 0.0,
+    "energy": 0.0,
+    "clearance": 1.0,
+    "internal_force": 0.0,
+    "internal_force_mean": 0.0,
+}
+"""What an episode begins with; farther than that no clearance is measured."""
+
+STRAIN = tuple(_BLANK)
+"""The names of what is told, in their order."""
+
+_HELD_STEPS = "strain: held steps"
+
+BLANK = {f"strain: {name}": value for name, value in _BLANK.items()} | {_HELD_STEPS: 0}
+"""What an episode's rows begin with."""
+
+_AT_LIMIT = 0.99
+"""Share of its torque limit from which on a joint is at it."""
+
+_RECORDS = ("actuator_force", "qvel", "sensordata", "cfrc_ext", "cfrc_int")
+"""MuJoCo's fields that are read of every physics step."""
+
+_TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+_DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
+_NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
+"""What a contact sensor tells and how it makes one of many contacts: the distance of
+the deepest (`mindist`), or the force of all (`netforce`)."""
+
+_Place = tuple[mujoco.mjtObj, str]
+
+
+def add_strain_sensors(scene: Scene) -> None:
+    """Add to a scene that is not compiled yet what `Strain` reads."""
+    spec = scene.spec
+    arms, loose, fixed = _places(scene)
+    between = {
+        "arms": list(combinations(arms, 2)),
+        "objects": [*product(loose, arms + fixed), *combinations(loose, 2)],
+        "furniture": list(product(arms, fixed)),
+    }
+    for kind, pairs in between.items():
+        for i, (one, other) in enumerate(pairs):
+            _add_contact(spec, f"{kind} deep {i}", one, other, _DEEPEST)
+            _add_contact(spec, f"{kind} net {i}", one, other, _NET)
+    for site in {bond.name1 for bond in _bonds(scene)}:
+        body = spec.site(site).parent.name
+        _add_contact(spec, f"{body} net", (_BODY, body), None, _NET)
+        # Nobody reads it, but for it MuJoCo computes `cfrc_ext` and `cfrc_int`.
+        spec.add_sensor(
+            name=f"{body} force",
+            type=mujoco.mjtSensor.mjSENS_FORCE,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site,
+        )
+
+
+def _places(scene: Scene) -> tuple[list[_Place], list[_Place], list[_Place]]:
+    """Return the trees of arms, those of loose things, and the fixed bodies."""
+    arms, loose, fixed = [], [], []
+    for i, body in enumerate(scene.spec.bodies):
+        body.name = body.name or f"body {i}"
+        if body.name.split("/")[0] in scene.robots:
+            if body.parent == scene.spec.worldbody:
+                arms.append((_TREE, body.name))
+        elif not has_joints(body):
+            if any(geom.contype for geom in body.geoms):
+                fixed.append((_BODY, body.name))
+        elif not has_joints(body.parent):
+            loose.append((_TREE, body.name))
+    return arms, loose, fixed
+
+
+def _bonds(scene: Scene) -> list[mujoco.MjsEquality]:
+    """Return the constraints that bind a site of an arm to what it holds."""
+    return [
+        equality
+        for equality in scene.spec.equalities
+        if equality.objtype == mujoco.mjtObj.mjOBJ_SITE
+        and equality.name1.split("/")[0] in scene.robots
+    ]
+
+
+def _add_contact(
+    spec: mujoco.MjSpec,
+    name: str,
+    one: _Place,
+    other: _Place | None,
+    tells: tuple[int, int],
+) -> None:
+    """Add a sensor of the contacts of a body or tree with another, or with all."""
+    kind, with_name = other or (mujoco.mjtObj.mjOBJ_UNKNOWN, "")
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=one[0],
+        objname=one[1],
+        reftype=kind,
+        refname=with_name,
+        intprm=[*tells, 1],
+    )
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Something that arms can hold.
+
+    Attributes:
+      tool: its body's id, if it is a part of one arm and held by that, too.
+      bonds: of each arm that can hold it the ids of the constraint and of the hand's
+        body, and where the net force of this body's contacts is in `sensordata`.
+    """
+
+    tool: int | None
+    bonds: list[tuple[int, int, slice]]
+
+
+class Strain:
+    """Measures the strain of episodes, as this module describes it.
+
+    Args:
+      scene: the compiled scene, which had `add_strain_sensors`.
+      sim: its worlds.
+    """
+
+    def __init__(self, scene: Scene, sim: CpuSim):
+        self._sim, model = sim, sim.model
+        arms = list(scene.arms.values())
+        self._servos = np.r_[*(arm.servos for arm in arms)]
+        self._dofs = np.r_[*(arm.dof for arm in arms)]
+        self._torque = np.concatenate([arm.robot.torque_limits for arm in arms])
+        self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
+        self._depths = {kind: _columns(model, f"{kind} deep") for kind in _KINDS}
+        self._forces = {kind: _columns(model, f"{kind} net") for kind in _KINDS}
+        self._held = _held(scene, model)
+        self._pairs, self._radii = _pairs(scene, model)
+        self._data = mujoco.MjData(model)
+        self._centres = sim.geom_xpos
+        self._records: dict[str, np.ndarray] = {}
+
+    def records(self, substeps: int) -> dict[str, np.ndarray]:
+        """Return the arrays that so many physics steps are to be recorded in."""
+        if not self._records or self._records["qvel"].shape[1] != substeps:
+            self._records = {
+                name: np.zeros((self._sim.num_envs, substeps, *field.shape))
+                for name in _RECORDS
+                for field in [getattr(self._data, name)]
+            }
+        return self._records
+
+    def count(self, rows: dict[str, Array], moved: Array) -> None:
+        """Bring rows up to the physics steps that were last recorded.
+
+        Args:
+          rows: of the episodes, those of `BLANK` among them.
+          moved: (num_envs,) where these steps count.
+        """
+        sensed = self._records["sensordata"]
+        torque = np.abs(self._records["actuator_force"][:, :, self._servos])
+        speed = np.abs(self._records["qvel"][:, :, self._dofs])
+        greatest = {"speed_over_limit": speed / self._speed}
+        for kind in _KINDS:
+            if len(self._depths[kind]):
+                depth = -sensed[:, :, self._depths[kind][:, 0]]
+                greatest[f"contact_depth_{kind}"] = depth
+                force = math.norm(sensed[:, :, self._forces[kind]])
+                greatest[f"contact_force_{kind}"] = force
+        sums = {
+            "energy": math.dot(torque, speed) * SIM_DT,
+            "torque_limit_share": (torque >= _AT_LIMIT * self._torque).mean(axis=2),
+        }
+        if self._held:
+            forces = np.stack([self._internal_force(held) for held in self._held])
+            greatest["internal_force"] = sums["internal_force_mean"] = forces.max(
+                axis=0
+            )
+            is_held = np.any([self._is_held(held) for held in self._held], axis=0)
+            rows[_HELD_STEPS] += np.where(moved & is_held, speed.shape[1], 0)
+        for name, values in greatest.items():
+            row, axes = rows[f"strain: {name}"], tuple(range(1, values.ndim))
+            row[:] = np.maximum(row, np.where(moved, values.max(axis=axes), 0.0))
+        # Step by step, so that the bits do not depend on how many are recorded at once.
+        for name, values in sums.items():
+            for step in values.T:
+                rows[f"strain: {name}"][:] += np.where(moved, step, 0.0)
+
+    def _is_held(self, held: _Held) -> np.ndarray:
+        """Return where two arms or more hold a thing, (num_envs,)."""
+        bonds = [bond for bond, _, _ in held.bonds]
+        arms = (self._sim.eq_active[:, bonds] > 0).sum(axis=1)
+        return arms + (held.tool is not None) >= 2
+
+    def _internal_force(self, held: _Held) -> np.ndarray:
+        """Return what arms spend against each other on a thing, (num_envs, steps)."""
+        outer, forces = self._records["cfrc_ext"][:, :, :, 3:], []
+        sensed, active = self._records["sensordata"], self._sim.eq_active > 0
+        for bond, hand, contact in held.bonds:
+            # What a hand exerts on others by touching them, it does not by its bond.
+            force = -(outer[:, :, hand] + sensed[:, :, contact])
+            forces.append(np.where(active[:, bond, None, None], force, 0.0))
+        if held.tool is not None:
+            forces.append(self._records["cfrc_int"][:, :, held.tool, 3:])
+        return internal_force(forces)
+
+    def count_clearance(self, rows: dict[str, Array], moved: Array) -> None:
+        """Bring the rows of the clearance up to the present state; see `count`.
+
+        Most pairs of shapes are ruled out by the spheres around them.
+        """
+        least, model, data = rows["strain: clearance"], self._sim.model, self._data
+        one, other = self._pairs
+        gaps = math.distance(self._centres[:, one], self._centres[:, other])
+        gaps -= self._radii
+        nearer = (gaps < least[:, None]).any(axis=1) & (least > 0.0) & moved
+        for i in np.flatnonzero(nearer):
+            data.qpos[:] = self._sim.qpos[i]
+            mujoco.mj_kinematics(model, data)
+            for k in np.argsort(gaps[i]):
+                if gaps[i, k] >= least[i]:
+                    break
+                pair = int(one[k]), int(other[k])
+                least[i] = mujoco.mj_geomDistance(model, data, *pair, least[i], None)
+
+
+def internal_force(forces: Sequence[Array]) -> Array:
+    """Return what arms spend against each other, as this module defines it.
+
+    Args:
+      forces: of each arm on what all hold, (..., 3), in N.
+    """
+    total = np.sum(forces, axis=0)
+    square = np.maximum(math.dot(total, total), 1e-12)
+    spent = []
+    for force in forces:
+        share = np.clip(math.dot(force, total) / square, 0.0, 1.0)
+        spent.append(math.norm(force - share[..., None] * total))
+    return np.max(spent, axis=0)
+
+
+def told(rows: Mapping[str, Array]) -> dict[str, Array]:
+    """Return copies of what episodes' rows tell, by the names of `STRAIN`.
+
+    Args:
+      rows: of the episodes, those of `BLANK` and `length` among them.
+    """
+    strain = {name: rows[f"strain: {name}"] + 0.0 for name in STRAIN}
+    strain["torque_limit_share"] /= np.maximum(rows["length"], 1) * SUBSTEPS
+    strain["internal_force_mean"] /= np.maximum(rows[_HELD_STEPS], 1)
+    depth = strain["contact_depth_arms"]
+    touching = np.where(depth > 0.0, -depth, strain["clearance"])
+    strain["clearance"] = np.minimum(strain["clearance"], touching)
+    return strain
+
+
+def _columns(model: mujoco.MjModel, start: str) -> np.ndarray:
+    """Return where sensors' values are in `sensordata`, (sensors, values)."""
+    found = []
+    for i in range(model.nsensor):
+        if model.sensor(i).name.startswith(start):
+            found.append(model.sensor_adr[i] + np.arange(model.sensor_dim[i]))
+    return np.array(found)
+
+
+def _held(scene: Scene, model: mujoco.MjModel) -> list[_Held]:
+    held: dict[int, _Held] = {}
+    for equality in _bonds(scene):
+        bond = model.equality(equality.name).id
+        hand = model.body(model.site_bodyid[model.site(equality.name1).id])
+        body = int(model.site_bodyid[model.site(equality.name2).id])
+        is_tool = model.body(body).name.split("/")[0] in scene.robots
+        contact = model.sensor(f"{hand.name} net")
+        start = int(contact.adr[0])
+        thing = held.setdefault(body, _Held(body if is_tool else None, []))
+        thing.bonds.append((bond, hand.id, slice(start, start + 3)))
+    return list(held.values())
+
+
+def _pairs(scene: Scene, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return ids of shapes that can touch, (2, pairs), and their spheres' radii."""
+    agents = [model.body(int(body)).name.split("/")[0] for body in model.geom_bodyid]
+    excluded = {divmod(int(pair), 1 << 16) for pair in model.exclude_signature}
+    pairs = []
+    for one, other in combinations(range(model.ngeom), 2):
+        bodies = int(model.geom_bodyid[one]), int(model.geom_bodyid[other])
+        if (
+            {agents[one], agents[other]} <= set(scene.robots)
+            and agents[one] != agents[other]
+            and model.geom_contype[one] & model.geom_conaffinity[other]
+            and not {bodies, bodies[::-1]} & excluded
+        ):
+            pairs.append((one, other))
+    ids = np.array(pairs, int).reshape(-1, 2).T
+    return ids, model.geom_rbound[ids].sum(axis=0)
