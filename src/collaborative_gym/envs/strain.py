@@ -222,9 +222,8 @@ class Strain:
         }
         if self._held:
             forces = np.stack([self._internal_force(held) for held in self._held])
-            greatest["internal_force"] = sums["internal_force_mean"] = forces.max(
-                axis=0
-            )
+            greatest["internal_force"] = forces.max(axis=0)
+            sums["internal_force_mean"] = greatest["internal_force"]
             is_held = np.any([self._is_held(held) for held in self._held], axis=0)
             rows[_HELD_STEPS] += np.where(moved & is_held, speed.shape[1], 0)
         for name, values in greatest.items():
@@ -244,11 +243,13 @@ class Strain:
     def _internal_force(self, held: _Held) -> np.ndarray:
         """Return what arms spend against each other on a thing, (num_envs, steps)."""
         outer, forces = self._records["cfrc_ext"][:, :, :, 3:], []
-        sensed, active = self._records["sensordata"], self._sim.eq_active > 0
+        sensed, sim = self._records["sensordata"], self._sim
         for bond, hand, contact in held.bonds:
-            # What a hand exerts on others by touching them, it does not by its bond.
+            # Contacts of the hand and outer forces act on it, too.
             force = -(outer[:, :, hand] + sensed[:, :, contact])
-            forces.append(np.where(active[:, bond, None, None], force, 0.0))
+            force += sim.xfrc_applied[:, None, hand, :3]
+            is_bound = sim.eq_active[:, bond, None, None] > 0
+            forces.append(np.where(is_bound, force, 0.0))
         if held.tool is not None:
             forces.append(self._records["cfrc_int"][:, :, held.tool, 3:])
         return internal_force(forces)
