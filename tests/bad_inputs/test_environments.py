@@ -78,6 +78,12 @@ MAKE = [
     ),
     *table(
         "make",
+        "strain",
+        lambda s, v: cg.VectorEnv(s.task, 1, num_threads=1, strain=v),
+        NO_FLAG,
+    ),
+    *table(
+        "make",
         "environment",
         lambda s, v: gymnasium.make("PokeTaskSawyers-v0", env_id=v),
         ["no such", 3],

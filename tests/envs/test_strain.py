@@ -2,6 +2,7 @@
 
 from itertools import combinations
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -288,3 +289,17 @@ def test_things_without_a_name_are_measured(carry):
     base = carry()
     env = made(Crowded(tuple(base.robots.values()), base.config))
     assert played(env, lambda _: env.idle(), 2)["contact_force_furniture"].shape == (2,)
+
+
+def test_every_face_tells_the_strain_that_is_asked_for():
+    env_id = "PokeTaskSawyers-v0"
+    _, infos = cg.make(env_id, strain=True).reset(seed=0)
+    assert tuple(infos["robot_2"]["metrics"]["strain"]) == STRAIN
+    _, infos = cg.make(env_id).reset(seed=0)
+    assert "strain" not in infos["robot_2"]["metrics"]
+    _, infos = gymnasium.make(env_id, strain=True).reset(seed=0)
+    assert infos["metrics"]["strain"]["energy"] == 0.0
+    _, infos = gymnasium.make_vec(env_id, 2, strain=True).reset(seed=0)
+    assert infos["metrics"]["strain"]["energy"].tolist() == [0.0, 0.0]
+    _, infos = cg.make_vec(env_id, 2, strain=True).reset()
+    assert infos["metrics"]["strain"]["clearance"].tolist() == [1.0, 1.0]

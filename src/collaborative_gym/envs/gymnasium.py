@@ -39,6 +39,7 @@ class GymnasiumEnv(gymnasium.Env):
         environment's own.
       render_mode: "rgb_array", or None for no pictures.
       randomization: how starts are drawn, "default", "paper" or a value.
+      strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
     Attributes:
@@ -54,12 +55,15 @@ class GymnasiumEnv(gymnasium.Env):
         *,
         render_mode: str | None = None,
         randomization: str | Randomization = "default",
+        strain: bool = False,
         **settings: Any,
     ):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         task = make_task(env_id, robots, randomization, **settings)
-        self.vector_env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
+        self.vector_env = VectorEnv(
+            task, 1, num_threads=1, auto_reset=False, strain=strain
+        )
         self._agents = SingleAgent(self.vector_env)
         self.observation_space = self._agents.observation_space
         self.action_space = self._agents.action_space

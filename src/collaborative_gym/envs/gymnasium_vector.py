@@ -46,6 +46,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         (`AutoresetMode.SAME_STEP`), in the step after it, whose actions do not count
         for them (`NEXT_STEP`, as most wrappers want it), or only by
         `reset(options={"reset_mask": mask})` (`DISABLED`).
+      strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
     Raises:
@@ -68,6 +69,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         render_mode: str | None = None,
         randomization: str | Randomization = "default",
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        strain: bool = False,
         **settings: Any,
     ):
         check_render_mode(render_mode, RENDERING["render_modes"])
@@ -77,7 +79,11 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         task = make_task(env_id, robots, randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.vector_env = VectorEnv(
-            task, num_envs, num_threads=num_threads, auto_reset=is_same
+            task,
+            num_envs,
+            num_threads=num_threads,
+            auto_reset=is_same,
+            strain=strain,
         )
         self._agents = SingleAgent(self.vector_env)
         self.num_envs = num_envs

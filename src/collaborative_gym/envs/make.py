@@ -16,6 +16,7 @@ def make(
     *,
     render_mode: str | None = None,
     randomization: str | Randomization = "default",
+    strain: bool = False,
     **settings: Any,
 ) -> PettingZooEnv:
     """Return a PettingZoo parallel environment.
@@ -26,6 +27,7 @@ def make(
         environment's own.
       render_mode: "rgb_array" lets `render` return pictures.
       randomization: how starts are drawn, "default", "paper" or a value.
+      strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
     Raises:
@@ -33,7 +35,7 @@ def make(
       ValueError: if the task cannot be done with these robots.
     """
     task = make_task(env_id, robots, randomization, **settings)
-    return PettingZooEnv(task, render_mode, name=env_id)
+    return PettingZooEnv(task, render_mode, name=env_id, strain=strain)
 
 
 def make_vec(
@@ -44,6 +46,7 @@ def make_vec(
     num_threads: int = 0,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization = "default",
+    strain: bool = False,
     **settings: Any,
 ) -> VectorEnv:
     """Return many worlds of an environment.
@@ -56,6 +59,7 @@ def make_vec(
       robots: the arms in the order of the agents, by name or value; None for the
         environment's own.
       randomization: how starts are drawn, "default", "paper" or a value.
+      strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
     Raises:
@@ -63,4 +67,4 @@ def make_vec(
       ValueError: if the task cannot be done with these robots.
     """
     task = make_task(env_id, robots, randomization, **settings)
-    return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
+    return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads, strain=strain)

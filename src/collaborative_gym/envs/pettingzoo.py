@@ -36,6 +36,7 @@ class PettingZooEnv(ParallelEnv):
       task: what to do, from `make_task`.
       render_mode: "rgb_array", or None for no pictures.
       name: what the environment calls itself.
+      strain: whether to measure the strain, too; see `VectorEnv`.
 
     Raises:
       KeyError: if there is no such render mode.
@@ -50,11 +51,20 @@ class PettingZooEnv(ParallelEnv):
 
     metadata = _METADATA
 
-    def __init__(self, task: Task, render_mode: str | None = None, *, name: str = ""):
+    def __init__(
+        self,
+        task: Task,
+        render_mode: str | None = None,
+        *,
+        name: str = "",
+        strain: bool = False,
+    ):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         self.metadata = {**_METADATA, "name": name or type(task).__name__}
-        self.vector_env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
+        self.vector_env = VectorEnv(
+            task, 1, num_threads=1, auto_reset=False, strain=strain
+        )
         self.possible_agents = list(self.vector_env.agents)
         self.agents: list[str] = []
         self.observation_spaces = {**self.vector_env.single_observation_spaces}
