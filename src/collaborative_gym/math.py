@@ -24,7 +24,7 @@ def dot(a: Array, b: Array) -> Array:
 
 def norm(a: Array) -> Array:
     """Return the Euclidean length over the last axis."""
-    return array_namespace(a).sqrt(dot(a, a))
+    return dot(a, a) ** 0.5
 
 
 def distance(a: Array, b: Array) -> Array:
@@ -35,14 +35,8 @@ def distance(a: Array, b: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return the cross product of 3-vectors."""
     xp = array_namespace(a, b)
-    return xp.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
+    a, b = xp.concat([a, a], axis=-1), xp.concat([b, b], axis=-1)
+    return a[..., 1:4] * b[..., 2:5] - a[..., 2:5] * b[..., 1:4]
 
 
 def conjugate(q: Array) -> Array:
@@ -54,13 +48,13 @@ def conjugate(q: Array) -> Array:
 def multiply(p: Array, q: Array) -> Array:
     """Return the quaternion of the rotation q followed by p."""
     xp = array_namespace(p, q)
-    w = p[..., 0] * q[..., 0] - dot(p[..., 1:], q[..., 1:])
+    w = p[..., :1] * q[..., :1] - dot(p[..., 1:], q[..., 1:])[..., None]
     v = (
         p[..., :1] * q[..., 1:]
         + q[..., :1] * p[..., 1:]
         + cross(p[..., 1:], q[..., 1:])
     )
-    return xp.concat([w[..., None], v], axis=-1)
+    return xp.concat([w, v], axis=-1)
 
 
 def rotate(q: Array, v: Array) -> Array:
@@ -101,9 +95,7 @@ def rotation_vector(q: Array) -> Array:
     sine = norm(q[..., 1:])
     angle = 2.0 * xp.atan2(sine, q[..., 0])
     small = sine < 1e-9
-    scale = xp.where(
-        small, 2.0 * xp.ones_like(sine), angle / xp.where(small, 1.0, sine)
-    )
+    scale = xp.where(small, 2.0, angle / xp.where(small, 1.0, sine))
     return q[..., 1:] * scale[..., None]
 
 
@@ -113,11 +105,7 @@ def from_rotation_vector(vector: Array) -> Array:
     angle = norm(vector)
     # For a vanishing angle, sin(angle / 2) / angle is 1 / 2.
     small = angle < 1e-9
-    scale = xp.where(
-        small,
-        0.5 * xp.ones_like(angle),
-        xp.sin(angle / 2) / xp.where(small, 1.0, angle),
-    )
+    scale = xp.where(small, 0.5, xp.sin(angle / 2) / xp.where(small, 1.0, angle))
     scaled = scale[..., None] * vector
     return xp.concat([xp.cos(angle / 2)[..., None], scaled], axis=-1)
 

@@ -1,9 +1,8 @@
-import mujoco
 import numpy as np
 import pytest
 
 from collaborative_gym import motion
-from collaborative_gym.motion.solver import Chains, _quats, simulated
+from collaborative_gym.motion.solver import Chains, simulated
 from collaborative_gym.sim.cpu import CpuSim
 
 
@@ -16,18 +15,6 @@ def test_joint_change_keeps_joints_in_their_room():
     assert change[0, 0] <= 0.1
     # The other joints take over what the first cannot do.
     assert (jacobian @ change[0])[0, 0] == pytest.approx(1.0, abs=0.02)
-
-
-def test_quaternions_of_matrices_are_mujocos_to_the_bit():
-    rng = np.random.default_rng(0)
-    given = rng.normal(size=(500, 4))
-    # Half turns, where another part of the quaternion is the largest.
-    given[::2, 0] *= 1e-3
-    matrices, expected = np.zeros((500, 9)), np.zeros((500, 4))
-    for quat, matrix, found in zip(given, matrices, expected, strict=True):
-        mujoco.mju_quat2Mat(matrix, quat / np.linalg.norm(quat))
-        mujoco.mju_mat2Quat(found, matrix)
-    np.testing.assert_array_equal(_quats(matrices), expected)
 
 
 def test_chains_agree_with_the_simulation(pair):

@@ -21,15 +21,11 @@ Goal = tuple[Array, Array | None]
 """Where a tcp should be: position, and quaternion w x y z, or direction for its z axis
 that leaves the turn about it free, or None."""
 
+_STILL = np.eye(4)
+
 Kinematics = Callable[[Array, Array], tuple[Array, Array, Array]]
 """What returns, for angles (n, joints) of rows (n,), the tcps' positions (n, 3), their
 rotation matrices (n, 3, 3) and Jacobians (n, 6, joints)."""
-
-# Which entries of a rotation matrix make up its quaternion, by its largest part.
-_SIGNS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-_FIRST = np.array([[0, 7, 2, 3], [7, 0, 1, 2], [2, 1, 0, 5], [3, 2, 5, 0]])
-_SECOND = np.array([[0, 5, 6, 1], [5, 0, 3, 6], [6, 3, 0, 7], [1, 6, 7, 0]])
-_SECOND_SIGN = np.array([[0, -1, -1, -1], [-1, 0, 1, 1], [-1, 1, 0, 1], [-1, 1, 1, 0]])
 
 
 def rotation_error(quat: Array, target: Array) -> Array:
@@ -80,12 +76,11 @@ def joint_change(
     Returns:
       (n, joints) in rad.
     """
-    free = np.ones_like(lean)
-    change = np.zeros_like(lean)
+    free, change = np.ones(lean.shape), np.zeros(lean.shape)
+    damped, (lowest, highest) = damping**2 * np.eye(jacobian.shape[1]), room
     for _ in range(rounds):
         active = jacobian * free[:, None, :]
-        square = active @ active.transpose(0, 2, 1)
-        square = square + damping**2 * np.eye(square.shape[1])
+        square = active @ active.transpose(0, 2, 1) + damped
         fixed = (jacobian @ (change * (1 - free))[..., None])[..., 0]
         leaning = lean * free
         needed = error - fixed - (active @ leaning[..., None])[..., 0]
@@ -93,7 +88,7 @@ def joint_change(
         step = leaning + (active.transpose(0, 2, 1) @ solved)[..., 0]
         step = step / np.maximum(1.0, _greatest(step)[:, None] / longest)
         change = np.where(free > 0, step, change)
-        limited = np.clip(change, *room)
+        limited = np.minimum(np.maximum(change, lowest), highest)
         stays = change == limited
         if stays.all():
             break
@@ -110,19 +105,12 @@ def without_spin(jacobian: Array, error: Array, axis: Array) -> tuple[Array, Arr
 
 
 def _quats(rotation: Array) -> np.ndarray:
-    """Return quaternions of rotation matrices (n, 3, 3), the same bits as MuJoCo's."""
-    entries = rotation.reshape(-1, 9)
-    rows, diagonal = np.arange(len(entries)), entries[:, ::4]
-    trace = diagonal[:, 0] + diagonal[:, 1] + diagonal[:, 2]
-    largest = np.where(trace > 0, 0, 1 + diagonal.argmax(axis=1))
-    signed = _SIGNS[largest] * diagonal
-    root = np.sqrt(1 + signed[:, 0] + signed[:, 1] + signed[:, 2])
-    first = entries[rows[:, None], _FIRST[largest]]
-    second = _SECOND_SIGN[largest] * entries[rows[:, None], _SECOND[largest]]
-    quats = 0.25 * (first + second) / (0.5 * root)[:, None]
-    quats[rows, largest] = 0.5 * root
-    length = math.norm(quats)[:, None]
-    return np.where(np.abs(length - 1) > 1e-15, quats * (1 / length), quats)
+    """Return quaternions of rotation matrices (n, 3, 3)."""
+    quats = np.empty((len(rotation), 4))
+    # One by one is quickest for the few worlds that start together.
+    for quat, entries in zip(quats, rotation.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quat, entries)
+    return quats
 
 
 def _greatest(error: Array) -> np.ndarray:
@@ -135,7 +123,7 @@ def _all(error: Array) -> Array:
 
 
 def _nothing(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
-    return np.zeros_like(angle)
+    return np.zeros(angle.shape)
 
 
 def descend(
@@ -262,14 +250,14 @@ class Chains:
 
         def kinematics(angle: Array, rows: Array) -> tuple[Array, Array, Array]:
             turned = (angle - zero[rows])[..., None, None]
-            turns = np.eye(4) + np.sin(turned) * screws[rows]
+            turns = _STILL + np.sin(turned) * screws[rows]
             turns += (1.0 - np.cos(turned)) * squares[rows]
             # Where each joint has been brought by those before it, and the tcp by all.
-            before = np.empty_like(turns)
-            before[:, 0] = np.eye(4)
+            before = np.empty(turns.shape)
+            before[:, 0] = place = _STILL
             for i in range(1, turns.shape[1]):
-                before[:, i] = before[:, i - 1] @ turns[:, i - 1]
-            place = before[:, -1] @ turns[:, -1] @ tcp[rows]
+                before[:, i] = place = place @ turns[:, i - 1]
+            place = place @ turns[:, -1] @ tcp[rows]
             moved = before[..., :3, :3] @ lines[rows]
             axis, anchor = moved[..., 0], moved[..., 1] + before[..., :3, 3]
             lever = math.cross(axis, place[:, None, :3, 3] - anchor)

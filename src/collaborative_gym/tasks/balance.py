@@ -201,11 +201,12 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             and about z; halved until all arms reach it.
           near: by agent, angles (worlds, joints) near which to hold it.
         """
-        left, share = np.arange(len(env_ids)), np.ones((len(env_ids), 1))
-        for part in (1.0, 0.5, 0.25, 0.0):
-            share[left] = part
-            place, quat = self._board_at((share * moved)[left])
-            goals = [self._grasp(agent, place, quat) for agent in near]
+        place, quat = np.zeros((len(moved), 3)), np.zeros((len(moved), 4))
+        left = np.arange(len(moved))
+        for share in 1.0, 0.5, 0.25, 0.0:
+            there = self._board_at(share * moved[left])
+            place[left], quat[left] = there
+            goals = [self._grasp(agent, *there) for agent in near]
             starts = [angles[left] for angles in near.values()]
             angles, reached = motion.hold(self._chains, goals, near=starts)
             for agent, found in zip(near, angles, strict=True):
@@ -214,7 +215,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             left = left[~reached]
             if not len(left):
                 break
-        return self._board_at(share * moved)
+        return place, quat
 
     def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return poses of a level board that far from its nominal place."""
@@ -225,9 +226,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the tcp's pose at its handle of a board there."""
         handle_place, handle_quat = self._handle[agent]
-        worlds = np.ones_like(quat[..., :1])
-        grasp_place = place + math.rotate(quat, worlds * handle_place)
-        return grasp_place, math.multiply(quat, worlds * handle_quat)
+        grasp_place = place + math.rotate(quat, handle_place)
+        return grasp_place, math.multiply(quat, handle_quat)
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         if self.config.push > 0:
