@@ -253,6 +253,22 @@ def test_a_saved_episode_goes_on_with_its_strain():
     assert same(step(env, actions), then)
 
 
+def test_a_step_that_fails_leaves_no_strain():
+    env = made(make_task("BalanceTaskSawyers-v0"))
+    steps_of(env, 2, seed=0)
+    state = env.get_state()
+
+    def fail():
+        raise RuntimeError("of the watcher")
+
+    env.watch(fail, 2)
+    with pytest.raises(RuntimeError, match="of the watcher"):
+        env.step(env.idle())
+    env.watch(None)
+    for name, row in env.get_state().progress.items():
+        assert (row == state.progress[name]).all(), name
+
+
 def test_a_new_episode_begins_without_strain_and_a_resting_one_has_no_more(carry):
     env = made(carry(), 2, auto_reset=False)
     actions = {

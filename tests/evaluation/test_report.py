@@ -24,7 +24,8 @@ def test_statistic_of_known_values():
     assert statistic.mean == pytest.approx(110 / 7)
     assert statistic.iqm == pytest.approx(np.mean([0, 1, 2, 3, 4]))
     assert statistic.low < statistic.mean < statistic.high
-    assert Statistic.of([2.0, 2.0]) == Statistic(2.0, 2.0, 2.0, 2.0)
+    assert statistic.median == 2.0
+    assert Statistic.of([2.0, 2.0]) == Statistic(*[2.0] * 5)
     assert math.isnan(Statistic.of([math.nan]).mean)
 
 
@@ -53,10 +54,12 @@ def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
 
 
 def test_markdown_is_a_table_of_all_statistics(report):
-    head, rule, *rows = report.to_markdown().splitlines()
-    assert {line.count("|") for line in (head, rule, *rows)} == {5}
+    table, strain = report.to_markdown().split("\n\n")
+    head, rule, *rows = table.splitlines()
+    lines = [head, rule, *rows, *strain.splitlines()]
+    assert {line.count("|") for line in lines} == {6}
     cells = [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows]
-    assert [name for _, name, _, _ in cells] == [
+    assert [cell[1] for cell in cells] == [
         "return",
         "return of robot_1",
         "return of robot_2",
@@ -64,26 +67,60 @@ def test_markdown_is_a_table_of_all_statistics(report):
         "performance",
         "time to success",
     ]
-    assert cells[3] == ["Carry", "completion", "100 % (100 to 100)", "100 %"]
+    assert cells[3] == ["Carry", "completion", "100 % (100 to 100)", "100 %", "100 %"]
     own = report.returns["robot_2"]
-    assert cells[2][2:] == [format_statistic(own), f"{own.iqm:.1f}"]
-    assert cells[5][3] == f"{report.time_to_success.iqm:.1f} s"
+    assert cells[2][2:] == [
+        format_statistic(own),
+        f"{own.median:.1f}",
+        f"{own.iqm:.1f}",
+    ]
+    assert cells[5][4] == f"{report.time_to_success.iqm:.1f} s"
 
 
 def test_markdown_has_dashes_where_nothing_succeeded(carry):
     failed = cg.evaluate(carry(height=5.0), episodes=1, num_threads=1)
-    assert failed.to_markdown().endswith("| Carry | time to success | - | - |\n")
+    assert "| Carry | time to success | - | - | - |\n" in failed.to_markdown()
 
 
 @pytest.mark.parametrize(
     ("statistic", "percent", "text"),
     [
-        (Statistic(0.985, 0.965, 1.0, 1.0), True, "98.5 % (96.5 to 100)"),
-        (Statistic(0.9997, 0.9996, 1.0, 1.0), True, "100.0 % (100.0 to 100)"),
-        (Statistic(-356.88, -360.0, -350.04, 0), False, "-356.9 (-360.0 to -350.0)"),
-        (Statistic(-990.5, -1001.2, -980.5, 0), False, "-990 (-1001 to -980)"),
-        (Statistic(math.nan, math.nan, math.nan, math.nan), True, "-"),
+        (Statistic(0.985, 0.965, 1.0, 1.0, 1.0), True, "98.5 % (96.5 to 100)"),
+        (Statistic(0.9997, 0.9996, 1.0, 1.0, 1.0), True, "100.0 % (100.0 to 100)"),
+        (Statistic(-356.88, -360.0, -350.04, 0, 0), False, "-356.9 (-360.0 to -350.0)"),
+        (Statistic(-990.5, -1001.2, -980.5, 0, 0), False, "-990 (-1001 to -980)"),
+        (Statistic(*[math.nan] * 5), True, "-"),
+        (Statistic.of([0.5]), True, "50.0 %"),
     ],
 )
 def test_numbers_as_people_read_them(statistic, percent, text):
     assert format_statistic(statistic, percent=percent) == text
+
+
+def test_the_strain_is_told_as_mean_and_worst(report):
+    rows = report.episodes
+    for name, worst in report.strain.items():
+        values = [row[name] for row in rows]
+        assert worst.mean == pytest.approx(np.mean(values))
+        best = min if name == "clearance" else max
+        assert worst.worst == best(values) == rows[worst.episode][name]
+    assert report.strain["energy"].worst > report.strain["energy"].mean > 0.0
+    energy = report.strain["energy"]
+    line = f"| Carry | energy | {energy.mean:.1f} J | {energy.worst:.1f} J |"
+    assert line in report.to_markdown()
+    gap = report.strain["clearance"]
+    assert f"| clearance | {1e3 * gap.mean:.1f} mm |" in report.to_markdown()
+    told = json.loads(report.to_json())["Carry"]["strain"]["clearance"]
+    assert told == {"mean": gap.mean, "worst": gap.worst, "episode": gap.episode}
+
+
+def test_episodes_that_start_alike_are_one_without_an_interval(report):
+    again = cg.evaluate(
+        "LiftTaskSawyers-v0", "idle", episodes=3, randomization="paper", num_threads=1
+    )
+    assert again.is_one_episode and not report.is_one_episode
+    assert len(again.episodes) == 3
+    assert math.isnan(again.mean_reward.low) and math.isnan(again.completion.high)
+    assert "one deterministic episode" in again.to_markdown()
+    assert "one deterministic episode" not in report.to_markdown()
+    assert json.loads(again.to_json())["LiftTaskSawyers-v0"]["is_one_episode"] is True

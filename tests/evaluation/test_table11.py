@@ -30,7 +30,7 @@ def small(carry_id, monkeypatch):
 def report(mean_reward=0.0, completion=1.0, performance=1.0):
     """Return a report of which only the means are of interest."""
     means = (mean_reward, completion, performance, float("nan"))
-    statistics = [Statistic(mean, mean, mean, mean) for mean in means]
+    statistics = [Statistic(*[mean] * 5) for mean in means]
     return Report("", {}, {"side_1": Score(*statistics)}, {}, (), steps_per_second=1.0)
 
 
@@ -134,7 +134,7 @@ def test_json_holds_statistics_and_verdicts_but_no_episodes(small, random_networ
     assert line["passed"]["ours"] == dict.fromkeys(line["thesis"], True)
     ours = line["ours"]
     assert ours["settings"]["policy"] == "baseline"
-    assert set(ours["mean_reward"]) == {"mean", "low", "high", "iqm"}
+    assert set(ours["mean_reward"]) == {"mean", "low", "high", "iqm", "median"}
     assert set(ours["returns"]) == {"robot_1", "robot_2"}
     assert ours["time_to_success"]["mean"] is None
     assert "episodes" not in ours

@@ -140,7 +140,7 @@ class Evaluate(_World):
     def run(self) -> None:
         """Print a table and write the files."""
         from collaborative_gym import list_envs
-        from collaborative_gym.cli.tables import reports_table
+        from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.files import write_text
         from collaborative_gym.tasks.registry import as_task
@@ -173,6 +173,7 @@ class Evaluate(_World):
                     )
                 )
         tell(reports_table(reports))
+        tell(strain_table(reports))
         if self.json is not None:
             write_text(self.json, report.reports_to_json(reports))
         if self.csv is not None:

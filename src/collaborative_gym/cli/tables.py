@@ -7,7 +7,14 @@ from rich.table import Table
 from rich.text import Text
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.evaluation.report import Report, Statistic, format_statistic
+from collaborative_gym.evaluation.report import (
+    Report,
+    Statistic,
+    format_number,
+    format_statistic,
+    one_episode_notes,
+    strain_lines,
+)
 from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 
@@ -28,13 +35,15 @@ def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
 
 def reports_table(reports: Sequence[Report]) -> Table:
     """Return what evaluations found, with 95 % intervals below the means."""
-    columns = ("mean reward", "completion", "performance", "time to\nsuccess")
+    columns = "mean\nreward", "median\nreward", "completion", "performance"
+    columns += ("time to\nsuccess",)
     table = _table("environment", *columns)
     for report in reports:
         for side, score in report.sides.items():
             table.add_row(
                 report.environment + (f"\n{side}" if len(report.sides) > 1 else ""),
                 _two_lines(score.mean_reward),
+                format_number(score.mean_reward.median),
                 _two_lines(score.completion, percent=True),
                 _two_lines(score.performance, percent=True),
                 _two_lines(score.time_to_success, unit=" s"),
@@ -45,6 +54,18 @@ def reports_table(reports: Sequence[Report]) -> Table:
         f"Means over {episodes} episodes and their 95 % intervals;"
         f" {_ends(rates)} steps per second."
     )
+    table.caption = "\n".join([table.caption, *one_episode_notes(reports)])
+    return table
+
+
+def strain_table(reports: Sequence[Report]) -> Table:
+    """Return what arms did to one another, to things and to themselves."""
+    table = _table("environment", "strain", "mean", "worst", "in episode")
+    table.columns[1].justify = "left"
+    for report in reports:
+        for i, cells in enumerate(strain_lines(report)):
+            table.add_row("" if i else report.environment, *cells)
+    table.caption = "Of each episode the greatest, and the least clearance."
     return table
 
 

@@ -203,7 +203,7 @@ class Strain:
         """Bring rows up to the physics steps that were last recorded.
 
         Args:
-          rows: of the episodes, those of `BLANK` among them.
+          rows: of the episodes, those of `BLANK` among them; they are replaced.
           moved: (num_envs,) where these steps count.
         """
         sensed = self._records["sensordata"]
@@ -225,14 +225,17 @@ class Strain:
             greatest["internal_force"] = forces.max(axis=0)
             sums["internal_force_mean"] = greatest["internal_force"]
             is_held = np.any([self._is_held(held) for held in self._held], axis=0)
-            rows[_HELD_STEPS] += np.where(moved & is_held, speed.shape[1], 0)
+            held_steps = np.where(moved & is_held, speed.shape[1], 0)
+            rows[_HELD_STEPS] = rows[_HELD_STEPS] + held_steps
         for name, values in greatest.items():
-            row, axes = rows[f"strain: {name}"], tuple(range(1, values.ndim))
-            row[:] = np.maximum(row, np.where(moved, values.max(axis=axes), 0.0))
+            row, axes = f"strain: {name}", tuple(range(1, values.ndim))
+            most = np.where(moved, values.max(axis=axes), 0.0)
+            rows[row] = np.maximum(rows[row], most)
         # Step by step, so that the bits do not depend on how many are recorded at once.
         for name, values in sums.items():
+            row = f"strain: {name}"
             for step in values.T:
-                rows[f"strain: {name}"][:] += np.where(moved, step, 0.0)
+                rows[row] = rows[row] + np.where(moved, step, 0.0)
 
     def _is_held(self, held: _Held) -> np.ndarray:
         """Return where two arms or more hold a thing, (num_envs,)."""
@@ -259,7 +262,8 @@ class Strain:
 
         Most pairs of shapes are ruled out by the spheres around them.
         """
-        least, model, data = rows["strain: clearance"], self._sim.model, self._data
+        model, data = self._sim.model, self._data
+        least = rows["strain: clearance"] = rows["strain: clearance"].copy()
         one, other = self._pairs
         gaps = math.distance(self._centres[:, one], self._centres[:, other])
         gaps -= self._radii

@@ -8,9 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs.strain import STRAIN
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_count
-from collaborative_gym.evaluation.report import Report, Score, Statistic
+from collaborative_gym.evaluation.report import (
+    Report,
+    Score,
+    Statistic,
+    Worst,
+    are_one_episode,
+)
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.policies.delayed import DelayedPolicy
 from collaborative_gym.robots import Robot
@@ -76,7 +83,9 @@ def evaluate(
     task = as_task(env, robots, randomization)
     if num_envs is None:
         num_envs = math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
-    vector_env = VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)
+    vector_env = VectorEnv(
+        task, num_envs, seed=seed, num_threads=num_threads, strain=True
+    )
     with closing(vector_env):
         act = as_policy(policy, vector_env, any_env=any_env)
         for _ in range(delay):
@@ -84,6 +93,9 @@ def evaluate(
         started = time.perf_counter()
         rows, steps = _play(vector_env, act, episodes, seed, on_progress)
         duration = time.perf_counter() - started
+    # Episodes that start alike are one, of which nothing can be inferred.
+    different = rows[:1] if are_one_episode(rows) else rows
+    sides, agents = vector_env.sides, task.agents
     return Report(
         environment=task.name,
         settings={
@@ -93,10 +105,11 @@ def evaluate(
             "episodes": episodes,
             "seed": seed,
         },
-        sides={side: _score(rows, side, vector_env) for side in vector_env.sides},
-        returns={agent: _statistic(rows, f"{agent}/return") for agent in task.agents},
+        sides={side: _score(different, side, vector_env) for side in sides},
+        returns={agent: _statistic(different, f"{agent}/return") for agent in agents},
         episodes=tuple(rows),
         steps_per_second=steps * num_envs / duration,
+        strain={name: Worst.of(name, rows) for name in STRAIN},
     )
 
 
@@ -158,6 +171,8 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
         row[f"{agent}/return"] = float(total[i])
         for name, term in metrics["reward_terms"][agent].items():
             row[f"{agent}/{name}"] = float(term[i])
+    for name, values in metrics.get("strain", {}).items():
+        row[name] = float(values[i])
     return row
 
 

@@ -4,8 +4,8 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,21 +14,35 @@ _RESAMPLES = 2000
 """Draws of the bootstrap; more would change an interval by less than a tenth."""
 
 
+_STRAIN_FORMS = {
+    "contact_depth": (1e3, " mm"),
+    "clearance": (1e3, " mm"),
+    "contact_force": (1.0, " N"),
+    "internal_force": (1.0, " N"),
+    "torque_limit_share": (1e2, " %"),
+    "speed_over_limit": (1.0, ""),
+    "energy": (1.0, " J"),
+}
+"""How people read measures, by how these begin: by which factor and in which unit."""
+
+
 @dataclass(frozen=True)
 class Statistic:
     """The mean over episodes and how sure it is.
 
     Attributes:
       mean: the mean; NaN if there was no value.
-      low: lower end of the mean's 95 % bootstrap interval.
+      low: lower end of the mean's 95 % bootstrap interval; NaN for a single value.
       high: upper end of it.
       iqm: interquartile mean, that of the middle half of the values.
+      median: the middle value, which no single bad episode moves.
     """
 
     mean: float
     low: float
     high: float
     iqm: float
+    median: float
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "Statistic":
@@ -36,16 +50,39 @@ class Statistic:
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
         if not len(array):
-            return cls(math.nan, math.nan, math.nan, math.nan)
+            return cls(*[math.nan] * 5)
         # The same resamples every time, so that equal episodes give equal intervals.
         rng = np.random.default_rng(0)
         means = array[rng.integers(0, len(array), (_RESAMPLES, len(array)))].mean(
             axis=1
         )
-        low, high = np.quantile(means, (0.025, 0.975))
+        ends = np.quantile(means, (0.025, 0.975)) if len(array) > 1 else [math.nan] * 2
         cut = len(array) // 4
         middle = array[cut : len(array) - cut]
-        return cls(float(array.mean()), float(low), float(high), float(middle.mean()))
+        values = array.mean(), *ends, middle.mean(), np.median(array)
+        return cls(*map(float, values))
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A measure of the strain over episodes.
+
+    Attributes:
+      mean: of the episodes.
+      worst: of them all, the greatest, but of the clearance the least.
+      episode: the one in which it was.
+    """
+
+    mean: float
+    worst: float
+    episode: int
+
+    @classmethod
+    def of(cls, name: str, rows: Sequence[Mapping[str, Any]]) -> "Worst":
+        """Return that of the measure of this name, of episodes' rows."""
+        worst = (min if name == "clearance" else max)(rows, key=lambda row: row[name])
+        mean = float(np.mean([row[name] for row in rows]))
+        return cls(mean, worst[name], worst["episode"])
 
 
 @dataclass(frozen=True)
@@ -73,8 +110,9 @@ class Report:
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
     agent `robot_1/return` and the sum of each reward term, such as
-    `robot_1/distance`. Where the task has several sides, their names stand before what
-    each has of its own, as in `side_1/return`; nothing is summed over opponents.
+    `robot_1/distance`, and the measures of the strain. Where the task has several
+    sides, their names stand before what each has of its own, as in `side_1/return`;
+    nothing is summed over opponents.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -84,6 +122,8 @@ class Report:
       returns: of each agent's own return, by agent.
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time.
+      strain: what arms did to one another, to things and to themselves, by the names in
+        `envs.strain`.
     """
 
     environment: str
@@ -92,6 +132,12 @@ class Report:
     returns: dict[str, Statistic]
     episodes: tuple[dict[str, Any], ...]
     steps_per_second: float
+    strain: dict[str, Worst] = field(default_factory=dict)
+
+    @property
+    def is_one_episode(self) -> bool:
+        """Whether all episodes are the same one, because they start alike."""
+        return len(self.episodes) > 1 and are_one_episode(self.episodes)
 
     @property
     def mean_reward(self) -> Statistic:
@@ -127,7 +173,14 @@ class Report:
         scores = {side: asdict(score) for side, score in self.sides.items()}
         own = next(iter(scores.values())) if len(scores) == 1 else {"sides": scores}
         returns = {agent: asdict(own) for agent, own in self.returns.items()}
-        return {"settings": self.settings, **own, "returns": returns}
+        strain = {name: asdict(worst) for name, worst in self.strain.items()}
+        return {
+            "settings": self.settings,
+            "is_one_episode": self.is_one_episode,
+            **own,
+            "returns": returns,
+            "strain": strain,
+        }
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN."""
@@ -140,6 +193,11 @@ class Report:
     def to_markdown(self) -> str:
         """Return the statistics as a Markdown table."""
         return reports_to_markdown([self])
+
+
+def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether rows differ by the episode's number alone."""
+    return len({repr({**row, "episode": 0}) for row in rows}) == 1
 
 
 def reports_to_json(reports: Sequence[Report]) -> str:
@@ -172,10 +230,11 @@ def reports_to_csv(reports: Sequence[Report]) -> str:
 
 
 def reports_to_markdown(reports: Sequence[Report]) -> str:
-    """Return a Markdown table, one line for each environment and measure."""
+    """Return Markdown tables, one line for each environment and measure."""
     lines = [
-        "| environment | measure | mean (95 % interval) | interquartile mean |",
-        "|---|---|---|---|",
+        "| environment | measure | mean (95 % interval) | median"
+        " | interquartile mean |",
+        "|---|---|---|---|---|",
     ]
     for report in reports:
         measures = [
@@ -193,10 +252,47 @@ def reports_to_markdown(reports: Sequence[Report]) -> str:
                 report.environment,
                 name,
                 format_statistic(statistic, percent=percent, unit=unit),
+                format_number(statistic.median, percent=percent, unit=unit),
                 format_number(statistic.iqm, percent=percent, unit=unit),
             )
             lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", *strain_rows(reports)]
+    lines += [line for note in one_episode_notes(reports) for line in ("", note)]
     return "\n".join(lines) + "\n"
+
+
+def strain_rows(reports: Sequence[Report]) -> list[str]:
+    """Return the lines of a Markdown table of the strain."""
+    lines = [
+        "| environment | strain | mean | worst | in episode |",
+        "|---|---|---|---|---|",
+    ]
+    for report in reports:
+        for cells in strain_lines(report):
+            lines.append(f"| {report.environment} | {' | '.join(cells)} |")
+    return lines
+
+
+def one_episode_notes(reports: Sequence[Report]) -> list[str]:
+    """Return a sentence for each report whose episodes are all the same one."""
+    return [
+        f"{report.environment}: one deterministic episode; all"
+        f" {len(report.episodes)} start alike, and there is no interval."
+        for report in reports
+        if report.is_one_episode
+    ]
+
+
+def strain_lines(report: Report) -> list[list[str]]:
+    """Return what people read of the strain: measure, mean, worst and its episode."""
+    lines = []
+    for name, worst in report.strain.items():
+        factor, unit = next(
+            form for start, form in _STRAIN_FORMS.items() if name.startswith(start)
+        )
+        cells = (f"{factor * value:.1f}{unit}" for value in (worst.mean, worst.worst))
+        lines.append([name.replace("_", " "), *cells, str(worst.episode)])
+    return lines
 
 
 def _measures(
@@ -221,6 +317,8 @@ def format_statistic(
 ) -> str:
     """Return a mean and its interval for people, such as `98.0 % (95.0 to 100)`.
 
+    A single value has no interval.
+
     Args:
       statistic: what to tell.
       percent: whether it is a share from 0 to 1.
@@ -228,11 +326,16 @@ def format_statistic(
     """
     if math.isnan(statistic.mean):
         return "-"
-    digits = 1 if percent or max(abs(statistic.low), abs(statistic.high)) < 1000 else 0
+    ends = [statistic.low, statistic.high]
+    if math.isnan(statistic.low):
+        ends = [statistic.mean]
+    digits = 1 if percent or max(map(abs, ends)) < 1000 else 0
     mean = format_number(statistic.mean, percent=percent, unit=unit, digits=digits)
+    if len(ends) == 1:
+        return mean
     low, high = (
         format_number(end, percent=percent, digits=digits).removesuffix(" %")
-        for end in (statistic.low, statistic.high)
+        for end in ends
     )
     return f"{mean} ({low} to {high})"
 

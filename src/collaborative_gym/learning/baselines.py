@@ -10,7 +10,11 @@ from typing import Any, Protocol
 from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.machine import describe_machine
-from collaborative_gym.evaluation.report import format_statistic
+from collaborative_gym.evaluation.report import (
+    format_number,
+    format_statistic,
+    strain_rows,
+)
 from collaborative_gym.files import replacing, write_text
 from collaborative_gym.learning.config import (
     Hyperparameters,
@@ -188,13 +192,17 @@ def write_card(
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
-        f"{_EPISODES} episodes of seed {_SEED} each; means, 95 % bootstrap intervals.",
+        f"{_EPISODES} episodes of seed {_SEED} each; means, 95 % bootstrap intervals."
+        " Where starts are all the same there is one deterministic episode, and no"
+        " interval.",
         "",
-        "| seed | steps | time | start | mean reward | completion | performance |"
-        " time to success |",
-        "|---|---|---|---|---|---|---|---|",
+        "| seed | steps | time | start | mean reward | median | completion |"
+        " performance | time to success |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [row for each in candidates for row in _rows(each, each is best)]
+    lines += ["", "The strain of the shipped one on `default`:", ""]
+    lines += strain_rows([best.reports["default"]])
     return "\n".join(lines) + "\n"
 
 
@@ -207,6 +215,7 @@ def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
             f"{candidate.result.seconds / 60:.0f} min",
             preset,
             format_statistic(report.mean_reward),
+            format_number(report.mean_reward.median),
             format_statistic(report.completion, percent=True),
             format_statistic(report.performance, percent=True),
             format_statistic(report.time_to_success, unit=" s"),
