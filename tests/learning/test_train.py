@@ -267,7 +267,6 @@ def test_a_folder_with_a_run_is_not_overwritten(train_tiny, hashes, tmp_path):
     [
         ({"mode": "alone"}, ValueError, "no mode 'alone'; modes: centralized"),
         ({"backend": "jax"}, ValueError, "no backend 'jax'; backends: ray, skrl"),
-        ({"backend": "rllib"}, ValueError, "'ray' collects on many machines"),
         ({"seed": -1}, ValueError, "seed must be at least 0"),
         ({"seed": 1 << 40}, ValueError, "a training seed must be below 2"),
         ({"resources": Resources(device="gpu")}, ValueError, "give cpu or cuda"),

@@ -121,7 +121,7 @@ class Train(Command):
         envs, own = self.envs, None
         if self.resume is not None:
             settings = Checkpoint.load(self.resume / LAST).settings
-            envs = envs or (settings.environment,)
+            envs = envs or (settings.identity.name,)
             own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name one environment to train, or pass --all")

@@ -94,17 +94,11 @@ def train_baselines(
     """
     if not seeds:
         raise ValueError("give at least one seed")
-    changes = {} if changes is None else changes
-    check_kind("changes", changes, Mapping, "a mapping, or None")
-    for name in changes:
-        look_up("hyperparameter", name, vars(Hyperparameters()))
-    for env_id in env_ids:
-        as_task(env_id)  # An unknown one shows before the work.
+    recipes = _recipes(env_ids, changes)
     output = Path(output)
     resources = resources or Resources()
-    for env_id in env_ids:
+    for env_id, hyperparameters in recipes.items():
         candidates = []
-        hyperparameters = replace(recipe(env_id), **changes)
         for seed in seeds:
             folder = output / env_id / f"seed{seed}"
             is_there = (folder / LAST).exists()
@@ -125,6 +119,19 @@ def train_baselines(
                 Candidate(seed, result, _measure(env_id, result, resources))
             )
         yield _ship(env_id, candidates, output, resources)
+
+
+def _recipes(
+    env_ids: Sequence[str], changes: Mapping[str, Any] | None
+) -> dict[str, Hyperparameters]:
+    """Return how each environment is learned; what is wrong shows before the work."""
+    changes = {} if changes is None else changes
+    check_kind("changes", changes, Mapping, "a mapping, or None")
+    for name in changes:
+        look_up("hyperparameter", name, vars(Hyperparameters()))
+    for env_id in env_ids:
+        as_task(env_id)
+    return {env_id: replace(recipe(env_id), **changes) for env_id in env_ids}
 
 
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:

@@ -6,8 +6,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from collaborative_gym.errors import check_count, check_kind, check_number
+from collaborative_gym.errors import MOST_THREADS, check_count, check_kind
 from collaborative_gym.policies.network import check_activation
+from collaborative_gym.tasks.settings import bounded, check_settings
 
 Mode = Literal["collaborative", "independent", "shared", "centralized"]
 """Who learns what.
@@ -81,40 +82,36 @@ class Hyperparameters:
       validation_episodes: episodes of a validation, with the deterministic policy.
     """
 
-    total_steps: int = 3_000_000
-    num_envs: int = 256
-    rollout_steps: int = 32
-    epochs: int = 5
-    minibatch_size: int = 2048
-    discount: float = 0.97
-    gae_lambda: float = 0.95
-    clip: float = 0.2
-    entropy: float = 0.0
-    value_weight: float = 1.0
-    max_grad_norm: float = 1.0
-    learning_rate: float = 1e-3
-    target_kl: float = 0.012
-    min_learning_rate: float = 1e-5
-    max_learning_rate: float = 3e-3
-    initial_std: float = 0.2
-    initial_grip_std: float = 0.3
-    grip_limit: float = 0.0
-    grip_persistence: float = 0.9
-    assistance: float = 0.0
-    torque_penalty: float = 0.0
-    change_penalty: float = 0.0
-    delayed: float = 0.0
+    total_steps: int = bounded(3_000_000, 1, 10**15)
+    num_envs: int = bounded(256, 1, 10**6)
+    rollout_steps: int = bounded(32, 1, 10**6)
+    epochs: int = bounded(5, 1, 10**6)
+    minibatch_size: int = bounded(2048, 1, 10**9)
+    discount: float = bounded(0.97, 0.0, 1.0)
+    gae_lambda: float = bounded(0.95, 0.0, 1.0)
+    clip: float = bounded(0.2, 1e-3, 1.0)
+    entropy: float = bounded(0.0, 0.0, 1.0)
+    value_weight: float = bounded(1.0, 0.0, 1e3)
+    max_grad_norm: float = bounded(1.0, 0.0, 1e6)
+    learning_rate: float = bounded(1e-3, 0.0, 1.0)
+    target_kl: float = bounded(0.012, 0.0, 10.0)
+    min_learning_rate: float = bounded(1e-5, 0.0, 1.0)
+    max_learning_rate: float = bounded(3e-3, 0.0, 1.0)
+    initial_std: float = bounded(0.2, 1e-3, 7.0)
+    initial_grip_std: float = bounded(0.3, 1e-3, 7.0)
+    grip_limit: float = bounded(0.0, 0.0, 100.0)
+    grip_persistence: float = bounded(0.9, 0.0, 0.999)
+    assistance: float = bounded(0.0, 0.0, 1.0)
+    torque_penalty: float = bounded(0.0, 0.0, 1e3)
+    change_penalty: float = bounded(0.0, 0.0, 1e3)
+    delayed: float = bounded(0.0, 0.0, 1.0)
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
-    validation_interval: int = 250_000
-    validation_episodes: int = 64
+    validation_interval: int = bounded(250_000, 0, 10**15)
+    validation_episodes: int = bounded(64, 1, 10**6)
 
     def __post_init__(self):
-        for name, (low, high) in _COUNTS.items():
-            self._keep(name, check_count(name, getattr(self, name), low, high))
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            self._keep(name, check_number(name, value, at_least=low, at_most=high))
+        check_settings(self)
         sizes, a = self.hidden_sizes, "a sequence of integers, such as (256, 256)"
         check_kind("hidden_sizes", sizes, (tuple, list), a)
         checked = tuple(
@@ -122,7 +119,7 @@ class Hyperparameters:
         )
         if not checked:
             raise ValueError(f"hidden_sizes must name at least one layer, got {sizes}")
-        self._keep("hidden_sizes", checked)
+        object.__setattr__(self, "hidden_sizes", checked)
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"
@@ -130,11 +127,6 @@ class Hyperparameters:
             )
         check_kind("activation", self.activation, str, "a name, such as 'relu'")
         check_activation(self.activation)
-
-    def _keep(self, name: str, checked: Any) -> None:
-        """Set a field to what a file can hold, unless it is that already."""
-        if not isinstance(getattr(self, name), type(checked)):
-            object.__setattr__(self, name, checked)
 
     def first_std(self, is_grip: np.ndarray) -> np.ndarray:
         """Return the standard deviation of each component of the first actions."""
@@ -148,41 +140,6 @@ class Hyperparameters:
     def steps_per_update(self) -> int:
         """Environment steps between two updates."""
         return self.num_envs * self.rollout_steps
-
-
-_COUNTS = {
-    "total_steps": (1, 10**15),
-    "num_envs": (1, 10**6),
-    "rollout_steps": (1, 10**6),
-    "epochs": (1, 10**6),
-    "minibatch_size": (1, 10**9),
-    "validation_interval": (0, 10**15),
-    "validation_episodes": (1, 10**6),
-}
-
-_RANGES = {
-    "discount": (0.0, 1.0),
-    "gae_lambda": (0.0, 1.0),
-    "clip": (1e-3, 1.0),
-    "entropy": (0.0, 1.0),
-    "value_weight": (0.0, 1e3),
-    "max_grad_norm": (0.0, 1e6),
-    "learning_rate": (0.0, 1.0),
-    "target_kl": (0.0, 10.0),
-    "min_learning_rate": (0.0, 1.0),
-    "max_learning_rate": (0.0, 1.0),
-    "initial_std": (1e-3, 7.0),
-    "initial_grip_std": (1e-3, 7.0),
-    "grip_limit": (0.0, 100.0),
-    "grip_persistence": (0.0, 0.999),
-    "assistance": (0.0, 1.0),
-    "torque_penalty": (0.0, 1e3),
-    "change_penalty": (0.0, 1e3),
-    "delayed": (0.0, 1.0),
-}
-
-_MOST_THREADS = 1024
-"""More than machines have, and so few that they can be started."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,15 +159,14 @@ class Resources:
     """
 
     device: str = "cpu"
-    num_threads: int = 0
-    torch_threads: int = 1
-    num_collectors: int = 0
+    num_threads: int = bounded(0, 0, MOST_THREADS)
+    torch_threads: int = bounded(1, 0, MOST_THREADS)
+    num_collectors: int = bounded(0, 0, MOST_THREADS)
     ray_address: str | None = None
 
     def __post_init__(self):
         check_kind("device", self.device, str, "a name, cpu or cuda")
-        for name in ("num_threads", "torch_threads", "num_collectors"):
-            check_count(name, getattr(self, name), 0, _MOST_THREADS)
+        check_settings(self)
         if self.ray_address is not None:
             check_kind("ray_address", self.ray_address, str, "a text, or None")
 

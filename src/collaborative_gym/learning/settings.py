@@ -42,20 +42,15 @@ class Settings:
     hyperparameters: Hyperparameters
 
     @property
-    def environment(self) -> str:
-        """The environment's id, or the task's name."""
-        return self.identity.name
-
-    @property
     def folder(self) -> Path:
         """Where the run goes unless told otherwise."""
-        return Path("runs", f"{self.environment}-{self.mode}-seed{self.seed}")
+        return Path("runs", f"{self.identity.name}-{self.mode}-seed{self.seed}")
 
     @property
     def title(self) -> str:
         """What to call the run."""
         robots = ", ".join(self.identity.robot_names)
-        return f"{self.environment} ({robots}), {self.mode}, seed {self.seed}"
+        return f"{self.identity.name} ({robots}), {self.mode}, seed {self.seed}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""
@@ -115,10 +110,6 @@ def settle(
         action_sizes=sizes.action,
         hyperparameters=hyperparameters or recipe(task.name),
     )
-    if settings.backend == "rllib":
-        raise ValueError(
-            "there is no backend 'rllib' any more; 'ray' collects on many machines"
-        )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 try:
     import skrl  # noqa: F401  # Shows here what is missing.
@@ -82,20 +83,13 @@ def train(
     """
     resources = Resources() if resources is None else resources
     _check(resources, checkpoint_interval, on_row)
+    if output is not None and resume is not None:
+        raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
-        started = None
+        folder = started = None
         if resume is not None:
-            if output is not None:
-                raise ValueError("give either output, for a new run, or resume")
-            folder = _folder("resume", resume)
-            stack.enter_context(claimed(folder, LAST))
-            started = Checkpoint.load(folder / LAST)
-            if not isinstance(env, Task):
-                own = started.settings.identity
-                robots = own.robot_names if robots is None else robots
-                if randomization is None:
-                    randomization = Randomization(**own.config["randomization"])
-        task = as_task(env, robots, randomization)
+            folder, started = _resume(resume, stack)
+        task = _task(env, started, robots=robots, randomization=randomization)
         settings = settle(
             task,
             None if started is None else started.settings,
@@ -104,10 +98,7 @@ def train(
             backend=backend,
             hyperparameters=hyperparameters,
         )
-        if started is None:
-            folder = _folder("output", settings.folder if output is None else output)
-            stack.enter_context(claimed(folder))
-            _begin(folder, settings)
+        folder = folder or _begin(settings, output, stack)
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
         pressed = stack.enter_context(ctrl_c())
@@ -141,14 +132,36 @@ def _folder(name: str, given: str | Path) -> Path:
     return Path(given)
 
 
-def _begin(folder: Path, settings: Settings) -> None:
-    """Write what a new run is started with, unless there is a run already."""
+def _resume(resume: str | Path, stack: ExitStack) -> tuple[Path, Checkpoint]:
+    """Return the folder of a run that goes on, which is claimed, and its checkpoint."""
+    folder = _folder("resume", resume)
+    stack.enter_context(claimed(folder, LAST))
+    return folder, Checkpoint.load(folder / LAST)
+
+
+def _task(
+    env: str | Task, started: Checkpoint | None, *, robots: Any, randomization: Any
+) -> Task:
+    """Return what to learn; a run that goes on knows its own arms and starts."""
+    if started is not None and not isinstance(env, Task):
+        own = started.settings.identity
+        robots = own.robot_names if robots is None else robots
+        if randomization is None:
+            randomization = Randomization(**own.config["randomization"])
+    return as_task(env, robots, randomization)
+
+
+def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:
+    """Claim a new run's folder, unless there is a run already, and return it."""
+    folder = _folder("output", settings.folder if output is None else output)
+    stack.enter_context(claimed(folder))
     if (folder / LAST).exists():
         raise FileExistsError(
             f"there is a run in {folder} already; go on with it (--resume), or choose"
             " another output"
         )
     write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")
+    return folder
 
 
 @contextmanager

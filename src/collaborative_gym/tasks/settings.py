@@ -26,12 +26,12 @@ def check_settings(settings: Any) -> None:
     for option in fields(settings):
         name, kind = option.name, type(option.default)
         given = getattr(settings, name)
-        if option.metadata and not (given is option.default is None):
+        if kind is int:
+            number = check_count(
+                name, given, **(option.metadata or {"at_least": -(2**63)})
+            )
+        elif kind is float or (option.metadata and given is not None):
             number = check_number(name, given, **option.metadata)
-        elif kind is float:
-            number = check_number(name, given)
-        elif kind is int:
-            number = check_count(name, given, at_least=-(2**63))
         elif kind is bool:
             number = check_flag(name, given)
         else:
