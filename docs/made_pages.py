@@ -19,6 +19,10 @@ import griffe
 import numpy as np
 
 import collaborative_gym as cg
+from collaborative_gym.certificate.report import (
+    Certificate,
+    certificates_to_markdown,
+)
 from collaborative_gym.cli.main import main
 from collaborative_gym.policies.policy import BASELINES
 from collaborative_gym.tasks.registry import EnvSpec, get_env
@@ -31,6 +35,7 @@ COMMANDS = (
     "train",
     "evaluate",
     "reproduce",
+    "certify",
     "benchmark",
     "demo",
 )
@@ -58,9 +63,9 @@ def made_pages() -> dict[str, str]:
 def expanded(markdown: str) -> str:
     """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
 
-    That is `arms`; a file of the repository, such as `CHANGELOG.md`; a section of one,
-    such as `README.md, Speed`; or lines of Python, such as `examples/it.py:1:11`. Links
-    in it are made to be from `docs/`.
+    That is `arms` or `certificates`; a file of the repository, such as `CHANGELOG.md`;
+    a section of one, such as `README.md, Speed`; or lines of Python, such as
+    `examples/it.py:1:11`. Links in it are made to be from `docs/`.
 
     Raises:
       FileNotFoundError: if there is no such file.
@@ -79,6 +84,8 @@ def python_lines(what: str) -> str:
 def _put(what: str) -> str:
     if what == "arms":
         return _arms()
+    if what == "certificates":
+        return _certificates()
     if ":" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -255,6 +262,12 @@ def _arms() -> str:
     ]
     columns = "name", "arm", "joints", "payload", "reach", "stands on", "fingers, open"
     return "\n\n".join((_table(columns, rows), *map(_arm, robots)))
+
+
+def _certificates() -> str:
+    """Return the table of the certificates that are shipped."""
+    paths = sorted((ROOT / "docs" / "certificates").glob("*.json"))
+    return certificates_to_markdown([Certificate.load(path) for path in paths])
 
 
 def _arm(robot: cg.Robot) -> str:

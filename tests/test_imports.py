@@ -27,6 +27,7 @@ ROOMS = [
     {"policies"},
     {"evaluation"},
     {"learning"},
+    {"certificate"},
     {"pictures.recording"},
     {"viewer"},
     {"testing"},

@@ -34,6 +34,8 @@ from collaborative_gym.tasks.task import (  # noqa: E402
 )
 
 if TYPE_CHECKING:
+    from collaborative_gym.certificate.budget import Budget
+    from collaborative_gym.certificate.certify import certify
     from collaborative_gym.evaluation import Report, evaluate
     from collaborative_gym.learning.config import Hyperparameters
     from collaborative_gym.learning.train import train
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEVEL",
+    "Budget",
     "EnvSpec",
     "Gripper",
     "Hyperparameters",
@@ -53,6 +56,7 @@ __all__ = [
     "Task",
     "TaskConfig",
     "VectorEnv",
+    "certify",
     "evaluate",
     "get_robot",
     "list_envs",
@@ -70,8 +74,10 @@ __all__ = [
 
 # Imported on first use, so that `import collaborative_gym` stays quick.
 _LATER = {
+    "Budget": "collaborative_gym.certificate.budget",
     "Hyperparameters": "collaborative_gym.learning.config",
     "Report": "collaborative_gym.evaluation",
+    "certify": "collaborative_gym.certificate.certify",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
     "train": "collaborative_gym.learning.train",

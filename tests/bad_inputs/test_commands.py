@@ -11,6 +11,7 @@ from collaborative_gym.learning.config import Hyperparameters
 
 EVALUATE = "evaluate Poke --policy random --episodes 1 --num-threads 1"
 TRAIN = "train Poke --output {folder}/run --total-steps 32 --num-envs 2"
+CERTIFY = "certify Poke --output {folder}"
 RECORD = "record Poke --policy random --output {folder}/film.gif --size 32 32"
 
 NO_INTEGERS = ("two", "1.5", "nan", "-1")
@@ -47,6 +48,15 @@ OPTIONS = [
     (TRAIN, "--activation", ("gelu", "")),
     (TRAIN, "--seeds", ("0 1", "x")),
     (TRAIN, "--resume", ("nowhere",)),
+    (CERTIFY, "--episodes", (*NO_INTEGERS, "0", "99999999999999999999")),
+    (CERTIFY, "--fractions", ("a", "0", "1", "nan", "0.5 2")),
+    (CERTIFY, "--candidates", (*NO_INTEGERS, "0")),
+    (CERTIFY, "--rounds", (*NO_INTEGERS, "0")),
+    (CERTIFY, "--ppo-steps", NO_INTEGERS),
+    (CERTIFY, "--seed", (*NO_INTEGERS, "9999999999999999")),
+    (CERTIFY, "--num-threads", (*NO_INTEGERS, "1000000")),
+    (CERTIFY, "--randomization", ("papr", "")),
+    (CERTIFY, "--robots", ("panda", "panda x")),
     ("benchmark Poke", "--num-envs", (*NO_INTEGERS, "0")),
     ("benchmark Poke", "--num-threads", NO_INTEGERS),
     ("reproduce table11 --output {folder}", "--episodes", (*NO_INTEGERS, "0")),
@@ -85,6 +95,10 @@ WHOLE = [
     ("train --all --seed 1", "seed"),
     ("train Poke --output {folder}/a --resume {folder}/b", "{folder}/b"),
     ("benchmark Lif", "Lif"),
+    ("certify", "environment"),
+    ("certify Lif", "Lif"),
+    ("certify --all Poke", "not both"),
+    ("certify Poke --quick --episodes 3", "--quick"),
     ("reproduce", "TABLE"),
     ("reproduce table12", "table12"),
     ("list Poke", "Poke"),
@@ -98,6 +112,7 @@ CANNOT = [
     (RECORD + " --output /proc/film.gif", "/proc/film.gif"),
     ("benchmark Poke --json {folder}", "{folder}"),
     ("reproduce table11 --output /dev/null", "/dev/null"),
+    ("certify Poke --quick --output /dev/null", "/dev/null"),
     ("demo --output /dev/null", "/dev/null"),
 ]
 

@@ -5,9 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from judging import Case, accepted, fault, table
-from values import NO_COUNT, NO_NAME, NO_NUMBER, NO_PATH, THING
+from values import NO_COUNT, NO_NAME, NO_NUMBER, NO_NUMBERS, NO_PATH, THING
 
 import collaborative_gym as cg
+from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.evaluation.speed import benchmark
 from collaborative_gym.evaluation.table11 import reproduce_table11
 from collaborative_gym.learning.baselines import train_baselines
@@ -74,6 +75,18 @@ def _evaluate(name):
     return call
 
 
+def _certify(name):
+    def call(shared, value):
+        given = {"env": "Poke", "budget": QUICK, "num_threads": 1}
+        cg.certify(**{**given, "on_progress": accepted, name: value})
+
+    return call
+
+
+def _budget(name):
+    return lambda shared, value: cg.Budget(**{name: value})
+
+
 def _played(shared, value):
     """Play a policy that returns the value."""
     cg.evaluate("Poke", policy=lambda observations: value, episodes=1, num_threads=1)
@@ -104,6 +117,18 @@ EVALUATE = [
     *table(
         "evaluate", "agent", _evaluate("policy"), [{}, {"robot_9": "idle"}, {3: "idle"}]
     ),
+    *table("certify", "environment", _certify("env"), NO_NAME, [None]),
+    *table("certify", "budget", _certify("budget"), [3, "quick", {}, THING]),
+    *table("certify", "seed", _certify("seed"), NO_COUNT, [-1, None, 2**41]),
+    *table("certify", "num_threads", _certify("num_threads"), NO_COUNT, [-1, 2**63]),
+    *table("certify", "robots", _certify("robots"), NO_ROBOTS),
+    *table("certify", "randomization", _certify("randomization"), NO_RANDOMIZATION),
+    *table("certify", "output", _certify("output"), NO_PATH),
+    *table("certify", "on_trial", _certify("on_trial"), NO_CALLBACK),
+    *table("certify", "on_progress", _certify("on_progress"), NO_CALLBACK),
+    *table("Budget", "episodes", _budget("episodes"), NO_COUNT, [0, -1, None]),
+    *table("Budget", "ppo_steps", _budget("ppo_steps"), NO_COUNT, [-1, None]),
+    *table("Budget", "fractions", _budget("fractions"), NO_NUMBERS, [(0,), (1, 2)]),
     *table("evaluate", "on_progress", _evaluate("on_progress"), NO_CALLBACK),
     *table(
         "table11",

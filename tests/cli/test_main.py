@@ -92,6 +92,21 @@ def test_reproduce_prints_the_table_and_writes_files(
     assert len(list(folder.iterdir())) == 2
 
 
+def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_path):
+    arguments = ["certify", carry_id, "--quick", "--num-threads", "1", "--output"]
+    assert main([*arguments, str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line for line in lines if line.startswith(f"{carry_id}, robot_")]
+    assert len(told) == 18 and "robot_1 idle, expert: " in told[0]
+    assert max(map(len, lines[len(told) : -2])) <= 80
+    assert lines[-1] == f"wrote {tmp_path / 'certificates.md'}"
+    content = json.loads((tmp_path / carry_id / "certificate.json").read_text())
+    assert len(content["trials"]) == 18
+    assert carry_id in (tmp_path / "certificates.md").read_text()
+    assert main([*arguments, str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines() == lines[len(told) :]
+
+
 def test_record_writes_the_video(carry_id, capsys, tmp_path):
     file = tmp_path / "a.gif"
     size = ["--size", "64", "48"]
@@ -119,6 +134,10 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
         ("evaluate Carry --randomization none", "default, paper"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
         ("record Carry --output a.avi", ".gif, .mp4"),
+        ("certify", "name the environments to certify, or pass --all"),
+        ("certify Cary", "did you mean 'Carry'?"),
+        ("certify Carry --episodes 0", "episodes must be at least 1"),
+        ("certify Carry --quick --rounds 3", "--quick has a budget of its own"),
         ("reproduce table12", "no table 'table12'; tables: table11"),
         ("benchmark Cary", "did you mean 'Carry'?"),
     ],
@@ -182,14 +201,15 @@ def test_version_is_that_of_the_package(capsys):
 
 
 def test_environments_are_optional_where_help_says_so(capsys):
-    for command in ("evaluate", "benchmark", "train"):
+    for command in ("evaluate", "certify", "benchmark", "train"):
         with pytest.raises(SystemExit, match="0"):
             main([command, "--help"])
         assert " [ENV ...]" in capsys.readouterr().out.splitlines()[0]
 
 
 @pytest.mark.parametrize(
-    "command", ["", "record", "evaluate", "reproduce", "view", "benchmark", "train"]
+    "command",
+    ["", "record", "evaluate", "certify", "reproduce", "view", "benchmark", "train"],
 )
 def test_help_fits_a_terminal(capsys, command):
     with pytest.raises(SystemExit, match="0"):

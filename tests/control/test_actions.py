@@ -48,6 +48,10 @@ def test_idle_robots_hold_still_and_grip_nothing(env):
         assert action.shape == (2, *env.single_action_spaces[agent].shape)
         assert not moves.any()
         assert not grips.any()
+    closed = env.idle(grips={"robot_1": np.array([True, False]), "robot_2": True})
+    assert closed["robot_1"][:, -1].tolist() == [1.0, -1.0]
+    assert closed["robot_2"][:, -1].tolist() == [1.0, 1.0]
+    assert not closed["robot_1"][:, :-1].any()
     still = JointChanges(env.scene.arms, gripping=False).idle(3)["robot_1"]
     assert still.tolist() == np.zeros((3, 7)).tolist()
 

@@ -70,7 +70,10 @@ def test_policies_play_a_pettingzoo_environment(carry_id, name):
 
 
 def test_unknown_policy_names_the_nearest(make_env):
-    with pytest.raises(KeyError, match=r"expert, idle, random \(did you mean 'expert'"):
+    with pytest.raises(
+        KeyError,
+        match=r"expert, frozen, gripping, idle, random \(did you mean 'expert'",
+    ):
         load_policy("exprt", make_env())
 
 
@@ -184,7 +187,7 @@ def test_what_is_missing_is_named(make_env, tmp_path):
         load_policy(tmp_path)
     with pytest.raises(FileNotFoundError, match="no policy file runs/nowhere"):
         load_policy("runs/nowhere")
-    for name in ("baseline", "expert", "idle", "random"):
+    for name in ("baseline", "expert", "frozen", "gripping", "idle", "random"):
         with pytest.raises(TypeError, match=f"'{name}' needs an environment"):
             load_policy(name)
     with pytest.raises(TypeError, match="'robot_1': 'idle'} needs an environment"):
@@ -244,6 +247,24 @@ def test_idle_robots_hold_still_with_an_open_grip(make_env):
     actions = play(make_env(2), {"robot_1": "expert", "robot_2": "idle"})
     assert (actions[..., 8:15] == 0).all() and (actions[..., 15] == -1).all()
     assert (actions[..., :7] != 0).any()
+
+
+def test_still_robots_grip_always_or_go_on_holding(make_env):
+    env = make_env(2)
+    for still, closes in {"gripping": True, "frozen": False}.items():
+        policy = load_policy({"robot_1": "expert", "robot_2": still}, env)
+        observations, _ = env.reset(seed=0)
+        assert (policy(observations)["robot_2"][:, -1] > 0).all() == closes
+    # What it holds when it freezes it goes on holding, and without moving.
+    env.step(env.expert())
+    assert env.scene.holds(env.sim, "robot_2").all()
+    for _ in range(3):
+        action = policy(observations)["robot_2"]
+        assert not action[:, :-1].any() and (action[:, -1] > 0).all()
+        observations, *_ = env.step(policy(observations))
+    assert env.scene.holds(env.sim, "robot_2").all()
+    env.step(env.idle())
+    assert (policy(observations)["robot_2"][:, -1] < 0).all()
 
 
 def test_a_function_may_command_one_robot(make_env):

@@ -1,12 +1,13 @@
 """The commands that play, measure and show."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from collaborative_gym.certificate.budget import QUICK, Budget
 from collaborative_gym.cli.terminal import (
     OWN_SIZE,
     Command,
@@ -51,8 +52,9 @@ class _World(Command):
     """What is played.
 
     Attributes:
-      policy: who commands the robots: expert, random, idle (holds still), baseline (the
-        trained policy that is shipped), or a path to a policy file or a training
+      policy: who commands the robots: expert, random, idle, gripping or frozen (hold
+        still: with an open grip, a closed one, or as it is), baseline (the trained
+        policy that is shipped), or a path to a policy file or a training
         folder; or one for each robot, such as robot_1=baseline robot_2=idle.
       any_env: let a trained policy play another environment than its own.
       robots: robots to use instead of the environment's own, one per agent.
@@ -223,6 +225,80 @@ class Reproduce:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Certify(Command):
+    """Try to do tasks while one arm is still, to show that all arms are needed.
+
+    Each arm in turn is idle, idle with a closed grip, or frozen on the expert's way to
+    the goal; the others play the expert, motions that a search finds, and policies that
+    are trained for it. It takes hours; stop at any time, and the same command goes on.
+
+    Attributes:
+      envs: environment ids, or tasks' names.
+      all: certify every environment; name none then.
+      quick: take seconds instead, which shows that it works and proves nothing.
+      robots: robots to use instead of the environment's own, one per agent.
+      randomization: how much starts differ: default, or paper for the thesis's fixed
+        starts.
+      seed: starts another series of episodes.
+      num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
+      output: where certificates.md goes, and a folder for each environment, with its
+        certificate.json and its trainings.
+      budget: how hard it tries.
+    """
+
+    envs: Envs = ()
+    all: tyro.conf.FlagCreatePairsOff[bool] = False
+    quick: tyro.conf.FlagCreatePairsOff[bool] = False
+    robots: Robots = ()
+    randomization: Randomization = "default"
+    seed: int = 0
+    num_threads: int = 0
+    output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/certificates")
+    budget: Annotated[Budget, tyro.conf.arg(name="")] = field(default_factory=Budget)
+
+    def run(self) -> None:
+        """Tell each trial, print a table and write the files."""
+        from collaborative_gym import list_envs
+        from collaborative_gym.certificate.certify import certify
+        from collaborative_gym.certificate.report import certificates_to_markdown
+        from collaborative_gym.cli.tables import certificates_table
+        from collaborative_gym.files import write_text
+        from collaborative_gym.tasks.registry import as_task
+
+        if self.all and self.envs:
+            raise ValueError("name environments or pass --all, not both")
+        env_ids = list_envs() if self.all else self.envs
+        if not env_ids:
+            raise ValueError("name the environments to certify, or pass --all")
+        if self.quick and self.budget != Budget():
+            raise ValueError("--quick has a budget of its own; give it alone")
+        markdown = self.output / "certificates.md"
+        check_files(markdown)
+        for env_id in env_ids:  # A wrong one shows before the work.
+            as_task(env_id, self.robots or None, self.randomization)
+        certificates = []
+        with progress_bars() as progress:
+            for env_id in env_ids:
+                certificate = certify(
+                    env_id,
+                    budget=QUICK if self.quick else self.budget,
+                    seed=self.seed,
+                    robots=self.robots or None,
+                    randomization=self.randomization,
+                    output=self.output / env_id.replace("/", "-"),
+                    num_threads=self.num_threads,
+                    on_trial=lambda trial, name=env_id: tell(f"{name}, {trial.title}"),
+                    on_progress=progress(env_id),
+                )
+                certificates.append(certificate)
+                write_text(markdown, certificates_to_markdown(certificates))
+        tell(certificates_table(certificates))
+        for certificate in certificates:
+            tell(certificate.statement)
+        tell(f"wrote {markdown}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Benchmark(Command):
     """Measure the environments' speed beside that of the bare physics, in one run.
 
@@ -267,8 +343,9 @@ class View(_World):
 
     Attributes:
       env: environment id, or a task's name.
-      policy: who commands the robots: expert, random, idle (holds still), baseline (the
-        trained policy that is shipped), or a path to a policy file or a training
+      policy: who commands the robots: expert, random, idle, gripping or frozen (hold
+        still: with an open grip, a closed one, or as it is), baseline (the trained
+        policy that is shipped), or a path to a policy file or a training
         folder; or one for each robot, such as robot_1=baseline robot_2=idle.
       web: show it in the browser.
       host: address that the browser's page is served at. Whoever reaches it can watch

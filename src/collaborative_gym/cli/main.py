@@ -15,6 +15,7 @@ from rich.console import Console
 
 from collaborative_gym.cli.commands import (
     Benchmark,
+    Certify,
     Demo,
     Evaluate,
     List,
@@ -66,6 +67,7 @@ _Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
+    | Annotated[Certify, tyro.conf.subcommand("certify")]
     | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
 )

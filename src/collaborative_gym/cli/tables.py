@@ -6,6 +6,12 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from collaborative_gym.certificate.report import (
+    CERTIFICATE_NOTE,
+    COLUMNS,
+    Certificate,
+    lines,
+)
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.report import (
     Report,
@@ -84,6 +90,18 @@ def table11_table(table11: Table11) -> Table:
             text.highlight_words(["FAIL"], "bold red")
         table.add_row(f"  {measure}", *texts)
     table.caption = f"{table11.about()}\n{NOTE}"
+    return table
+
+
+def certificates_table(certificates: Sequence[Certificate]) -> Table:
+    """Return how often each task was done while an arm was still."""
+    heads = (name.replace(" for ", "\nfor ") for name in COLUMNS[2:])
+    table = _table("still arm", *heads)
+    for certificate in certificates:
+        table.add_row(Text(certificate.environment, "bold"))
+        for _, still, *cells in lines(certificate):
+            table.add_row(f"  {still}", *(cell.replace(" of ", "/") for cell in cells))
+    table.caption = CERTIFICATE_NOTE
     return table
 
 

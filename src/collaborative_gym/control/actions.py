@@ -84,11 +84,19 @@ class ActionMode:
             return action[:, :-1], action[:, -1] > 0.0
         return action, self.xp.zeros(action.shape[0], dtype=bool)
 
-    def idle(self, num_envs: int) -> dict[str, np.ndarray]:
-        """Return actions of agents that hold still and grip nothing."""
+    def idle(
+        self, num_envs: int, grips: Mapping[str, Array | bool] | bool = False
+    ) -> dict[str, np.ndarray]:
+        """Return actions of agents that hold still.
+
+        Args:
+          num_envs: in how many worlds.
+          grips: whether they grip, or by agent in which worlds.
+        """
         idle = {agent: np.zeros((num_envs, self.size(agent))) for agent in self.arms}
-        for action in idle.values() if self.gripping else ():
-            action[:, -1] = -1.0
+        for agent, action in idle.items() if self.gripping else ():
+            own = grips[agent] if isinstance(grips, Mapping) else grips
+            action[:, -1] = np.where(own, 1.0, -1.0)
         return idle
 
     def encode(self, sim: Sim, motions: Mapping[str, Motion]) -> dict[str, np.ndarray]:

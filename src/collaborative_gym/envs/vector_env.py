@@ -290,9 +290,9 @@ class VectorEnv:
                 name = type(self.task).__name__
                 raise ValueError(f"{name}.expert(): {error}") from None
 
-    def idle(self) -> dict[str, np.ndarray]:
-        """Return actions of robots that hold still and grip nothing."""
-        return self._mode.idle(self.num_envs)
+    def idle(self, grips: Any = False) -> dict[str, np.ndarray]:
+        """Return actions of robots that hold still, and grip where they are to."""
+        return self._mode.idle(self.num_envs, grips)
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:
         """Return a copy of these worlds' episodes, one row each; None for all.

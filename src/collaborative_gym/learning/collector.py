@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +22,7 @@ from collaborative_gym.learning.worlds import (
     save_worlds,
     tensors,
 )
+from collaborative_gym.policies import as_policy
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
 
 _BLOCK, _STARTS = 1 << 28, 1 << 10
@@ -44,6 +45,7 @@ class Job:
       seed: of the run.
       hyperparameters: how it learns.
       num_threads: physics threads of a collector, 0 for one per CPU.
+      partners: policies of the agents that do not learn, as `load_policy` knows them.
     """
 
     task: Any
@@ -52,6 +54,7 @@ class Job:
     seed: int
     hyperparameters: Hyperparameters
     num_threads: int = 0
+    partners: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -231,6 +234,9 @@ class Collector:
         self._players = [Player(learner, job, share) for learner in job.learners]
         self._penalties = Penalties(self.env, job.hyperparameters)
         self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)
+        self._partners = {
+            agent: as_policy(policy, self.env) for agent, policy in job.partners.items()
+        }
         self._observations: Observations | None = None
 
     def collect(
@@ -256,6 +262,8 @@ class Collector:
             actions: dict[str, np.ndarray] = {}
             for player in self._players:
                 actions |= player.act(observations, rng)
+            for agent, policy in self._partners.items():
+                actions[agent] = np.asarray(policy(observations)[agent])
             assistance.carry(self.env)
             observations, rewards, *ends, infos = self._step(actions)
             for player in self._players:

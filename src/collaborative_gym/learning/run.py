@@ -80,6 +80,7 @@ class Run:
         self._settings = settings
         self._num_threads = resources.num_threads
         sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
+        sizes = sizes.without(settings.partners)
         learners = make_learners(settings.mode, sizes, task.sides)
         self._parts = [part for learner in learners for part in learner.parts]
         self._backend = _make_backend(task, settings, resources, learners, sizes)
@@ -155,7 +156,8 @@ class Run:
     def _validate(self) -> Report:
         return evaluate(
             self._task,
-            self._policy(),
+            dict.fromkeys(self._task.agents, self._policy())
+            | dict(self._settings.partners),
             episodes=self._settings.hyperparameters.validation_episodes,
             seed=validation_seed(self._settings.seed),
             num_threads=self._num_threads,
@@ -209,6 +211,7 @@ def _make_backend(
         settings.seed,
         hyperparameters,
         resources.num_threads,
+        settings.partners,
     )
     if settings.backend == "ray":
         from collaborative_gym.learning.ray_collectors import RayCollectors

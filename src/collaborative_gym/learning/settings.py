@@ -1,11 +1,11 @@
 """What a training run is started with, and whether it may go on with what is asked."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from collaborative_gym.errors import check_kind, unknown
+from collaborative_gym.errors import UnknownName, check_kind, unknown
 from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Sizes, make_learners
@@ -31,6 +31,7 @@ class Settings:
       observation_sizes: by agent.
       action_sizes: by agent.
       hyperparameters: how it learns.
+      partners: policies of the agents that do not learn.
     """
 
     identity: Identity
@@ -40,6 +41,7 @@ class Settings:
     observation_sizes: Mapping[str, int]
     action_sizes: Mapping[str, int]
     hyperparameters: Hyperparameters
+    partners: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -76,6 +78,7 @@ def settle(
     seed: int | None,
     backend: str | None,
     hyperparameters: Hyperparameters | None,
+    partners: Mapping[str, str] | None = None,
 ) -> Settings:
     """Return the settings of a run; what is None holds as it was, or as is usual.
 
@@ -86,8 +89,10 @@ def settle(
       seed: of the run.
       backend: what collects.
       hyperparameters: how it learns.
+      partners: policies of the agents that do not learn.
 
     Raises:
+      KeyError: if there is no such agent.
       TypeError: if something is of another kind.
       ValueError: if something is unknown or out of range, the robots do not fit the
         mode, or a run cannot go on so; says what differs.
@@ -100,6 +105,7 @@ def settle(
         seed = started.seed if seed is None else seed
         backend = started.backend if backend is None else backend
         hyperparameters = hyperparameters or started.hyperparameters
+        partners = started.partners if partners is None else partners
     sizes = Sizes.of(task)
     settings = Settings(
         identity=Identity.of(task),
@@ -109,20 +115,43 @@ def settle(
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
         hyperparameters=hyperparameters or recipe(task.name),
+        partners=_checked_partners(partners or {}, task),
     )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)
-    make_learners(settings.mode, sizes)
+    make_learners(settings.mode, sizes.without(settings.partners))
     if started is not None:
         _check_same(settings, started)
     return settings
 
 
+def _checked_partners(partners: Any, task: Task) -> dict[str, str]:
+    """Return the partners; `load_policy` says whether there are such policies."""
+    check_kind("partners", partners, Mapping, "a dictionary of policies by agent")
+    for agent in partners:
+        if agent not in task.agents:
+            raise UnknownName(f"partners: {unknown('agent', agent, task.agents)}")
+        check_kind(f"the partner {agent}", partners[agent], str, "a policy's name")
+    if len(partners) == len(task.agents):
+        raise ValueError(
+            f"partners has a policy for each of {', '.join(partners)}, so that nobody"
+            " learns; leave one out"
+        )
+    return dict(partners)
+
+
 def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may go on with these settings."""
     found = settings.identity.differences(started.identity)
-    for name in ("mode", "seed", "backend", "observation_sizes", "action_sizes"):
+    for name in (
+        "mode",
+        "seed",
+        "backend",
+        "observation_sizes",
+        "action_sizes",
+        "partners",
+    ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)
     for name, value in asked.items():

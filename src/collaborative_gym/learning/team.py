@@ -1,6 +1,6 @@
 """How a mode divides the robots among learners."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,14 @@ class Sizes:
     observation: Mapping[str, int]
     action: Mapping[str, int]
     gripping: bool = False
+
+    def without(self, agents: Collection[str]) -> "Sizes":
+        """Return the sizes of all other agents."""
+        observation, action = (
+            {agent: size for agent, size in sizes.items() if agent not in agents}
+            for sizes in (self.observation, self.action)
+        )
+        return Sizes(observation, action, self.gripping)
 
     @classmethod
     def of(cls, task: Task) -> "Sizes":
@@ -137,7 +145,7 @@ def make_learners(
 
     Args:
       mode: who learns what.
-      sizes: of the agents' spaces.
+      sizes: of the spaces of the agents that learn.
       sides: agents that share a goal, from `Task.sides`; none for all.
 
     Raises:
@@ -145,8 +153,11 @@ def make_learners(
         sizes.
     """
     agents = tuple(sizes.observation)
-    names = [f"side_{i + 1}" for i in range(len(sides))] if len(sides) > 1 else ["team"]
-    teams = dict(zip(names, map(tuple, sides or (agents,)), strict=True))
+    teams = {
+        f"side_{i + 1}" if len(sides) > 1 else "team": own
+        for i, side in enumerate(sides or (agents,))
+        if (own := tuple(agent for agent in side if agent in agents))
+    }
     if mode == "collaborative":
         return tuple(
             Learner(name, own, tuple(Part((a,), a) for a in own))

@@ -1,7 +1,7 @@
 """The call that trains: a new run, or one that goes on."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ def train(
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
     hyperparameters: Hyperparameters | None = None,
+    partners: Mapping[str, str] | None = None,
     backend: str | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
@@ -62,6 +63,8 @@ def train(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for `recipe(env)`.
+      partners: policies of agents that do not learn, by agent, as `load_policy` knows
+        them: `{"robot_2": "idle"}` trains robot_1 beside an arm that holds still.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
@@ -97,6 +100,7 @@ def train(
             seed=seed,
             backend=backend,
             hyperparameters=hyperparameters,
+            partners=partners,
         )
         folder = folder or _begin(settings, output, stack)
         stack.enter_context(_torch(settings.seed, resources.torch_threads))

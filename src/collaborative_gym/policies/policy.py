@@ -14,6 +14,8 @@ from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.scripted import (
     RandomPolicy,
     expert_policy,
+    frozen_policy,
+    gripping_policy,
     idle_policy,
 )
 from collaborative_gym.tasks.registry import find_env, list_envs
@@ -42,9 +44,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         path to a policy file or to the folder of a training run; "baseline", that of
         `env`; "expert", the task's scripted expert, which looks at the state of the
         worlds and not at the observations; "random", uniform actions, the same for an
-        episode of a seed in any batch; "idle", which holds still with an open grip; a
-        function from observations to actions; or one of these for each agent, such as
-        `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
+        episode of a seed in any batch; "idle", which holds still with an open grip,
+        "gripping", with a closed one, and "frozen", which goes on holding what it
+        holds; a function from observations to actions; or one of these for each agent,
+        such as `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
       env: what it is to play: a `VectorEnv`, or an environment of this package under
         PettingZoo's or Gymnasium's contract, whose observations and actions it then
         takes and returns. Only an id and a path do without; they play a `VectorEnv`.
@@ -209,6 +212,8 @@ def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray
 
 _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "expert": expert_policy,
+    "frozen": frozen_policy,
+    "gripping": gripping_policy,
     "idle": idle_policy,
     "random": RandomPolicy,
 }

@@ -20,6 +20,22 @@ def idle_policy(env: VectorEnv):
     return lambda observations: still
 
 
+def gripping_policy(env: VectorEnv):
+    """Return what holds still and grips what comes within reach of its hand."""
+    still = env.idle(grips=True)
+    return lambda observations: still
+
+
+def frozen_policy(env: VectorEnv):
+    """Return what holds still and goes on holding what it holds."""
+    if not env.task.gripping:
+        return idle_policy(env)
+    able = {grip.agent for grip in env.scene.grips}
+    return lambda observations: env.idle(
+        {a: a in able and env.scene.holds(env.sim, a) for a in env.agents}
+    )
+
+
 class RandomPolicy:
     """Uniform actions that an episode's own generator draws, all at its first step."""
 

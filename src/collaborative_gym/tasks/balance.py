@@ -285,6 +285,11 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def success(self, facts: BalanceFacts) -> Array:
         return (facts.distance < self.config.success_distance) & ~facts.fell
 
+    def shortfall(self, facts: BalanceFacts) -> Array:
+        xp = array_namespace(facts.distance)
+        missing = facts.distance + xp.where(facts.fell, 1.0, 0.0)
+        return xp.where(self.success(facts), 0.0, missing)
+
     def performing(self, facts: BalanceFacts) -> Array:
         return ~facts.fell
 

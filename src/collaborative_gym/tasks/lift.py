@@ -269,6 +269,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         near = facts.to_target < self.config.success_radius
         return reduce(and_, facts.gripping.values(), near)
 
+    def shortfall(self, facts: LiftFacts) -> Array:
+        xp = array_namespace(facts.to_target)
+        missing = facts.to_target + 0.1 * facts.tilt
+        for agent, held in facts.gripping.items():
+            missing = missing + xp.where(held, 0.0, facts.to_handle[agent])
+        return xp.where(self.success(facts), 0.0, missing)
+
     def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
         """Return motions of arms that grip, wait for each other and lift together."""
         holds = facts.gripping

@@ -235,6 +235,12 @@ class Pass(Task[PassConfig, PassFacts]):
         near = facts.to_target < self.config.success_radius
         return near & facts.holds[self.agents[1]]
 
+    def shortfall(self, facts: PassFacts) -> Array:
+        xp = array_namespace(facts.to_target)
+        taker = self.agents[1]
+        missing = xp.where(facts.holds[taker], 0.0, facts.to_cube[taker])
+        return xp.where(self.success(facts), 0.0, facts.to_target + missing)
+
     def expert(self, sim: Sim, facts: PassFacts) -> dict[str, Motion]:
         return {"robot_1": self._give(sim, facts), "robot_2": self._take(sim, facts)}
 

@@ -178,6 +178,10 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def success(self, facts: PokeFacts) -> Array:
         return facts.is_threaded & (facts.distance < _SUCCESS_DISTANCE)
 
+    def shortfall(self, facts: PokeFacts) -> Array:
+        xp = array_namespace(facts.distance)
+        return xp.where(self.success(facts), 0.0, facts.distance)
+
     def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Motion]:
         """Present the ring, wait behind the hole until lined up with it, then go in."""
         normal = math.axis_z(facts.donut[1])

@@ -277,6 +277,15 @@ class Task(Generic[ConfigT, FactsT]):
         """
         raise self._missing("success")
 
+    def shortfall(self, facts: FactsT) -> Array:
+        """Return how far each world is from the goal, (num_envs,), 0 where it is met.
+
+        Not part of any reward: `certify` searches by it. A task that says no more than
+        this, 1 wherever the goal is not met, is searched blindly. One of several sides
+        is not certified and needs none.
+        """
+        return self.xp.where(self.success(facts), 0.0, 1.0)
+
     def performing(self, facts: FactsT) -> Array | tuple[Array, ...]:
         """Return in which worlds this step counts towards performance, as `success`."""
         return self.success(facts)

@@ -1,0 +1,1 @@
+"""Whether a task needs all of its arms."""

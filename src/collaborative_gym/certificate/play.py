@@ -1,0 +1,82 @@
+"""Many tries from given states, and how near to the goal each came."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from collaborative_gym.certificate.starts import rows_of
+from collaborative_gym.envs.state import EnvState
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.policies import Policy
+
+Cast = Callable[[np.ndarray], Policy]
+"""Returns what plays these tries, one in each world of the environment."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of tries.
+
+    Attributes:
+      completed: (tries,) whether the goal was reached, as `evaluate` counts it.
+      nearest: (tries,) least `Task.shortfall` on the way.
+    """
+
+    completed: np.ndarray
+    nearest: np.ndarray
+
+
+def play(
+    env: VectorEnv,
+    starts: EnvState,
+    which: np.ndarray,
+    cast: Cast,
+    *,
+    steps: int | None = None,
+    on_step: Callable[[int], object] | None = None,
+) -> Outcome:
+    """Play on from states, each try in a world of its own, as many rounds as it takes.
+
+    Args:
+      env: worlds that do not reset themselves.
+      starts: where tries begin.
+      which: (tries,) rows of `starts`.
+      cast: who plays.
+      steps: how many control steps at most; None for the whole episode.
+      on_step: called after each control step with the steps of all worlds.
+    """
+    completed, nearest = [], []
+    for first in range(0, len(which), env.num_envs):
+        # The last round's worlds that are left over try again what others have tried.
+        tries = np.arange(first, first + env.num_envs) % len(which)
+        outcome = _play_round(
+            env, rows_of(starts, which[tries]), cast(tries), steps, on_step
+        )
+        completed.append(outcome.completed)
+        nearest.append(outcome.nearest)
+    rows = slice(len(which))
+    return Outcome(np.concatenate(completed)[rows], np.concatenate(nearest)[rows])
+
+
+def _play_round(
+    env: VectorEnv,
+    starts: EnvState,
+    policy: Policy,
+    steps: int | None,
+    on_step: Callable[[int], object] | None,
+) -> Outcome:
+    task, observations = env.task, env.set_state(starts)
+    nearest = np.full(env.num_envs, np.inf)
+    completed = np.zeros(env.num_envs, bool)
+    for _ in range(steps or task.config.max_episode_steps):
+        observations, *_, infos = env.step(policy(observations))
+        counts = (infos["step"] > task.success_after) & ~infos["diverged"]
+        now = np.where(counts, task.shortfall(env.facts), np.inf)
+        nearest = np.minimum(nearest, now)
+        completed = infos["metrics"]["completion"] > 0.0
+        if on_step is not None:
+            on_step(env.num_envs)
+        if (completed | infos["ended"]).all():
+            break
+    return Outcome(completed, np.where(completed, 0.0, nearest))

@@ -1,0 +1,251 @@
+"""What came of trying a task with one arm still, as values, JSON and Markdown."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from collaborative_gym.errors import check_count, check_number, shown
+from collaborative_gym.tasks.identity import Identity
+
+PLAYERS = {
+    "expert": "expert",
+    "blind": "one motion for all",
+    "search": "a motion for each",
+    "ppo": "trained",
+}
+"""Who plays against a still arm, and what the table calls it."""
+
+_FORMAT = 1
+"""Number of the file format; a file of another one is refused."""
+
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One player against one still arm.
+
+    Attributes:
+      passive: the agent whose arm is still.
+      partner: how: "idle", "gripping" or "frozen", a policy's name.
+      fraction: share of the expert's time to the goal at which it froze, 0 for the
+        start.
+      player: who commands the other arms, one of `PLAYERS`.
+      episodes: how many starts were tried.
+      completed: of how many the goal was reached.
+      nearest: median of the least `Task.shortfall` of each episode.
+    """
+
+    passive: str
+    partner: str
+    fraction: float
+    player: str
+    episodes: int
+    completed: int
+    nearest: float
+
+    @property
+    def row(self) -> tuple[str, str, float]:
+        """The still arm: agent, policy and fraction."""
+        return self.passive, self.partner, self.fraction
+
+    @property
+    def title(self) -> str:
+        """What came of it, in words."""
+        return (
+            f"{self.passive} {name_row(self)}, {PLAYERS[self.player]}: {self.completed}"
+            f" of {self.episodes}"
+        )
+
+    @property
+    def completion(self) -> float:
+        """Share of the episodes in which the goal was reached, 0 to 1."""
+        return self.completed / self.episodes
+
+    @property
+    def bound(self) -> float:
+        """The completion is at most this, with 95 % confidence (Clopper-Pearson)."""
+        return upper_bound(self.completed, self.episodes)
+
+
+def upper_bound(completed: int, episodes: int) -> float:
+    """Return the share that so many completions exceed in 95 % of all samples.
+
+    The exact one-sided bound of Clopper and Pearson; for none of n it is nearly 3 / n.
+    """
+    if completed >= episodes:
+        return 1.0
+    low, high = completed / episodes, 1.0
+    for _ in range(60):
+        share = (low + high) / 2
+        is_too_high = _binomial(completed, episodes, share) < 1.0 - _CONFIDENCE
+        low, high = (low, share) if is_too_high else (share, high)
+    return high
+
+
+def _binomial(most: int, episodes: int, share: float) -> float:
+    """Return how likely at most so many of the episodes are completed."""
+    if not 0.0 < share < 1.0:
+        return float(share <= 0.0)
+    yes, no = math.log(share), math.log1p(-share)
+    whole = math.lgamma(episodes + 1)
+    return sum(
+        math.exp(
+            whole
+            - math.lgamma(k + 1)
+            - math.lgamma(episodes - k + 1)
+            + k * yes
+            + (episodes - k) * no
+        )
+        for k in range(most + 1)
+    )
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Whether a task can be done while one arm is still.
+
+    Attributes:
+      environment: the environment's id or the task's name.
+      settings: its `identity`, the `budget` and the `seed`.
+      trials: what was tried, in the order in which it was.
+    """
+
+    environment: str
+    settings: dict[str, Any]
+    trials: tuple[Trial, ...] = ()
+
+    @property
+    def rows(self) -> dict[tuple[str, str, float], tuple[Trial, ...]]:
+        """The trials of each still arm."""
+        found: dict[tuple[str, str, float], tuple[Trial, ...]] = {}
+        for trial in self.trials:
+            found[trial.row] = (*found.get(trial.row, ()), trial)
+        return found
+
+    @property
+    def best(self) -> dict[tuple[str, str, float], Trial]:
+        """The trial that did best against each still arm; of equals, the surest."""
+        return {
+            row: max(trials, key=lambda trial: (trial.completion, trial.episodes))
+            for row, trials in self.rows.items()
+        }
+
+    @property
+    def statement(self) -> str:
+        """What the trials come to, in one sentence."""
+        done = [trial for trial in self.best.values() if trial.completed]
+        if not done:
+            bound = max((trial.bound for trial in self.best.values()), default=1.0)
+            return (
+                f"{self.environment}: not once in any of {len(self.rows)} rows (up to"
+                f" {bound:.1%} each, with 95 % confidence)"
+            )
+        most = max(done, key=lambda trial: trial.completion)
+        return (
+            f"{self.environment}: in {len(done)} of {len(self.rows)} rows, at most"
+            f" {most.completion:.1%} with {most.passive} {name_row(most)} (up to"
+            f" {most.bound:.1%}, with 95 % confidence)"
+        )
+
+    def to_json(self) -> str:
+        """Return everything as JSON."""
+        content = {
+            "format": _FORMAT,
+            "environment": self.environment,
+            "settings": self.settings,
+            "trials": [asdict(trial) for trial in self.trials],
+        }
+        return json.dumps(content, indent=2) + "\n"
+
+    @classmethod
+    def load(cls, path: Path) -> "Certificate":
+        """Return the certificate of a file.
+
+        Raises:
+          OSError: if it cannot be read.
+          ValueError: if it is damaged or of another format.
+        """
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["format"] != _FORMAT:
+                raise ValueError(f"its format is {content['format']}, not {_FORMAT}")
+            Identity.from_dict(content["settings"]["identity"])
+            trials = tuple(map(_checked, content["trials"]))
+            return cls(str(content["environment"]), content["settings"], trials)
+        except OSError:
+            raise
+        except Exception as error:  # A file may be spoilt in any way.
+            reason = str(error).partition("\n")[0]
+            raise ValueError(
+                f"{path} is no certificate, or is damaged: {reason}; remove it to start"
+                " anew"
+            ) from error
+
+    def to_markdown(self) -> str:
+        """Return a Markdown table, one line for each still arm."""
+        return certificates_to_markdown([self])
+
+
+def _checked(content: dict[str, Any]) -> Trial:
+    trial = Trial(**content)
+    check_count("episodes", trial.episodes, 1)
+    check_count("completed", trial.completed, 0, trial.episodes)
+    check_number("nearest", trial.nearest)
+    check_number("fraction", trial.fraction, at_least=0.0, at_most=1.0)
+    if trial.player not in PLAYERS:
+        raise ValueError(f"there is no player {shown(trial.player)}")
+    return trial
+
+
+def name_row(trial: Trial) -> str:
+    """Return how an arm is still, such as "frozen at 50 %"."""
+    at = f" at {100 * trial.fraction:.0f} %" if trial.fraction else ""
+    return f"{trial.partner}{at}"
+
+
+CERTIFICATE_NOTE = (
+    "How often the goal was reached while one arm was still, by who commanded the other"
+    " arms; up to: upper end of the 95 % interval of the best of them; nearest: the"
+    " least median distance from the goal. A motion for each is searched for on the"
+    " very start that it is played on."
+)
+"""What must be known to read the table."""
+
+COLUMNS = ("environment", "still arm", *PLAYERS.values(), "up to", "nearest")
+"""What the table tells of each still arm."""
+
+
+def lines(certificate: Certificate) -> list[tuple[str, ...]]:
+    """Return the cells of `COLUMNS`, one tuple for each still arm."""
+    found = []
+    for row, trials in certificate.rows.items():
+        by_player = {trial.player: trial for trial in trials}
+        cells = [_count(by_player.get(player)) for player in PLAYERS]
+        best = certificate.best[row]
+        nearest = min(trial.nearest for trial in trials)
+        still = f"{best.passive} {name_row(best)}"
+        bound, least = f"{best.bound:.1%}", f"{nearest:.2f}"
+        found.append((certificate.environment, still, *cells, bound, least))
+    return found
+
+
+def _count(trial: Trial | None) -> str:
+    return "-" if trial is None else f"{trial.completed} of {trial.episodes}"
+
+
+def certificates_to_markdown(certificates: Sequence[Certificate]) -> str:
+    """Return one Markdown table of certificates, and their statements below it."""
+    table = [
+        f"| {' | '.join(COLUMNS)} |",
+        f"|---|---|{'---:|' * (len(COLUMNS) - 2)}",
+        *(f"| {' | '.join(line)} |" for each in certificates for line in lines(each)),
+        "",
+        *(f"- {each.statement}" for each in certificates),
+        "",
+        CERTIFICATE_NOTE,
+    ]
+    return "\n".join(table) + "\n"

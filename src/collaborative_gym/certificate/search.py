@@ -1,0 +1,150 @@
+"""Motions that are played blindly, and the search for good ones."""
+
+from collections.abc import Callable, Mapping
+from itertools import count
+
+import numpy as np
+
+from collaborative_gym.certificate.budget import Budget
+from collaborative_gym.certificate.play import Cast, Outcome, play
+from collaborative_gym.control.actions import grip_columns
+from collaborative_gym.envs.state import EnvState
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.policies import Policy, as_policy
+
+_FIRST_STD, _LEAST_STD = 0.7, 0.05
+"""Spread of the first candidates, and what is left of it at least."""
+
+_ELITE = 0.15
+"""Share of the candidates that the next round is drawn around."""
+
+_AFTER = 10
+"""Control steps for which a motion's end is looked at while searching."""
+
+
+class Motions:
+    """Open-loop motions of some agents, while others do as their policies say.
+
+    A motion is a row of knots, evenly spread over its time, with the actions of all
+    these agents side by side. Between two knots actions change evenly; after the last
+    one the arms hold still, with the grips that they have then.
+
+    Args:
+      env: worlds that do not reset themselves.
+      partners: policies of the other agents.
+      budget: how long a motion is, and how many knots it has.
+
+    Attributes:
+      is_grip: (columns,) which of a knot's columns grip.
+      shape: knots and columns of a motion.
+    """
+
+    def __init__(self, env: VectorEnv, partners: Mapping[str, str], budget: Budget):
+        self._env = env
+        self._partners = dict(partners)
+        self._steps = budget.motion_steps
+        self._sizes = {
+            agent: space.shape[0]
+            for agent, space in env.single_action_spaces.items()
+            if agent not in partners
+        }
+        grips = [grip_columns(n, env.task.gripping) for n in self._sizes.values()]
+        self.is_grip = np.concatenate(grips)
+        self.shape = budget.knots, len(self.is_grip)
+
+    def cast(self, motions: np.ndarray) -> Cast:
+        """Return who plays these motions, (tries, knots, columns)."""
+        return lambda tries: self._policy(motions[tries])
+
+    def _policy(self, motions: np.ndarray) -> Policy:
+        steps = count()
+
+        def act(observations):
+            return self._actions(motions, next(steps))
+
+        return as_policy(dict.fromkeys(self._sizes, act) | self._partners, self._env)
+
+    def _actions(self, motions: np.ndarray, step: int) -> dict[str, np.ndarray]:
+        last = self.shape[0] - 1
+        at = last * min(step / self._steps, 1.0)
+        i = min(int(at), last - 1)
+        now = motions[:, i] + (at - i) * (motions[:, i + 1] - motions[:, i])
+        if step >= self._steps:
+            now = np.where(self.is_grip, now, 0.0)
+        ends = np.cumsum(list(self._sizes.values()))[:-1]
+        return dict(zip(self._sizes, np.split(now, ends, axis=1), strict=True))
+
+
+def search(
+    env: VectorEnv,
+    starts: EnvState,
+    groups: np.ndarray,
+    *,
+    motions: Motions,
+    budget: Budget,
+    rng: np.random.Generator,
+    on_step: Callable[[int], object] | None = None,
+) -> tuple[np.ndarray, Outcome]:
+    """Search for a motion that reaches the goal from all starts of a group.
+
+    By the cross-entropy method, for each group by itself: candidates are drawn around
+    the best of the round before. A group whose motion reaches the goal from each of its
+    starts is done.
+
+    Args:
+      env: worlds that do not reset themselves.
+      starts: states.
+      groups: (groups, starts of a group) rows of `starts`.
+      motions: whose, and against whom.
+      budget: how many candidates and rounds.
+      rng: draws the candidates.
+      on_step: as for `play`.
+
+    Returns:
+      The best motion of each group, (groups, knots, columns), and its outcome, where a
+      group counts as completed if it was from each of its starts.
+    """
+    mean = np.zeros((len(groups), *motions.shape))
+    mean[..., motions.is_grip] = 1.0
+    std, best = np.full_like(mean, _FIRST_STD), mean.copy()
+    # The share of starts from which the goal is reached counts before all distances.
+    least = np.full(len(groups), np.inf)
+    nearest = np.full(len(groups), np.inf)
+    for _ in range(budget.rounds):
+        left = np.flatnonzero(least > -1.0)
+        if not len(left):
+            break
+        shape = (len(left), budget.candidates, *motions.shape)
+        tried = mean[left, None] + std[left, None] * rng.standard_normal(shape)
+        tried[:, 0] = mean[left]
+        tried = np.clip(tried, -1.0, 1.0)
+        outcome = _try(env, starts, groups[left], tried, motions, budget, on_step)
+        cost = (outcome.nearest - outcome.completed).mean(axis=2)
+        order = np.argsort(cost, axis=1)[:, : max(2, round(_ELITE * shape[1]))]
+        elite = np.take_along_axis(tried, order[..., None, None], axis=1)
+        mean[left] = elite.mean(axis=1)
+        std[left] = np.maximum(elite.std(axis=1), _LEAST_STD)
+        for row, group in enumerate(left):
+            first = order[row, 0]
+            if cost[row, first] < least[group]:
+                least[group], best[group] = cost[row, first], tried[row, first]
+                nearest[group] = outcome.nearest[row, first].mean()
+    return best, Outcome(least <= -1.0, nearest)
+
+
+def _try(
+    env: VectorEnv,
+    starts: EnvState,
+    groups: np.ndarray,
+    tried: np.ndarray,
+    motions: Motions,
+    budget: Budget,
+    on_step: Callable[[int], object] | None,
+) -> Outcome:
+    """Return what came of each group's candidates, (groups, candidates, starts)."""
+    shape = *tried.shape[:2], groups.shape[1]
+    which = np.broadcast_to(groups[:, None], shape).ravel()
+    flat = np.repeat(tried.reshape(-1, *motions.shape), shape[2], axis=0)
+    steps = budget.motion_steps + _AFTER
+    found = play(env, starts, which, motions.cast(flat), steps=steps, on_step=on_step)
+    return Outcome(found.completed.reshape(shape), found.nearest.reshape(shape))

@@ -1,0 +1,61 @@
+"""Bounds, tables and statements."""
+
+import pytest
+
+from collaborative_gym.certificate.budget import Budget
+from collaborative_gym.certificate.report import Certificate, Trial, upper_bound
+
+
+@pytest.mark.parametrize(
+    ("completed", "episodes", "expected"),
+    # At these shares a binomial sum in exact fractions is 0.05.
+    [
+        (0, 500, 1 - 0.05 ** (1 / 500)),
+        (0, 1, 0.95),
+        (1, 500, 0.009453),
+        (5, 10, 0.777559),
+        (250, 500, 0.537708),
+        (7, 7, 1.0),
+    ],
+)
+def test_the_bound_is_exact(completed, episodes, expected):
+    assert upper_bound(completed, episodes) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_row_tells_the_best_and_the_surest():
+    idle = "robot_1", "idle", 0.0
+    frozen = "robot_2", "frozen", 0.5
+    trials = (
+        Trial(*idle, "expert", 500, 0, 0.5),
+        Trial(*frozen, "expert", 400, 10, 0.2),
+        Trial(*idle, "search", 32, 0, 0.4),
+        Trial(*frozen, "search", 32, 8, 0.1),
+    )
+    certificate = Certificate("Some-v0", {}, trials)
+    assert certificate.best == {idle: trials[0], frozen: trials[3]}
+    table = certificate.to_markdown()
+    assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | 0.6% | 0.40 |" in table
+    assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | 4" in table
+    assert "in 1 of 2 rows, at most 25.0% with robot_2 frozen at 50 % (up to 4" in table
+    none = Certificate("Some-v0", {}, trials[::2])
+    assert "not once in any of 1 rows (up to 0.6% each" in none.statement
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("episodes", 0),
+        ("episodes", 1.5),
+        ("candidates", 3),
+        ("knots", 1),
+        ("rounds", 0),
+        ("searched_starts", -1),
+        ("ppo_steps", -1),
+        ("fractions", (0.0,)),
+        ("fractions", (1.0,)),
+        ("fractions", 0.5),
+    ],
+)
+def test_a_budget_has_bounds(name, value):
+    with pytest.raises((TypeError, ValueError), match=name):
+        Budget(**{name: value})

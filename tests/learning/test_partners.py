@@ -1,0 +1,71 @@
+"""Robots that do not learn, but play a policy that is given."""
+
+import numpy as np
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.learning.backend import Backend
+from collaborative_gym.learning.collector import Job, OwnCollector
+from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.team import Sizes, make_learners
+
+IDLE = {"robot_2": "idle"}
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_only_the_others_learn(train_tiny, mode, carry):
+    result = train_tiny(mode=mode, partners=IDLE)
+    policy = result.policy()
+    assert policy.agents == ("robot_1",)
+    report = cg.evaluate(
+        carry(), {"robot_1": policy, **IDLE}, episodes=2, num_threads=1
+    )
+    assert len(report.episodes) == 2
+
+
+def test_partners_play_their_policies(carry, tiny):
+    task = carry()
+    sizes = Sizes.of(task).without(IDLE)
+    learners = make_learners("independent", sizes, task.sides)
+    assert [learner.agents for learner in learners] == [("robot_1",)]
+    collector = OwnCollector(Job(task, learners, sizes, 0, tiny(), 1, IDLE))
+    learner = PPOLearner(learners[0], sizes, tiny(), "cpu")
+    env, played = collector._collector.env, []
+    step = env.step
+
+    def spied(actions):
+        played.append(actions)
+        return step(actions)
+
+    env.step = spied
+    Backend([learner], collector).advance()
+    assert len(played) == tiny().rollout_steps
+    for actions in played:
+        assert np.array_equal(actions["robot_2"], env.idle()["robot_2"])
+        assert actions["robot_1"].any()
+
+
+def test_a_run_goes_on_with_its_partners(train_tiny, tiny):
+    result = train_tiny(partners=IDLE)
+    more = {"resume": result.folder, "hyperparameters": tiny(total_steps=160)}
+    again = train_tiny(**more)
+    assert again.settings.partners == IDLE
+    assert again.policy().agents == ("robot_1",)
+    with pytest.raises(ValueError, match=r"partners is \{\}, not {'robot_2': 'idle'}"):
+        train_tiny(**more, partners={})
+
+
+@pytest.mark.parametrize(
+    ("partners", "message"),
+    [
+        ({"robot_3": "idle"}, "partners: no agent 'robot_3'"),
+        ({"robot_1": "idle", "robot_2": "idle"}, "so that nobody learns; leave one"),
+        ({"robot_2": 3}, "the partner robot_2 must be a policy's name, got 3"),
+        ({"robot_2": "idel"}, "no policy 'idel'"),
+        ("idle", "partners must be a dictionary of policies by agent, got 'idle'"),
+    ],
+)
+def test_wrong_partners_are_refused(train_tiny, partners, message):
+    with pytest.raises((KeyError, TypeError, ValueError), match=message):
+        train_tiny(partners=partners)
