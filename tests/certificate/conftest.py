@@ -36,15 +36,15 @@ class Press(cg.Task[PressConfig, PressFacts]):
 
     def build(self, scene):
         for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement)
+            scene.add_robot(agent, self.robots[agent], placement=placement)
             scene.add_target(f"{agent}_button", REACHED)
 
-    def reset(self, sim, env_ids, rng):
-        self.start_arms(sim, env_ids, rng)
+    def reset(self, sim, env_ids, *, rng):
+        self.start_arms(sim, env_ids, rng=rng)
         for agent, placement in self.placements.items():
             places = np.array(placement.position) + np.array([0.45, 0.0, 0.75])
             places = places + rng.within(0.02, 3)
-            self.scene.place(sim, env_ids, f"{agent}_button", places)
+            self.scene.place(sim, env_ids, name=f"{agent}_button", position=places)
 
     def measure(self, sim):
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}

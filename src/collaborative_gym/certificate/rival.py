@@ -27,8 +27,8 @@ def aim_at_success(task: Task, starts: EnvState) -> Task:
     kind: Any = type(task)
 
     class Rival(kind):
-        def reset(self, sim, env_ids, rng):
-            super().reset(sim, env_ids, rng)
+        def reset(self, sim, env_ids, *, rng):
+            super().reset(sim, env_ids, rng=rng)
             which = rng.uniform(0, len(starts.physics)).astype(int)
             sim.set_state(starts.physics[which], env_ids)
             for name, rows in starts.memory.items():
@@ -80,6 +80,9 @@ def train_rival(
         recipe(task.name),
         total_steps=steps,
         assistance=0.0,
+        torque_penalty=0.0,
+        change_penalty=0.0,
+        delayed=0.0,
         validation_interval=max(1, steps // 8),
     )
     is_begun = (folder / LAST).exists()
