@@ -6,6 +6,8 @@ import threading
 import numpy as np
 import pytest
 
+import collaborative_gym as cg
+
 LENGTH = 12
 
 
@@ -100,9 +102,11 @@ def test_a_forked_child_is_told_so(make_env, call):
     env.step(idle(env))
 
 
+@pytest.mark.parametrize("strain", [False, True])
 @pytest.mark.parametrize("shot", [1, 3, 10])
-def test_a_watcher_that_raises_leaves_the_worlds_as_they_were(make_env, shot):
-    env, plain = make_env(2), make_env(2)
+def test_a_watcher_that_raises_leaves_the_worlds_as_they_were(make_env, shot, strain):
+    task = make_env().task
+    env, plain = (cg.VectorEnv(task, 2, strain=strain) for _ in range(2))
     for each in (env, plain):
         each.reset(seed=0)
         each.step(each.expert())
@@ -148,7 +152,7 @@ def test_a_task_that_fails_leaves_the_worlds_as_they_were(
         env.step(idle(env))
     before = env.get_state()
 
-    def fail(*_):
+    def fail(*_, **__):
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
@@ -179,7 +183,7 @@ def test_a_reset_that_fails_at_its_end_leaves_the_worlds_as_they_were(
         env.step(env.expert())
     before = env.get_state()
 
-    def fail(*_):
+    def fail(*_, **__):
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
