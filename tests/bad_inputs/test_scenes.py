@@ -195,6 +195,7 @@ ROBOTS = [
         for case in table("gripper", name, _fingers(name), NO_NUMBER, [None])
     ),
     *table("gripper", "force", _fingers("force"), [0, -1]),
+    *table("gripper", "holding_force", _fingers("holding_force"), [-1]),
     *table("gripper", "closed_gap", _fingers("closed_gap"), [-1, 10.0]),
     *table("gripper", "gap", lambda s, v: PANDA.gripper.position(v), NO_NUMBER),
     *table("robots", "robot", lambda s, v: cg.get_robot(v), NO_NAME, [None]),

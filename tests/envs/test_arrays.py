@@ -14,6 +14,7 @@ ARRAYS = [
     "act",
     "ctrl",
     "eq_active",
+    "userdata",
     "mocap_pos",
     "xfrc_applied",
     "sensordata",
@@ -147,8 +148,9 @@ class StrictSim(CpuSim):
         for name in ARRAYS:
             setattr(self, name, Strict(getattr(self, name)))
 
-    def step(self, controls):
-        super().step(np.ascontiguousarray(own(controls)))
+    def step(self, controls, records=None, breaks=None):
+        judge = breaks and (lambda found: own(breaks(Strict(found))))
+        super().step(np.ascontiguousarray(own(controls)), records, judge)
 
     def forward(self, env_ids=None):
         super().forward(bare(env_ids))

@@ -38,14 +38,14 @@ class Plain:
         self.held, self.at_limit = [], []
         self.step, env.sim.step = env.sim.step, self.steps
 
-    def steps(self, controls, records=None):
+    def steps(self, controls, records=None, breaks=None):
         state, kind = self.env.sim.get_state()[0], mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self.model, self.data, state, kind)
         for control in controls[0]:
             self.data.ctrl[:] = control
             mujoco.mj_step(self.model, self.data)
             self.look()
-        self.step(controls, records)
+        self.step(controls, records, breaks)
         assert (self.data.qpos == self.env.sim.qpos[0]).all()
         mujoco.mj_forward(self.model, self.data)
         self.raises("clearance", self.clearance(), min)

@@ -55,6 +55,7 @@ def facts(pot_pose=((0.0, 0.0, 1.0), LEVEL), far=0.3):
         to_handle=dict.fromkeys(agents, math.distance(handle[0], tcp[0])),
         to_target=math.distance(place, target),
         tilt=np.abs(roll) + np.abs(pitch),
+        speed=np.zeros(2),
     )
 
 
@@ -150,7 +151,7 @@ def test_tilt_is_roll_and_pitch_and_costs_a_fifth(env):
         assert terms["tilt"][:3] == pytest.approx([-0.06, -0.12, 0.0], abs=1e-6)
 
 
-def test_success_is_within_the_radius_in_both_grips():
+def test_success_is_within_the_radius_level_and_slow_in_both_grips():
     task = Lift((get_robot("panda"), get_robot("panda")), LiftConfig())
     gripping = {"robot_1": np.array([True, True]), "robot_2": np.array([True, False])}
     near = replace(facts(((0.0, 0.1, 1.29), LEVEL)), gripping=gripping)
@@ -158,6 +159,11 @@ def test_success_is_within_the_radius_in_both_grips():
     assert task.success(near).tolist() == [True, False]
     far = replace(facts(((0.0, 0.1, 1.32), LEVEL)), gripping=gripping)
     assert not task.success(far).any()
+    tilts, speeds = np.radians([14.0, 16.0]), np.array([0.29, 0.31])
+    both = dict.fromkeys(gripping, np.array([True, True]))
+    for changed in ({"tilt": tilts}, {"speed": speeds}):
+        held = replace(near, gripping=both, **changed)
+        assert task.success(held).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("robots", tuple(product(list_robots(), repeat=2)))

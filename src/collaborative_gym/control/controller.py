@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym import math
 from collaborative_gym.control.actions import ActionMode
+from collaborative_gym.control.grips import Grips
 from collaborative_gym.math import Array
-from collaborative_gym.scene import Arm, Grip, Scene
+from collaborative_gym.scene import Arm, Scene
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT, SIM_DT, SUBSTEPS
 
@@ -71,6 +71,9 @@ class Controller:
       scene: the compiled scene.
       sim: its worlds.
       mode: what actions mean.
+
+    Attributes:
+      tears: which grips break in a physics step, for `Sim.step`; None without grips.
     """
 
     def __init__(self, scene: Scene, sim: Sim, mode: ActionMode):
@@ -78,15 +81,8 @@ class Controller:
         self._mode = mode
         self._arms = scene.arms
         self._servos = {a: _Servos.of(arm, sim.xp) for a, arm in scene.arms.items()}
-        # Each grip with its constraint and where it closes the fingers.
-        self._grips = [
-            (
-                grip,
-                sim.model.equality(grip.name).id,
-                scene.arms[grip.agent].robot.gripper.position(grip.width),
-            )
-            for grip in scene.grips
-        ]
+        self._grips = Grips(scene, sim)
+        self.tears = self._grips.tears if scene.grips else None
 
     def start(self, env_ids: EnvIds) -> None:
         """Make the servos of freshly reset worlds hold their angles, grippers open."""
@@ -111,8 +107,7 @@ class Controller:
             change = mode.changes(sim, agent, moves)
             self._command_joints(controls, arm, self._servos[agent], change)
             controls[:, :, arm.fingers] = arm.robot.gripper.open_position
-        for grip, equality, closed in self._grips:
-            self._command_grip(controls, grip, equality, closed, grips[grip.agent])
+        self._grips.command(controls, grips)
         return controls
 
     def _command_joints(
@@ -145,16 +140,3 @@ class Controller:
         ahead = lead / SIM_DT * (reference[:, 1:, :] - reference[:, :-1, :])
         sim.act[:, arm.act] = angle + lead * reference[:, 0, :] + load
         controls[:, :, arm.servos] = reference[:, :-1, :] + ahead
-
-    def _command_grip(
-        self, controls: Array, grip: Grip, equality: int, closed: float, asked: Array
-    ) -> None:
-        """Switch one grip, and close the fingers where it holds."""
-        sim, fingers = self._sim, self._arms[grip.agent].fingers
-        tcp, site = sim.pose(f"{grip.agent}/tcp")[0], sim.pose(grip.site)[0]
-        is_near = math.norm(tcp - site) < grip.threshold
-        holds = asked & (is_near | (sim.eq_active[:, equality] > 0))
-        sim.eq_active[:, equality] = holds
-        controls[:, :, fingers] = sim.xp.where(
-            holds[:, None, None], closed, controls[:, :, fingers]
-        )

@@ -247,12 +247,10 @@ class Strain:
         """Return what arms spend against each other on a thing, (num_envs, steps)."""
         outer, forces = self._records["cfrc_ext"][:, :, :, 3:], []
         sensed, sim = self._records["sensordata"], self._sim
-        for bond, hand, contact in held.bonds:
+        for _, hand, contact in held.bonds:
             # Contacts of the hand and outer forces act on it, too.
             force = -(outer[:, :, hand] + sensed[:, :, contact])
-            force += sim.xfrc_applied[:, None, hand, :3]
-            is_bound = sim.eq_active[:, bond, None, None] > 0
-            forces.append(np.where(is_bound, force, 0.0))
+            forces.append(force + sim.xfrc_applied[:, None, hand, :3])
         if held.tool is not None:
             forces.append(self._records["cfrc_int"][:, :, held.tool, 3:])
         return internal_force(forces)

@@ -458,7 +458,8 @@ class VectorEnv:
         for start in range(0, self.substeps, length):
             try:
                 records = strain.records(length) if strain else None
-                sim.step(controls[:, start : start + length], records)
+                now = controls[:, start : start + length]
+                sim.step(now, records, self._controller.tears)
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
             if strain:

@@ -33,6 +33,7 @@ _GRIPPER_NUMBERS = (
     "open_gap",
     "closed_gap",
     "force",
+    "holding_force",
 )
 
 
@@ -50,6 +51,8 @@ class Gripper:
       open_gap: clear width between the fingers when open, in m.
       closed_gap: clear width between the fingers when closed, in m.
       force: limit of one finger's actuator, in N or N m.
+      holding_force: pull at which what it grips is torn from it, in N; 0, ten times
+        the weight of the arm's payload.
 
     Raises:
       ValueError: if the numbers make no gripper; says which to change.
@@ -61,6 +64,7 @@ class Gripper:
     open_gap: float = 0.0
     closed_gap: float = 0.0
     force: float = 0.0
+    holding_force: float = 0.0
 
     def __post_init__(self) -> None:
         freeze(self, joints=_names(self.joints))
@@ -139,6 +143,10 @@ def robot_error(robot: RobotData, what: str) -> ValueError:
 
 def _check_gripper(gripper: Gripper) -> None:
     """Raise ValueError if the numbers make no gripper."""
+    if gripper.holding_force < 0:
+        raise ValueError(
+            f"a gripper's holding_force must be at least 0, got {gripper.holding_force}"
+        )
     if not gripper.joints:
         return
     positions = gripper.open_position, gripper.closed_position

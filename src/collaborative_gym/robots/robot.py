@@ -1,6 +1,6 @@
 """A robot arm as a value: its model file, limits, home pose and gripper."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 
@@ -11,6 +11,14 @@ from collaborative_gym.robots.servos import armatures, dampings, torque_limits
 
 _STIFFNESS = 8.0
 """Stiffness over damping of the joint servos where none is given, in 1/s."""
+
+_HOLDING = 10.0 * 9.81
+"""Holding force of a gripper over the arm's payload where none is given, in m/s2.
+
+Our choice: data sheets give what the fingers squeeze with (70 N and for a moment 140 N
+of the Franka Hand), not what tears a thing out of them. A hand bears 1.6 payloads in
+Lift, twice that as it starts and stops, twice that again in a shock of a physics step,
+as the Franka Hand allows, and half as much again is the reserve of a sound gripper."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,9 @@ class Robot(RobotData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.gripper.holding_force:
+            force = _HOLDING * self.payload
+            freeze(self, gripper=replace(self.gripper, holding_force=force))
         spec = self.spec()
         if not self.torque_limits:
             freeze(self, torque_limits=torque_limits(self, spec))

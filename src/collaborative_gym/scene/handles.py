@@ -93,6 +93,11 @@ class Grip:
         """The name of the equality constraint in the compiled model."""
         return f"{self.agent} grips {self.site}"
 
+    @property
+    def palm(self) -> str:
+        """The name of the body and site that bear the hand's grips, and its sensor."""
+        return f"{self.agent}/palm"
+
 
 def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
     """Return where the arm of an agent is found.

@@ -173,12 +173,15 @@ class Scene:
         grip = Grip(agent, site, threshold, width)
         if not any(site == other.site for other in self.grips):
             self.add_pose_sensor(site, site)
+        if not any(agent == other.agent for other in self.grips):
+            self._add_palm(grip)
         self.grips.append(grip)
+        self.spec.nuserdata = len(self.grips)
         self.spec.add_equality(
             name=grip.name,
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=f"{agent}/{self.robots[agent].tcp}",
+            name1=grip.palm,
             name2=site,
             active=False,
             # The tcp and the site are apart when the grip starts, by the threshold at
@@ -364,6 +367,17 @@ class Scene:
         self.spec.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )
+
+    def _add_palm(self, grip: Grip) -> None:
+        """Add a body to a hand that bears its grips alone, and a sensor of its load.
+
+        It weighs nothing, so what the hand exerts on it is the force of the grips. Its
+        frame is the hand's, from where MuJoCo takes the stiffness of a constraint.
+        """
+        tcp = self.spec.site(f"{grip.agent}/{self.robots[grip.agent].tcp}")
+        palm = tcp.parent.add_body(name=grip.palm)
+        palm.add_site(name=grip.palm, pos=tcp.pos)
+        self._add_sensor(grip.palm, mujoco.mjtSensor.mjSENS_FORCE, grip.palm)
 
     def _add_stand(self, agent: str, robot: Robot, placement: Placement) -> None:
         x, y, height = placement.position

@@ -11,7 +11,7 @@ from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
 from collaborative_gym.math import Array
-from collaborative_gym.sim.sim import EnvIds
+from collaborative_gym.sim.sim import Breaks, EnvIds
 
 _CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
 _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
@@ -40,9 +40,11 @@ class CpuSim:
         self.act = self._batch.bind("act")
         self.ctrl = self._batch.bind("ctrl")
         self.eq_active = self._batch.bind("eq_active")
+        self.userdata = self._batch.bind("userdata")
         self.mocap_pos = self._batch.bind("mocap_pos")
         self.xfrc_applied = self._batch.bind("xfrc_applied")
         self.sensordata = self._batch.bind("sensordata")
+        self._switches = self.eq_active
         self._flags = self._batch.expand("opt.disableflags")
         self._sensors: dict[str, np.ndarray] = {}
         for i in range(model.nsensor):
@@ -50,19 +52,78 @@ class CpuSim:
             name = model.sensor(i).name
             self._sensors[name] = self.sensordata[:, start : start + size]
 
-    def step(self, controls: Array, records: dict[str, Array] | None = None) -> None:
+    def step(
+        self,
+        controls: Array,
+        records: dict[str, Array] | None = None,
+        breaks: Breaks | None = None,
+    ) -> None:
         before, records = self._warnings(), records or {}
-        failed = np.zeros(self.num_envs, bool)
-        try:
-            self._batch.rollout(
-                controls.shape[1], controls, record=tuple(records), out=records
-            )
-        except batch.SimulationError as error:
-            failed[error.ids] = True
+        failed, active = np.zeros(self.num_envs, bool), self._switches > 0
+        if breaks is None or not active.any():
+            self._advance(controls, records, failed)
+        else:
+            # Constraints seldom break: all steps are taken at once, and again one by
+            # one in the worlds where that was wrong.
+            shape = *controls.shape[:2], self.model.nsensordata
+            records = {"sensordata": np.zeros(shape)} | records
+            state = self._batch.state.copy()
+            self._advance(controls, records, failed)
+            wrong = breaks(records["sensordata"]) & active[:, None]
+            rows = np.flatnonzero(wrong.any(axis=(1, 2)))
+            self._batch.state[rows] = state[rows]
+            before[rows], failed[rows] = self._warnings()[rows], False
+            for i in range(controls.shape[1]):
+                now = slice(i, i + 1)
+                one = {name: array[:, now] for name, array in records.items()}
+                self._advance_one(controls[:, now], one, failed, rows, breaks)
         self.forward()
         failed |= self._warnings() > before
         if failed.any():
             raise SimulationDiverged(np.flatnonzero(failed))
+
+    def _advance_one(
+        self,
+        control: Array,
+        records: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray,
+        breaks: Breaks,
+    ) -> None:
+        """Take a physics step in these worlds, again where it breaks a constraint.
+
+        Then without that one, so that none is ever loaded more than it bears.
+        """
+        state, switches = self._batch.state, self._switches
+        while len(rows):
+            kept = state[rows]
+            found = {
+                name: np.zeros_like(array[rows]) for name, array in records.items()
+            }
+            self._advance(control[rows], found, failed, rows)
+            for name, array in found.items():
+                records[name][rows] = array
+            broken = breaks(found["sensordata"][:, 0]) & (switches[rows] > 0)
+            again = broken.any(axis=1)
+            rows = rows[again]
+            state[rows] = kept[again]
+            switches[rows] *= ~broken[again]
+
+    def _advance(
+        self,
+        controls: Array,
+        records: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray | None = None,
+    ) -> None:
+        """Advance these worlds, None for all, and mark those that MuJoCo gives up."""
+        names = tuple(records)
+        try:
+            self._batch.rollout(
+                controls.shape[1], controls, record=names, ids=rows, out=records
+            )
+        except batch.SimulationError as error:
+            failed[error.ids] = True
 
     def _warnings(self) -> np.ndarray:
         """Return how often MuJoCo has warned of each world, (num_envs,).

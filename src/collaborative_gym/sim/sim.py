@@ -1,5 +1,6 @@
 """What a physics backend offers to environments and tasks."""
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import mujoco
@@ -10,13 +11,19 @@ EnvIds = Any
 """Sorted integer ids of worlds, a boolean mask over them, or None for all."""
 
 
+Breaks = Callable[[Array], Array]
+"""Tells of `sensordata` of physics steps, as they began and with the forces in them,
+(..., nsensordata), which equality constraints they break, (..., neq) booleans."""
+
+
 class Sim(Protocol):
     """Many worlds of one model, stepped together.
 
     The array attributes are live: reading them gives the state after the last call,
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
     kept.
-    Velocities and positions in `sensordata` are current after every call.
+    Velocities and positions in `sensordata` are current after every call; forces are
+    told to `breaks` alone.
 
     Attributes:
       model: the compiled world.
@@ -27,6 +34,7 @@ class Sim(Protocol):
       act: (num_envs, na) servo targets.
       ctrl: (num_envs, nu) controls.
       eq_active: (num_envs, neq) switches of the equality constraints, 0 or 1.
+      userdata: (num_envs, nuserdata) what the state holds beside the physics.
       mocap_pos: (num_envs, nmocap, 3) places of the targets.
       xfrc_applied: (num_envs, nbody, 6) forces and torques on the bodies.
       sensordata: (num_envs, nsensordata) read-only sensor values.
@@ -40,11 +48,17 @@ class Sim(Protocol):
     act: Array
     ctrl: Array
     eq_active: Array
+    userdata: Array
     mocap_pos: Array
     xfrc_applied: Array
     sensordata: Array
 
-    def step(self, controls: Array, records: dict[str, Array] | None = None) -> None:
+    def step(
+        self,
+        controls: Array,
+        records: dict[str, Array] | None = None,
+        breaks: Breaks | None = None,
+    ) -> None:
         """Advance every world by some physics steps, then make its sensors current.
 
         Args:
@@ -52,6 +66,8 @@ class Sim(Protocol):
           records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
             what each physics step found: what follows from the state is of the one
             before it, and the state itself is of the one after it.
+          breaks: judges each physics step. One that would break equality constraints
+            is taken with those switched off, which they then are.
 
         Raises:
           SimulationDiverged: if some worlds became unstable; the others went on.

@@ -8,11 +8,13 @@ observe everything.
 
 Randomised: the arms' start, the pot's place and turn on the table, the target.
 
-Success: the pot's middle is within 0.15 m of the target while both arms grip it.
+Success: the pot's middle is within 0.15 m of the target, level within 15 degrees and
+slower than 0.3 m/s, while both arms grip it.
 
 The pot's mass follows from the arms, so that none can hold it alone; `lift_mass` says
 how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone
-would not do: an arm can swing the pot past the target for a moment by its momentum.
+would not do: an arm can swing the pot past the target for a moment by its momentum, and
+carry another arm along that holds on and does nothing else.
 """
 
 from dataclasses import dataclass, replace
@@ -72,12 +74,16 @@ class LiftConfig(TaskConfig):
       target: where the pot is to go, in m, or None for the task's rule.
       pot_mass: in kg, or None for the task's rule.
       success_radius: distance to the target that counts as there, in m.
+      success_tilt: tilt of the pot that counts as level, in rad.
+      success_speed: speed of the pot that counts as slow, in m/s.
       picking_threshold: greatest distance at which a grip starts, in m.
     """
 
     target: tuple[float, float, float] | None = None
     pot_mass: float | None = bounded(None, 0.01, 1000.0)
     success_radius: float = bounded(0.15, 0.001, 10.0)
+    success_tilt: float = bounded(float(np.radians(15.0)), 0.001, 10.0)
+    success_speed: float = bounded(0.3, 0.001, 100.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
 
     def __post_init__(self) -> None:
@@ -101,6 +107,7 @@ class LiftFacts:
       to_handle: distance of each agent's tcp to its handle, in m.
       to_target: distance of the pot to the target, in m.
       tilt: |roll| + |pitch| of the pot, in rad.
+      speed: of the pot's middle, in m/s.
     """
 
     joints: dict[str, Array]
@@ -112,6 +119,7 @@ class LiftFacts:
     to_handle: dict[str, Array]
     to_target: Array
     tilt: Array
+    speed: Array
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
@@ -162,6 +170,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         balance = float(np.dot(self.weighing.shares, _GRIP_OFFSETS[:, 1]))
         scene.add("pot", pot(self.pot_mass, balance), position=_START)
         scene.add_pose_sensor("pot", "pot/pot")
+        scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
             threshold = self.config.picking_threshold
             scene.add_grip(agent, handle, threshold=threshold, width=HANDLE_WIDTH)
@@ -231,6 +240,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             },
             to_target=math.distance(pose[0], target),
             tilt=xp.abs(roll) + xp.abs(pitch),
+            speed=math.norm(sim.velocity("pot")[0]),
         )
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
@@ -266,8 +276,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return terms
 
     def success(self, facts: LiftFacts) -> Array:
-        near = facts.to_target < self.config.success_radius
-        return reduce(and_, facts.gripping.values(), near)
+        config = self.config
+        is_there = facts.to_target < config.success_radius
+        is_level = facts.tilt < config.success_tilt
+        is_slow = facts.speed < config.success_speed
+        return reduce(and_, facts.gripping.values(), is_there & is_level & is_slow)
 
     def shortfall(self, facts: LiftFacts) -> Array:
         xp = array_namespace(facts.to_target)
