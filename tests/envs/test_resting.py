@@ -8,13 +8,6 @@ from collaborative_gym.testing import play
 LENGTH = 12
 
 
-def idle(env):
-    return {
-        agent: np.zeros((env.num_envs, *space.shape))
-        for agent, space in env.single_action_spaces.items()
-    }
-
-
 def late(env, worlds, left=1):
     """Put these worlds that many steps before their episode's end."""
     state = env.get_state(worlds)
@@ -22,14 +15,7 @@ def late(env, worlds, left=1):
     env.set_state(state, worlds)
 
 
-def assert_same(state, other):
-    np.testing.assert_array_equal(state.physics, other.physics)
-    for part in ("memory", "progress"):
-        for name, array in getattr(state, part).items():
-            np.testing.assert_array_equal(array, getattr(other, part)[name])
-
-
-def test_an_ended_world_rests_while_the_others_go_on(make_env):
+def test_an_ended_world_rests_while_the_others_go_on(make_env, assert_same):
     env, plain = make_env(4, auto_reset=False), make_env(4)
     for each in (env, plain):
         each.reset(seed=0)
@@ -64,12 +50,12 @@ def test_an_ended_world_rests_while_the_others_go_on(make_env):
             )
     assert_same(env.get_state([1, 2]), before)
     late(env, [0, 3])
-    env.step(idle(env))
+    env.step(env.idle())
     with pytest.raises(RuntimeError, match=r"ended; call reset\(\) before step\(\)"):
-        env.step(idle(env))
+        env.step(env.idle())
 
 
-def test_some_worlds_start_again_and_the_others_go_on_unchanged(make_env):
+def test_some_worlds_start_again_and_the_others_go_on_unchanged(make_env, assert_same):
     env, other = make_env(5), make_env(5)
     for each in (env, other):
         each.reset(seed=0)
@@ -110,10 +96,10 @@ def test_a_world_that_rests_starts_again_when_it_is_reset(make_env):
     env = make_env(2, auto_reset=False)
     env.reset(seed=0)
     late(env, [1])
-    env.step(idle(env))
+    env.step(env.idle())
     _, infos = env.reset(env_ids=[1])
     assert not infos["ended"].any()
-    *_, infos = env.step(idle(env))
+    *_, infos = env.step(env.idle())
     assert infos["step"].tolist() == [2, 1]
 
 
@@ -125,12 +111,12 @@ def test_a_diverged_world_rests_wherever_its_state_is_put(
     for each in (env, other):
         each.reset(seed=0)
     env.sim.qpos[0, 0] = np.nan
-    *_, infos = env.step(idle(env))
+    *_, infos = env.step(env.idle())
     assert infos["diverged"].tolist() == [True, False]
     env.set_state(env.get_state([1]), [1])
     other.set_state(env.get_state([0]), [1])
     for each, rests in ((env, [True, False]), (other, [False, True])):
-        *_, infos = each.step(idle(each))
+        *_, infos = each.step(each.idle())
         assert infos["resting"].tolist() == rests
         assert infos["diverged"].tolist() == rests
 
@@ -150,7 +136,9 @@ def test_a_diverged_world_rests_wherever_its_state_is_put(
         (TypeError, slice(0, 2), "must be a list of worlds or a mask"),
     ],
 )
-def test_worlds_that_there_are_not_change_nothing(make_env, error, env_ids, message):
+def test_worlds_that_there_are_not_change_nothing(
+    make_env, error, env_ids, message, assert_same
+):
     env = make_env(3)
     env.reset(seed=0)
     before = env.get_state()

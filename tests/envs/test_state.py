@@ -16,20 +16,6 @@ from collaborative_gym.tasks.registry import make_task
 LENGTH = 12
 
 
-def idle(env):
-    return {
-        agent: np.zeros((env.num_envs, *space.shape))
-        for agent, space in env.single_action_spaces.items()
-    }
-
-
-def assert_same(state, other):
-    np.testing.assert_array_equal(state.physics, other.physics)
-    for part in ("memory", "progress"):
-        for name, array in getattr(state, part).items():
-            np.testing.assert_array_equal(array, getattr(other, part)[name])
-
-
 def with_progress(state, name, value):
     rows = state.progress[name].copy()
     rows[1] = value
@@ -60,11 +46,13 @@ def with_physics(state, value):
         (lambda s: {"physics": s.physics}, r"comes from get_state\(\), and is no dict"),
     ],
 )
-def test_a_state_that_no_world_can_be_in_changes_nothing(make_env, change, message):
+def test_a_state_that_no_world_can_be_in_changes_nothing(
+    make_env, change, message, assert_same
+):
     env = make_env(2)
     env.reset(seed=0)
     for _ in range(2):
-        env.step(idle(env))
+        env.step(env.idle())
     before = env.get_state()
     with pytest.raises((ValueError, TypeError), match=message):
         env.set_state(change(env.get_state()))
@@ -78,7 +66,9 @@ def test_a_state_that_no_world_can_be_in_changes_nothing(make_env, change, messa
         ({"robots": ("panda", "sawyer")}, "robot_2 is panda, not sawyer"),
     ],
 )
-def test_a_state_of_another_environment_is_refused(make_env, settings, message):
+def test_a_state_of_another_environment_is_refused(
+    make_env, settings, message, assert_same
+):
     env, other = make_env(2), make_env(2, **settings)
     for each in (env, other):
         each.reset(seed=0)
@@ -88,11 +78,11 @@ def test_a_state_of_another_environment_is_refused(make_env, settings, message):
     assert_same(other.get_state(), before)
 
 
-def test_a_state_of_another_environment_is_taken_on_purpose(make_env):
+def test_a_state_of_another_environment_is_taken_on_purpose(make_env, assert_same):
     env, other = make_env(2), make_env(2, height=0.7)
     for each, seed in ((env, 0), (other, 1)):
         each.reset(seed=seed)
-    env.step(idle(env))
+    env.step(env.idle())
     other.set_state(env.get_state(), from_another=True)
     assert_same(other.get_state(), env.get_state())
 
@@ -121,7 +111,7 @@ def again(request):
     return request.param
 
 
-def test_a_copied_environment_goes_on_with_the_same_bits(again):
+def test_a_copied_environment_goes_on_with_the_same_bits(again, assert_same):
     task = make_task("PokeTaskSawyers-v0", max_episode_steps=20)
     env = cg.VectorEnv(task, 3, seed=7, num_threads=1, auto_reset=False)
     fresh = again(env)

@@ -11,20 +11,6 @@ import collaborative_gym as cg
 LENGTH = 12
 
 
-def idle(env):
-    return {
-        agent: np.zeros((env.num_envs, *space.shape))
-        for agent, space in env.single_action_spaces.items()
-    }
-
-
-def assert_same(state, other):
-    np.testing.assert_array_equal(state.physics, other.physics)
-    for part in ("memory", "progress"):
-        for name, array in getattr(state, part).items():
-            np.testing.assert_array_equal(array, getattr(other, part)[name])
-
-
 def in_thread(call):
     """Return what a call gives, or raises, in a thread of its own."""
     given = []
@@ -44,7 +30,7 @@ def in_thread(call):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda env: env.step(idle(env)),
+        lambda env: env.step(env.idle()),
         lambda env: env.reset(),
         lambda env: env.render(width=32, height=24),
         lambda env: env.get_state(),
@@ -53,27 +39,27 @@ def in_thread(call):
     ],
     ids=["step", "reset", "render", "get_state", "expert", "close"],
 )
-def test_another_thread_is_told_that_one_is_inside(make_env, call):
+def test_another_thread_is_told_that_one_is_inside(make_env, call, assert_same):
     env, plain = make_env(2), make_env(2)
     for each in (env, plain):
         each.reset(seed=0)
     found = []
     env.watch(lambda: found.append(in_thread(lambda: call(env))))
-    env.step(idle(env))
+    env.step(env.idle())
     env.watch(None)
-    plain.step(idle(plain))
+    plain.step(plain.idle())
     (error,) = found
     assert isinstance(error, RuntimeError)
     assert "thread 'MainThread' is inside this environment" in str(error)
     assert_same(env.get_state(), plain.get_state())
 
 
-def test_threads_may_take_turns(make_env):
+def test_threads_may_take_turns(make_env, assert_same):
     env, plain = make_env(2), make_env(2)
     for each in (env, plain):
         each.reset(seed=0)
-    in_thread(lambda: env.step(idle(env)))
-    plain.step(idle(plain))
+    in_thread(lambda: env.step(env.idle()))
+    plain.step(plain.idle())
     assert_same(env.get_state(), plain.get_state())
 
 
@@ -82,7 +68,7 @@ def test_threads_may_take_turns(make_env):
 def test_a_forked_child_is_told_so(make_env, call):
     env = make_env(3, num_threads=2)
     env.reset(seed=0)
-    arguments = (idle(env),) if call == "step" else ()
+    arguments = (env.idle(),) if call == "step" else ()
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -99,12 +85,14 @@ def test_a_forked_child_is_told_so(make_env, call):
     os.waitpid(child, 0)
     assert "belongs to the process that made it" in told
     assert "'spawn'" in told
-    env.step(idle(env))
+    env.step(env.idle())
 
 
 @pytest.mark.parametrize("strain", [False, True])
 @pytest.mark.parametrize("shot", [1, 3, 10])
-def test_a_watcher_that_raises_leaves_the_worlds_as_they_were(make_env, shot, strain):
+def test_a_watcher_that_raises_leaves_the_worlds_as_they_were(
+    make_env, shot, strain, assert_same
+):
     task = make_env().task
     env, plain = (cg.VectorEnv(task, 2, strain=strain) for _ in range(2))
     for each in (env, plain):
@@ -133,23 +121,23 @@ def test_a_watcher_may_draw_but_not_step(make_env):
     env = make_env(1)
     env.reset(seed=0)
     env.watch(lambda: env.render(width=32, height=24))
-    env.step(idle(env))
-    for call in (lambda: env.step(idle(env)), env.reset):
+    env.step(env.idle())
+    for call in (lambda: env.step(env.idle()), env.reset):
         env.watch(call)
         with pytest.raises(RuntimeError, match="in the middle of a step; what watches"):
-            env.step(idle(env))
+            env.step(env.idle())
     env.watch(None)
-    assert env.step(idle(env))[-1]["step"].tolist() == [2]
+    assert env.step(env.idle())[-1]["step"].tolist() == [2]
 
 
 @pytest.mark.parametrize("method", ["disturb", "measure", "reward", "success", "reset"])
 def test_a_task_that_fails_leaves_the_worlds_as_they_were(
-    make_env, monkeypatch, method
+    make_env, monkeypatch, method, assert_same
 ):
     env = make_env(3)
     env.reset(seed=0)
     for _ in range(LENGTH - 1):
-        env.step(idle(env))
+        env.step(env.idle())
     before = env.get_state()
 
     def fail(*_, **__):
@@ -158,9 +146,9 @@ def test_a_task_that_fails_leaves_the_worlds_as_they_were(
     with monkeypatch.context() as patch:
         patch.setattr(env.task, method, fail)
         with pytest.raises(ZeroDivisionError):
-            env.step(idle(env))
+            env.step(env.idle())
         assert_same(env.get_state(), before)
-    assert env.step(idle(env))[-1]["ended"].all()
+    assert env.step(env.idle())[-1]["ended"].all()
 
 
 @pytest.mark.parametrize(
@@ -174,7 +162,7 @@ def test_a_task_that_fails_leaves_the_worlds_as_they_were(
     ids=["reset", "reset one", "set_state", "set_state in others"],
 )
 def test_a_reset_that_fails_at_its_end_leaves_the_worlds_as_they_were(
-    make_env, monkeypatch, call
+    make_env, monkeypatch, call, assert_same
 ):
     env = make_env(3)
     env.reset(seed=0)

@@ -10,13 +10,6 @@ import collaborative_gym as cg
 LENGTH = 12
 
 
-def idle(env):
-    return {
-        agent: np.zeros((env.num_envs, *space.shape))
-        for agent, space in env.single_action_spaces.items()
-    }
-
-
 def test_spaces_and_blocks_describe_what_is_returned(make_env):
     env = make_env(3)
     observations, infos = env.reset(seed=0)
@@ -82,7 +75,7 @@ def test_a_failed_episode_has_no_time_to_success(make_env):
     env = make_env(1)
     env.reset(seed=0)
     for _ in range(LENGTH):
-        infos = env.step(idle(env))[-1]
+        infos = env.step(env.idle())[-1]
     assert infos["metrics"]["completion"][0] == 0.0
     assert infos["metrics"]["performance"][0] == 0.0
     assert np.isnan(infos["metrics"]["time_to_success"][0])
@@ -114,7 +107,7 @@ def test_staggered_worlds_end_at_different_times(make_env):
     assert infos["step"].tolist() == [0, 2, 4, 6, 8, 10]
     ends = []
     for _ in range(LENGTH):
-        infos = env.step(idle(env))[-1]
+        infos = env.step(env.idle())[-1]
         ends.append(np.flatnonzero(infos["ended"]).tolist())
     assert ends == [[], [5], [], [4], [], [3], [], [2], [], [1], [], [0]]
     assert infos["metrics"]["length"][0] == LENGTH
@@ -130,25 +123,25 @@ def test_without_auto_reset_a_world_stays_as_its_episode_left_it(make_env):
         observations["robot_1"], infos["final_observation"]["robot_1"]
     )
     with pytest.raises(RuntimeError, match=r"ended; call reset\(\)"):
-        env.step(idle(env))
+        env.step(env.idle())
     assert env.reset()[1]["episode"].tolist() == [1]
-    env.step(idle(env))
+    env.step(env.idle())
 
 
 def test_an_ended_episode_that_is_put_back_is_still_ended(make_env):
     env, other = make_env(1, auto_reset=False), make_env(1)
     env.reset(seed=0)
-    env.step(idle(env))
+    env.step(env.idle())
     under_way = env.get_state()
     for _ in range(LENGTH - 1):
-        env.step(idle(env))
+        env.step(env.idle())
     ended = env.get_state()
     for each in (env, other):
         each.set_state(ended)
         with pytest.raises(RuntimeError, match=r"ended; call reset\(\)"):
-            each.step(idle(each))
+            each.step(each.idle())
         each.set_state(under_way)
-        each.step(idle(each))
+        each.step(each.idle())
 
 
 def test_returned_arrays_are_the_callers_own(make_env):
@@ -156,8 +149,8 @@ def test_returned_arrays_are_the_callers_own(make_env):
     for each in (env, other):
         each.reset(seed=0)
     for _ in range(3):
-        observations, rewards, *_, infos = env.step(idle(env))
-        other_observations = other.step(idle(env))[0]
+        observations, rewards, *_, infos = env.step(env.idle())
+        other_observations = other.step(env.idle())[0]
         np.testing.assert_array_equal(
             observations["robot_1"], other_observations["robot_1"]
         )
@@ -201,13 +194,13 @@ def test_a_picture_shows_the_scene(make_env):
         (lambda a: with_value(a, -np.inf), "robot_2 in world 1 is -inf at index 4"),
     ],
 )
-def test_wrong_actions_change_nothing(make_env, change, message):
+def test_wrong_actions_change_nothing(make_env, change, message, assert_same):
     env = make_env(3)
     env.reset(seed=0)
-    env.step(idle(env))
+    env.step(env.idle())
     before = env.get_state()
     with pytest.raises(ValueError, match=message):
-        env.step(change(idle(env)))
+        env.step(change(env.idle()))
     assert_same(env.get_state(), before)
 
 
@@ -216,14 +209,7 @@ def with_value(actions, value):
     return actions
 
 
-def assert_same(state, other):
-    np.testing.assert_array_equal(state.physics, other.physics)
-    for part in ("memory", "progress"):
-        for name, array in getattr(state, part).items():
-            np.testing.assert_array_equal(array, getattr(other, part)[name])
-
-
-def test_actions_beyond_their_bounds_count_as_the_bound(make_env):
+def test_actions_beyond_their_bounds_count_as_the_bound(make_env, assert_same):
     states = []
     for size in (1.0, 5.0):
         env = make_env(1)
@@ -236,7 +222,7 @@ def test_actions_beyond_their_bounds_count_as_the_bound(make_env):
 @pytest.mark.parametrize("call", ["step", "expert", "get_state", "render"])
 def test_calls_out_of_order_say_so(make_env, call):
     env = make_env(1)
-    arguments = (idle(env),) if call == "step" else ()
+    arguments = (env.idle(),) if call == "step" else ()
     with pytest.raises(RuntimeError, match=rf"call reset\(\) before {call}\(\)"):
         getattr(env, call)(*arguments)
     env.close()
@@ -278,7 +264,9 @@ def test_wrong_settings_are_refused(make_env, error, arguments, message):
         (ValueError, {"seed": 0, "episodes": [0, -1]}, r"counted 0, 1, 2.*\[0, -1\]"),
     ],
 )
-def test_a_wrong_reset_changes_nothing(make_env, error, arguments, message):
+def test_a_wrong_reset_changes_nothing(
+    make_env, error, arguments, message, assert_same
+):
     env = make_env(2)
     env.reset(seed=0)
     before = env.get_state()
@@ -287,7 +275,7 @@ def test_a_wrong_reset_changes_nothing(make_env, error, arguments, message):
     assert_same(env.get_state(), before)
 
 
-def test_a_state_that_does_not_fit_changes_nothing(make_env):
+def test_a_state_that_does_not_fit_changes_nothing(make_env, assert_same):
     env = make_env(3)
     env.reset(seed=0)
     before = env.get_state()
@@ -302,7 +290,7 @@ def test_a_state_that_does_not_fit_changes_nothing(make_env):
     assert_same(env.get_state(), before)
 
 
-def test_some_worlds_cannot_be_restored_before_all_have_started(make_env):
+def test_some_worlds_cannot_be_restored_before_all_have_started(make_env, assert_same):
     env, fresh = make_env(2), make_env(2)
     env.reset(seed=0)
     with pytest.raises(RuntimeError, match=r"call reset\(\) before set_state\(\)"):

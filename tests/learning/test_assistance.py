@@ -7,13 +7,6 @@ import collaborative_gym as cg
 from collaborative_gym.learning.assistance import Assistance
 
 
-def hold_still(env):
-    return {
-        agent: np.zeros((env.num_envs, *space.shape))
-        for agent, space in env.single_action_spaces.items()
-    }
-
-
 @pytest.fixture(scope="module")
 def env():
     """Return a world whose pot is in the air, after `fallen` has put it there."""
@@ -28,7 +21,7 @@ def fallen(env, assistance):
     env.scene.place(env.sim, [0], name="pot", position=np.array([0.0, 0.0, 2.5]))
     for _ in range(2):
         assistance.carry(env)
-        env.step(hold_still(env))
+        env.step(env.idle())
     return 2.5 - env.facts.pot[0][0, 2]
 
 

@@ -74,3 +74,20 @@ def unwatched(make_env):
         return np.array(rows)
 
     return unwatched
+
+
+@pytest.fixture
+def make_page(make_session):
+    """Return a function that serves a session on a free port, and stop it after."""
+    from collaborative_gym.viewer.web import Page
+
+    pages = []
+
+    def make(session=None, host="127.0.0.1", port=0):
+        page = Page(session or make_session(), "a title", host, port)
+        pages.append(page)
+        return page
+
+    yield make
+    for page in pages:
+        page.close()

@@ -18,7 +18,6 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.sync.client import connect
 
 from collaborative_gym.viewer import guard
-from collaborative_gym.viewer.web import Page
 
 PROTOCOL = f"viser-v{viser.__version__}"
 REFUSED = ConnectionClosed, ConnectionError, InvalidHandshake, TimeoutError
@@ -34,21 +33,6 @@ CAMERA = {
     "look_at": [0, 0, 0.5],
     "up_direction": [0, 0, 1],
 }
-
-
-@pytest.fixture
-def make_page(make_session):
-    """Return a function that serves a session on a free port, and stop it after."""
-    pages = []
-
-    def make(host="127.0.0.1", session=None):
-        page = Page(session or make_session(), "a title", host, 0)
-        pages.append(page)
-        return page
-
-    yield make
-    for page in pages:
-        page.close()
 
 
 @pytest.fixture
@@ -145,7 +129,7 @@ def test_no_host_two_hosts_and_two_origins_are_refused(page):
 
 
 def test_open_to_others_it_answers_to_addresses_and_its_own_names(make_page):
-    page = make_page("0.0.0.0")
+    page = make_page(host="0.0.0.0")
     name = socket.gethostname()
     for host in (
         "192.168.1.1:8080",
@@ -164,7 +148,7 @@ def test_open_to_others_it_answers_to_addresses_and_its_own_names(make_page):
 
 @pytest.mark.skipif(not socket.has_ipv6, reason="there is no IPv6")
 def test_its_page_at_an_ipv6_address_is_answered(make_page):
-    page = make_page("::1")
+    page = make_page(host="::1")
     tab = join(page)
     tab.close()
 

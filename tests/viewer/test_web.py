@@ -19,21 +19,6 @@ only_linux = pytest.mark.skipif(
 
 
 @pytest.fixture
-def make_page():
-    """Return a function that serves a session on a free port, and stop it after."""
-    pages = []
-
-    def make(session, host="127.0.0.1", port=0):
-        page = Page(session, "a title", host, port)
-        pages.append(page)
-        return page
-
-    yield make
-    for page in pages:
-        page.close()
-
-
-@pytest.fixture
 def watch():
     """Return a function that connects to a page as a browser's tab does."""
 
