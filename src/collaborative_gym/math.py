@@ -117,13 +117,10 @@ def from_yaw(yaw: Array) -> Array:
     return xp.stack([xp.cos(yaw / 2), zero, zero, xp.sin(yaw / 2)], axis=-1)
 
 
-def xyzw(q: Array) -> Array:
-    """Return w x y z as x y z w, the order of the thesis's observation tables."""
-    xp = array_namespace(q)
-    return xp.concat([q[..., 1:], q[..., :1]], axis=-1)
-
-
 def pose(pos: Array, quat: Array) -> Array:
-    """Return the observation block of a pose: position, then quaternion x y z w."""
+    """Return the observation block of a pose: position, then quaternion x y z w.
+
+    That is the order of the thesis's observation tables.
+    """
     xp = array_namespace(pos, quat)
-    return xp.concat([pos, xyzw(quat)], axis=-1)
+    return xp.concat([pos, quat[..., 1:], quat[..., :1]], axis=-1)

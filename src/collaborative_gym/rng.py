@@ -78,8 +78,10 @@ class EpisodeRandom:
         """
         shape = (size,) if isinstance(size, int) else size
         unit = np.stack([generator.random(shape) for generator in self._generators])
-        low, high = np.asarray(low, float), np.asarray(high, float)
-        return low + (high - low) * unit
+        # In place: these may be thousands of numbers for each world.
+        unit *= np.subtract(high, low)
+        unit += low
+        return unit
 
     def within(self, bound, size: int | tuple[int, ...] = ()) -> np.ndarray:
         """Return uniform draws between minus and plus the bound, (episodes, *size)."""

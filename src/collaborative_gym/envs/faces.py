@@ -38,8 +38,8 @@ def check_can_render(render_mode: str | None) -> None:
 
 
 def first_row(value: Any) -> Any:
-    """Return world 0 of nested dictionaries of (num_envs,) arrays, None for NaN."""
+    """Return the only row of nested dictionaries of (1,) arrays, None for NaN."""
     if isinstance(value, dict):
         return {name: first_row(part) for name, part in value.items()}
-    scalar = value[0].item()
+    scalar = value.item()
     return None if scalar != scalar else scalar

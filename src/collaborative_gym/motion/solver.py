@@ -159,13 +159,13 @@ def descend(
       rounds: as in `joint_change`.
     """
     angles = np.array(start)
-    low, high = (np.broadcast_to(limit, angles.shape) for limit in limits)
+    low, high = (np.full(angles.shape, limit) for limit in limits)
     position, orientation = goal
-    position = np.broadcast_to(position, (len(angles), 3))
+    position = np.full((len(angles), 3), position)
     aims = orientation is not None and orientation.shape[-1] == 3
     if orientation is not None:
         size = len(angles), orientation.shape[-1]
-        orientation = np.broadcast_to(orientation, size)
+        orientation = np.full(size, orientation)
     misses = np.full(len(angles), np.inf)
     rows = np.arange(len(angles))
     for step in range(steps + 1):
