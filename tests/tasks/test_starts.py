@@ -67,11 +67,13 @@ def test_each_draw_spreads_over_its_bounds(env_id):
             by_arm = found.reshape(STARTS, 2, 7)
             assert (np.abs(by_arm).max(axis=(0, 2)) > 0.5).all()
             continue
-        # Poke's objects go where the joints bring them, right to first order only.
+        # Poke's objects go where the joints bring them, right to first order only: a
+        # turn of 15 degrees comes out as 12.5 one way and as 17 the other.
         is_poke = env_id.startswith("Poke")
         least, most = (0.8, 1.5) if is_poke else (0.9, 1.001)
-        assert (found.max(axis=0) > least).all(), field
-        assert (found.min(axis=0) < -least).all(), field
+        low, high = found.min(axis=0), found.max(axis=0)
+        assert ((high - low) / 2 > 0.9).all(), field
+        assert (high > least).all() and (low < -least).all(), field
         assert np.abs(found).max() < most, field
 
 
