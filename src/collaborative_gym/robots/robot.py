@@ -12,13 +12,14 @@ from collaborative_gym.robots.servos import armatures, dampings, torque_limits
 _STIFFNESS = 8.0
 """Stiffness over damping of the joint servos where none is given, in 1/s."""
 
-_HOLDING = 10.0 * 9.81
-"""Holding force of a gripper over the arm's payload where none is given, in m/s2.
+_HOLDING = 8.0
+"""Holding force of a gripper where none is given, over the greatest joint torque
+divided by the reach: what the strongest joint pulls with at an eighth of the reach.
 
-Our choice: data sheets give what the fingers squeeze with (70 N and for a moment 140 N
-of the Franka Hand), not what tears a thing out of them. A hand bears 1.6 payloads in
-Lift, twice that as it starts and stops, twice that again in a shock of a physics step,
-as the Franka Hand allows, and half as much again is the reserve of a sound gripper."""
+Our choice: data sheets give what fingers squeeze with (70 N of the Franka Hand), not
+what tears a thing out of them, and Lift's pots weigh up to 4.7 payloads an arm. It is
+1.2 (Jaco) to 1.7 times (Sawyer, Panda) the greatest force of Lift's experts in any
+physics step, by `benchmarks/grips.py`."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class Robot(RobotData):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.gripper.holding_force:
-            force = _HOLDING * self.payload
-            freeze(self, gripper=replace(self.gripper, holding_force=force))
         spec = self.spec()
         if not self.torque_limits:
             freeze(self, torque_limits=torque_limits(self, spec))
+        if not self.gripper.holding_force:
+            force = _HOLDING * max(self.torque_limits) / self.reach
+            freeze(self, gripper=replace(self.gripper, holding_force=force))
         model = compile_alone(self, spec)
         freeze(self, _overlaps=overlaps(self, model))
         if not self.armature:
