@@ -28,10 +28,10 @@ class Budget:
 
     episodes: int = 500
     fractions: tuple[float, ...] = (0.25, 0.5, 0.75)
-    motion_steps: int = 60
-    knots: int = 8
-    candidates: int = 64
-    rounds: int = 20
+    motion_steps: int = 50
+    knots: int = 6
+    candidates: int = 128
+    rounds: int = 12
     training_starts: int = 16
     searched_starts: int = 32
     ppo_steps: int = 1_000_000

@@ -15,7 +15,7 @@ from collaborative_gym.policies import Policy, as_policy
 _FIRST_STD, _LEAST_STD = 0.7, 0.05
 """Spread of the first candidates, and what is left of it at least."""
 
-_ELITE = 0.15
+_ELITE = 0.1
 """Share of the candidates that the next round is drawn around."""
 
 _AFTER = 10
