@@ -284,7 +284,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
 
     def shortfall(self, facts: LiftFacts) -> Array:
         xp = array_namespace(facts.to_target)
-        missing = facts.to_target + 0.1 * facts.tilt
+        tilted = xp.maximum(facts.tilt - self.config.success_tilt, 0.0)
+        too_fast = xp.maximum(facts.speed - self.config.success_speed, 0.0)
+        # In m, as what a radian and a metre per second are worth is our choice.
+        missing = facts.to_target + 0.3 * tilted + 0.1 * too_fast
         for agent, held in facts.gripping.items():
             missing = missing + xp.where(held, 0.0, facts.to_handle[agent])
         return xp.where(self.success(facts), 0.0, missing)
