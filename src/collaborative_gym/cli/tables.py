@@ -41,15 +41,14 @@ def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
 
 def reports_table(reports: Sequence[Report]) -> Table:
     """Return what evaluations found, with 95 % intervals below the means."""
-    columns = "mean\nreward", "median\nreward", "completion", "performance"
-    columns += ("time to\nsuccess",)
+    columns = ("mean reward", "completion", "performance", "time to\nsuccess")
     table = _table("environment", *columns)
     for report in reports:
         for side, score in report.sides.items():
+            median = f"\nmedian {format_number(score.mean_reward.median)}"
             table.add_row(
                 report.environment + (f"\n{side}" if len(report.sides) > 1 else ""),
-                _two_lines(score.mean_reward),
-                format_number(score.mean_reward.median),
+                _two_lines(score.mean_reward).append(median, "dim"),
                 _two_lines(score.completion, percent=True),
                 _two_lines(score.performance, percent=True),
                 _two_lines(score.time_to_success, unit=" s"),
