@@ -43,6 +43,7 @@ class Scene:
       spec: the model under construction.
       robots: the arms that were added, by agent.
       grips: the grips that were added.
+      tools: by agent, the names of what was fixed to its arm.
       arms: after `compile`, each agent's arm in the compiled arrays.
     """
 
@@ -51,6 +52,7 @@ class Scene:
         self.spec.compiler.degree = False
         self.robots: dict[str, Robot] = {}
         self.grips: list[Grip] = []
+        self.tools: dict[str, list[str]] = {}
         self.arms: dict[str, Arm] = {}
         self._objects: list[str] = []
         self._targets: list[str] = []
@@ -138,6 +140,7 @@ class Scene:
         check_kind("child", child, mujoco.MjSpec, "an MjSpec")
         tcp = self.spec.site(f"{agent}/{self.robots[agent].tcp}")
         self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
+        self.tools.setdefault(agent, []).append(name)
 
     def add_target(
         self, name: str, radius: float, *, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)

@@ -36,6 +36,7 @@ class CpuSim:
         _living.add(self)
         self.qpos = self._batch.bind("qpos")
         self.xp = array_namespace(self.qpos)
+        self.time = self._batch.bind("time")
         self.qvel = self._batch.bind("qvel")
         self.act = self._batch.bind("act")
         self.ctrl = self._batch.bind("ctrl")

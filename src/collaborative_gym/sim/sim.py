@@ -29,6 +29,7 @@ class Sim(Protocol):
       model: the compiled world.
       num_envs: how many worlds there are.
       xp: the array API namespace of its arrays, NumPy's or torch's.
+      time: (num_envs,) since the episodes' starts, in s.
       qpos: (num_envs, nq) positions.
       qvel: (num_envs, nv) velocities.
       act: (num_envs, na) servo targets.
@@ -43,6 +44,7 @@ class Sim(Protocol):
     model: mujoco.MjModel
     num_envs: int
     xp: Any
+    time: Array
     qpos: Array
     qvel: Array
     act: Array

@@ -49,7 +49,7 @@ from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, columns
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
-_REST_HEIGHT = THICKNESS / 2 + RADIUS
+REST_HEIGHT = THICKNESS / 2 + RADIUS
 _ROLLING_SLOPE = 0.075  # slope on which the ball just rolls on: 0.003 m / radius
 
 # The expert's way with the ball.
@@ -57,6 +57,7 @@ _APPROACH = 1.0  # 1/s, wanted speed over distance
 _FASTEST = 0.35  # m/s
 _CALM = 0.05  # m/s; when less is wanted, the ball is left to stop by itself
 _GAIN = 0.35  # s/m, slope over missing speed
+_PULL = 7 / 5 / 9.81  # s2/m, slope over acceleration of a full ball that rolls
 _STEEPEST = 0.16
 _LONGEST_MOVE = 0.02  # m in a control step
 _LARGEST_TURN = 0.03  # rad in a control step; faster, and the ball lifts off
@@ -117,19 +118,24 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             for side, robot in zip((-1.0, 1.0), self.robots.values(), strict=True)
         )
 
+    @property
+    def marked_radius(self) -> float:
+        """Radius of the disc on the board in which the ball is to lie, in m."""
+        return float(np.sqrt(self.config.success_distance**2 - REST_HEIGHT**2))
+
     def build(self, scene: Scene) -> None:
         first, second = self.agents
         for agent, placement in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=placement, holds=BAR)
-        radius = np.sqrt(self.config.success_distance**2 - _REST_HEIGHT**2)
         # A free board with two welds would move in the same way, more slowly computed.
-        scene.add_tool(first, "board", child=_held(board(marked_radius=radius)))
+        tool = _held(board(marked_radius=self.marked_radius))
+        scene.add_tool(first, "board", child=tool)
         tcp = scene.spec.site(f"{second}/{self.robots[second].tcp}")
         scene.add_weld(tcp.name, f"{first}/board/{HANDLES[1]}")
         for body in (tcp.parent, *tcp.parent.find_all(mujoco.mjtObj.mjOBJ_BODY)):
             plate = f"{first}/board/board"
             scene.spec.add_exclude(bodyname1=body.name, bodyname2=plate)
-        above = (0.0, 0.0, self.config.board_height + _REST_HEIGHT)
+        above = (0.0, 0.0, self.config.board_height + REST_HEIGHT)
         scene.add("ball", ball(), position=above)
         # With MuJoCo's own settings rolling friction is a creep: a ball rolls down
         # slopes on which it should rest, along some directions more than others.
@@ -146,16 +152,27 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         self._chains = motion.Chains(model, list(scene.arms.values()))
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
-        self._centre = np.array([0.0, 0.0, self.config.board_height])
+        self.centre = np.array([0.0, 0.0, self.config.board_height])
         self._handle = {}
         self._posture = {}
         for agent, name in zip(self.agents, HANDLES, strict=True):
             site = model.site(f"{prefix}/{name}")
             self._handle[agent] = site.pos.copy(), site.quat.copy()
-            poses = [self._grasp(agent, *pose) for pose in _poses(self._centre)]
+            poses = [self._grasp(agent, *pose) for pose in self.poses()]
             self._posture[agent] = motion.central_pose(
                 model, scene.arms[agent], poses=poses
             )
+
+    def poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return the board's nominal pose and those that an arm should have at hand."""
+        poses = [(self.centre, math.from_rotation_vector(np.zeros(3)))]
+        for x, y, turn in product((-1.0, 1.0), repeat=3):
+            moved = self.centre + 0.05 * np.array([x, y, x * y * turn])
+            poses.append((moved, math.from_yaw(np.array(np.radians(15) * turn))))
+        for x, y in product((-1.0, 1.0), repeat=2):
+            tilt = _STEEPEST * np.array([x, y, 0.0])
+            poses.append((self.centre, math.from_rotation_vector(tilt)))
+        return poses
 
     def remember(self, num_envs: int) -> dict[str, Array]:
         memory: dict[str, Array] = {"fell": self.xp.zeros(num_envs, dtype=bool)}
@@ -176,7 +193,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         rolled = rng.within(_BALL_START, 2)
         near = {agent: self._posture[agent] + noise[agent] for agent in noise}
         place, quat = self._take_hold(sim, env_ids, moved, near)
-        resting = np.full((len(rolled), 1), _REST_HEIGHT)
+        resting = np.full((len(rolled), 1), REST_HEIGHT)
         on_board = math.rotate(quat, np.concatenate([rolled, resting], axis=1))
         place = place + on_board
         self.scene.place(sim, env_ids, name="ball", position=place, quat=quat)
@@ -219,7 +236,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
     def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return poses of a level board that far from its nominal place."""
-        return self._centre + moved[:, :3], math.from_yaw(moved[:, 3])
+        return self.centre + moved[:, :3], math.from_yaw(moved[:, 3])
 
     def _grasp(
         self, agent: str, place: np.ndarray, quat: np.ndarray
@@ -294,13 +311,13 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return ~facts.fell
 
     def expert(self, sim: Sim, facts: BalanceFacts) -> dict[str, Motion]:
-        """Bring the board to its nominal place, tilted so that the ball rolls inwards.
+        """Bring the board to its place, tilted so that the ball rolls on its course.
 
         Both arms do their part of the board's motion, at the pace of the slower one.
         """
         place, quat = facts.board
-        missing = np.clip(self._centre - place, -_LONGEST_MOVE, _LONGEST_MOVE)
-        turn = motion.rotation_error(quat, _wanted_orientation(facts))
+        missing = np.clip(self.place(facts) - place, -_LONGEST_MOVE, _LONGEST_MOVE)
+        turn = motion.rotation_error(quat, _orientation(facts, self.course(facts)))
         turn = np.clip(turn, -_LARGEST_TURN, _LARGEST_TURN)
         next_quat = math.multiply(math.from_rotation_vector(turn), quat)
         motions = {}
@@ -308,6 +325,18 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             grasp = self._grasp(agent, place + missing, next_quat)
             motions[agent] = Motion(self._change(sim, agent, grasp), in_step=True)
         return motions
+
+    def place(self, facts: BalanceFacts) -> Array:
+        """Return where the expert brings the board's centre, (3,) or by world, in m."""
+        return self.centre
+
+    def course(self, facts: BalanceFacts) -> tuple[Array, Array, Array]:
+        """Return the way the ball is to go, and its velocity and acceleration then.
+
+        They are (num_envs, 3) each, in the board's frame.
+        """
+        still = np.zeros_like(facts.offset)
+        return -facts.offset, still, still
 
     def _change(self, sim: Sim, agent: str, grasp: tuple[Array, Array]) -> np.ndarray:
         """Return the joint changes that put a tcp at a grasp."""
@@ -334,29 +363,16 @@ def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _poses(centre: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the board's nominal pose and those that an arm should have at hand."""
-    poses = [(centre, math.from_rotation_vector(np.zeros(3)))]
-    for x, y, turn in product((-1.0, 1.0), repeat=3):
-        moved = centre + 0.05 * np.array([x, y, x * y * turn])
-        poses.append((moved, math.from_yaw(np.array(np.radians(15) * turn))))
-    for x, y in product((-1.0, 1.0), repeat=2):
-        poses.append(
-            (centre, math.from_rotation_vector(_STEEPEST * np.array([x, y, 0.0])))
-        )
-    return poses
-
-
-def _wanted_orientation(facts: BalanceFacts) -> np.ndarray:
-    """Return the board's orientation that rolls the ball to the middle and stops it."""
+def _orientation(facts: BalanceFacts, course: tuple[Array, Array, Array]) -> np.ndarray:
+    """Return the board's orientation that rolls the ball on its course."""
+    way, velocity, acceleration = (vector[:, :2] for vector in course)
     into_board = math.conjugate(facts.board[1])
     speed = math.rotate(into_board, facts.ball_velocity[0])[:, :2]
-    wanted = motion.shortened(-_APPROACH * facts.offset[:, :2], _FASTEST)
+    wanted = motion.shortened(velocity + _APPROACH * way, _FASTEST)
     # Rolling on takes a slope of its own besides that of the acceleration.
     ahead = motion.shortened(wanted / _CALM, 1.0)
-    slope = motion.shortened(
-        _GAIN * (wanted - speed) + _ROLLING_SLOPE * ahead, _STEEPEST
-    )
+    slope = _GAIN * (wanted - speed) + _ROLLING_SLOPE * ahead
+    slope = motion.shortened(slope + _PULL * acceleration, _STEEPEST)
     # The ball rolls to where the board's normal leans.
     zero = np.zeros(len(slope))
     return math.from_rotation_vector(

@@ -1,0 +1,204 @@
+"""BalancePath: two arms lead a ball along a path in space, on a board that they hold.
+
+As Balance, but the target moves: seen from above it runs along a figure of eight, twice
+as often across the board as along it, and meanwhile it rises and sinks once. The ball
+is to be where the target is, so the whole board must rise and sink with it. Arms that
+hold still keep their end of the board where it is. One arm alone can tilt the board,
+but not lift the far end: the board is a lever of 1.6 m, and its wrist is weak.
+
+Randomised: as in Balance; where the path lies (along every axis), its size (0.9 to 1),
+where on it the target starts, and which way round it runs.
+
+Reward of each agent: minus the distance between the centres of ball and target, minus 1
+once the ball has left the board. A ball that has left it never counts as back.
+
+Success: that distance has been below 0.07 m for a whole lap of 10 s, without a break,
+and the ball is on the board. Performance counts how long it is below that distance from
+then on.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.control import ActionMode
+from collaborative_gym.math import Array
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.balance import (
+    REST_HEIGHT,
+    Balance,
+    BalanceConfig,
+    BalanceFacts,
+)
+from collaborative_gym.tasks.registry import get_env, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
+from collaborative_gym.tasks.task import Blocks
+from collaborative_gym.timing import CONTROL_DT, SIM_DT
+
+_SMALLEST = 0.9  # share of the path's size
+_ROUNDS = (2.0, 1.0, 1.0)  # in a lap, along x, y and z
+_START = (0.0, 0.0, np.pi / 2)  # rad, so that the target turns highest at y = 0
+
+
+@dataclass(frozen=True)
+class BalancePathConfig(BalanceConfig):
+    """Settings of BalancePath.
+
+    Attributes:
+      success_distance: between the centres of ball and target, in m.
+      path_x: how far the target goes either way along x, twice in a lap, in m.
+      path_y: how far it goes either way along y, in m.
+      path_z: how far it rises above the middle of the path and sinks below, in m.
+      lap: time in which the target runs along the path, in s.
+    """
+
+    success_distance: float = bounded(0.07, 0.001, 10.0)
+    path_x: float = bounded(0.1, 0.0, 1.0)
+    path_y: float = bounded(0.2, 0.0, 1.0)
+    path_z: float = bounded(0.15, 0.0, 1.0)
+    lap: float = bounded(10.0, CONTROL_DT, 1e6)
+
+
+@dataclass(frozen=True)
+class BalancePathFacts(BalanceFacts):
+    """What BalancePath looks at.
+
+    Attributes:
+      distance: (num_envs,) between the centres of ball and target, in m.
+      target: (num_envs, 3) its place, in m.
+      target_velocity: (num_envs, 3) in m/s.
+      coming: its place, velocity and acceleration a control step later.
+      followed: (num_envs,) how long the ball has been near the target, in s; 0 where it
+        is not.
+    """
+
+    target: Array
+    target_velocity: Array
+    coming: tuple[Array, Array, Array]
+    followed: Array
+
+
+class BalancePath(Balance):
+    """Lead a ball along a path in space, on a board that two arms hold."""
+
+    config_class = BalancePathConfig
+    config: BalancePathConfig
+    performance_from_start = False
+
+    @property
+    def marked_radius(self) -> float:
+        return 0.0
+
+    def build(self, scene: Scene) -> None:
+        super().build(scene)
+        scene.add_target("target", self.config.success_distance)
+
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
+        config, xp = self.config, sim.xp
+        self._size = xp.asarray([config.path_x, config.path_y, config.path_z])
+        self._middle = xp.asarray(self.centre + np.array([0.0, 0.0, REST_HEIGHT]))
+        self._rounds, self._start = xp.asarray(_ROUNDS), xp.asarray(_START)
+
+    def poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        level, rise = super().poses(), np.array([0.0, 0.0, self.config.path_z])
+        tilted = [(p + up * rise, q) for up in (-1.0, 1.0) for p, q in level[-4:]]
+        return level + tilted
+
+    def remember(self, num_envs: int) -> dict[str, Array]:
+        blank = self.xp.zeros((num_envs, 7), dtype=self.xp.float64)
+        # How far the path lies from its nominal place along x, y and z, the angle at
+        # its start, which way round it goes, its size; when the ball was last away.
+        own = {"path": blank[:, :6], "away": blank[:, 6]}
+        return {**super().remember(num_envs), **own}
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        super().reset(sim, env_ids, rng=rng)
+        moved = rng.within(self.config.randomization.target_position, 3)
+        drawn = rng.uniform([0.0, -1.0, _SMALLEST], [2 * np.pi, 1.0, 1.0], 3)
+        drawn[:, 1] = np.where(drawn[:, 1] < 0.0, -1.0, 1.0)
+        path = np.concatenate([moved, drawn], axis=1)
+        self.memory["path"][env_ids] = sim.xp.asarray(path)
+        start = self._at(sim.time)[0][env_ids]
+        self.scene.place(sim, env_ids, name="target", position=start)
+
+    def disturb(self, sim: Sim, steps: np.ndarray) -> None:
+        super().disturb(sim, steps)
+        coming = self._at(sim.time + CONTROL_DT)[0]
+        self.scene.place(sim, slice(None), name="target", position=coming)
+
+    def _at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return the target's place, velocity and acceleration, (num_envs, 3) each.
+
+        Args:
+          time: (num_envs,) since the episode's start, in s.
+        """
+        xp, path = self.xp, self.memory["path"]
+        rate = (2 * np.pi / self.config.lap) * path[:, 4:5] * self._rounds
+        angle = path[:, 3:4] * self._rounds + rate * time[:, None] + self._start
+        size = path[:, 5:6] * self._size
+        offset = size * xp.sin(angle)
+        place = self._middle + path[:, :3] + offset
+        return place, size * rate * xp.cos(angle), -(rate**2) * offset
+
+    def measure(self, sim: Sim) -> BalancePathFacts:
+        facts = super().measure(sim)
+        target, velocity, _ = self._at(sim.time)
+        distance = math.distance(facts.ball[0], target)
+        is_near = (distance < self.config.success_distance) & ~facts.fell
+        away = sim.xp.where(is_near, self.memory["away"], sim.time)
+        self.memory["away"] = away
+        return BalancePathFacts(
+            **{**vars(facts), "distance": distance},
+            target=target,
+            target_velocity=velocity,
+            coming=self._at(sim.time + CONTROL_DT),
+            followed=sim.time - away,
+        )
+
+    def observe(self, facts: BalancePathFacts) -> dict[str, Blocks]:
+        own = {"target": facts.target, "target velocity": facts.target_velocity}
+        seen = super().observe(facts)
+        return {agent: {**blocks, **own} for agent, blocks in seen.items()}
+
+    def success(self, facts: BalancePathFacts) -> Array:
+        # Times are sums of physics steps, and so are rounded.
+        return facts.followed > self.config.lap - SIM_DT / 2
+
+    def performing(self, facts: BalancePathFacts) -> Array:
+        return facts.followed > 0.0
+
+    def shortfall(self, facts: BalancePathFacts) -> Array:
+        xp = self.xp
+        missing = facts.distance + 1.0 - facts.followed / self.config.lap
+        return xp.where(self.success(facts), 0.0, missing)
+
+    def place(self, facts: BalancePathFacts) -> Array:
+        # A ball on the floor leads nowhere.
+        missing = np.where(facts.fell, 0.0, (facts.coming[0] - facts.ball[0])[:, 2])
+        place = np.tile(self.centre, (len(missing), 1))
+        place[:, 2] = facts.board[0][:, 2] + missing
+        return place
+
+    def course(self, facts: BalancePathFacts) -> tuple[Array, Array, Array]:
+        into_board = math.conjugate(facts.board[1])
+        place, velocity, acceleration = facts.coming
+        way = place - facts.ball[0] - CONTROL_DT * facts.ball_velocity[0]
+        way, velocity, acceleration = (
+            math.rotate(into_board, vector) for vector in (way, velocity, acceleration)
+        )
+        return way, velocity, acceleration
+
+
+register_task("BalancePath", BalancePath)
+for _arms in ("Sawyers", "JacoSawyer"):
+    register_env(
+        replace(
+            get_env(f"BalanceTask{_arms}-v0"),
+            env_id=f"BalancePath{_arms}-v0",
+            task=BalancePath,
+        )
+    )
