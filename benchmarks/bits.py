@@ -5,8 +5,9 @@
     python benchmarks/bits.py --compare before.json
 
 Every observation, reward, end and metric of the first 100 episodes of seed 0 counts,
-for each environment and for random actions, the expert and the baseline. Hashes of
-different processors or library versions may differ; compare within one machine.
+for each environment and for random actions, the expert and the baseline, if it has one.
+Hashes of different processors or library versions may differ; compare within one
+machine.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import collaborative_gym as cg
+from collaborative_gym.policies.policy import BASELINES
 
 POLICIES = ("random", "expert", "baseline")
 
@@ -33,6 +35,7 @@ def main() -> None:
         f"{env_id} {policy}": digest(env_id, policy, options.episodes)
         for env_id in options.envs
         for policy in POLICIES
+        if policy != "baseline" or (BASELINES / f"{env_id}.safetensors").exists()
     }
     if options.output:
         options.output.write_text(json.dumps(hashes, indent=2) + "\n")

@@ -41,7 +41,7 @@ COMMANDS = (
 )
 """The verbs of the command line, in the order of its own help."""
 
-_TASKS = ("Poke", "Lift", "Balance", "Pass")
+_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath")
 _LABELS = ("Agents", "Randomised", "Reward of each agent", "Success")
 """Words that begin a paragraph of a task's docstring, to stand out in its page."""
 

@@ -112,6 +112,11 @@ NUMBERS = [
     ("Balance", "success_distance", []),
     ("Balance", "board_height", []),
     ("Balance", "push", []),
+    ("BalancePath", "success_distance", [0]),
+    ("BalancePath", "path_x", [2]),
+    ("BalancePath", "path_y", [2]),
+    ("BalancePath", "path_z", [2]),
+    ("BalancePath", "lap", [0]),
 ]
 
 SETTINGS = [

@@ -9,6 +9,7 @@ from collaborative_gym.envs import vector_env
 from collaborative_gym.sim.cpu import CpuSim
 
 ARRAYS = [
+    "time",
     "qpos",
     "qvel",
     "act",

@@ -91,7 +91,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
 def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
     """Raise where a target is so far off that no arm can bring anything there."""
     if scene.tools:
-        return  # They reach farther than the arms.
+        return  # How far they reach is not known here.
     bases = {a: np.array(p.position) for a, p in task.placements.items()}
     for target, places in scene.targets(sim).items():
         place = np.array([float(places[0, i]) for i in range(3)])

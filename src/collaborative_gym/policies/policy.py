@@ -157,7 +157,10 @@ def _load_file(name: str | Path) -> NetworkPolicy:
     if name in list_envs():
         path = BASELINES / f"{name}.safetensors"
         if not path.exists():
-            raise FileNotFoundError(f"no baseline is shipped for {name}")
+            raise FileNotFoundError(
+                f"no baseline is shipped for {name}; give the path of a policy that you"
+                " trained"
+            )
         return NetworkPolicy.load(path)
     path = Path(name)
     if path.is_dir():

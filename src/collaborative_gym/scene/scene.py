@@ -43,7 +43,7 @@ class Scene:
       spec: the model under construction.
       robots: the arms that were added, by agent.
       grips: the grips that were added.
-      tools: by agent, the names of what was fixed to its arm.
+      tools: names of what was fixed to an arm, by agent.
       arms: after `compile`, each agent's arm in the compiled arrays.
     """
 

@@ -12,7 +12,7 @@ where on it the target starts, and which way round it runs.
 Reward of each agent: minus the distance between the centres of ball and target, minus 1
 once the ball has left the board. A ball that has left it never counts as back.
 
-Success: that distance has been below 0.07 m for a whole lap of 10 s, without a break,
+Success: that distance has been below 0.06 m for a whole lap of 12 s, without a break,
 and the ball is on the board. Performance counts how long it is below that distance from
 then on.
 """
@@ -55,11 +55,11 @@ class BalancePathConfig(BalanceConfig):
       lap: time in which the target runs along the path, in s.
     """
 
-    success_distance: float = bounded(0.07, 0.001, 10.0)
+    success_distance: float = bounded(0.06, 0.001, 10.0)
     path_x: float = bounded(0.1, 0.0, 1.0)
-    path_y: float = bounded(0.2, 0.0, 1.0)
+    path_y: float = bounded(0.15, 0.0, 1.0)
     path_z: float = bounded(0.15, 0.0, 1.0)
-    lap: float = bounded(10.0, CONTROL_DT, 1e6)
+    lap: float = bounded(12.0, CONTROL_DT, 1e6)
 
 
 @dataclass(frozen=True)
