@@ -11,7 +11,9 @@ def test_shortfall_falls_to_zero_where_the_goal_is_met(env_id):
     env = cg.make_vec(env_id, 4, seed=5, num_threads=1)
     env.reset()
     told = [env.task.shortfall(env.facts)]
-    for _ in range(40):
+    for step in range(200):
+        if step >= 40 and not told[-1].all():
+            break
         env.step(env.expert())
         told.append(env.task.shortfall(env.facts))
         met = env.task.success(env.facts)
