@@ -1,5 +1,6 @@
 """The strain is what MuJoCo itself finds, physics step by physics step."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import gymnasium
@@ -293,6 +294,21 @@ def test_a_world_that_diverges_ends_with_finite_strain(carry):
     for rows in infos["metrics"]["strain"].values():
         assert np.isfinite(rows).all()
     assert infos["metrics"]["strain"]["speed_over_limit"][0] == 0.0
+
+
+def test_a_grip_that_tears_between_two_actions_has_strained(carry):
+    panda = cg.get_robot("panda")
+    weak = replace(panda, gripper=replace(panda.gripper, holding_force=100.0))
+    env = made(type(carry())((weak, weak), carry().config), 8)
+    env.reset(seed=3)
+    jerk = np.random.default_rng(0).choice([-1.0, 1.0], (2, 8, 8))
+    jerk[:, :, 7] = 1.0
+    *_, infos = env.step(dict(zip(env.agents, jerk, strict=True)))
+    told, torn = infos["metrics"]["strain"], (env.sim.eq_active == 0).any(axis=1)
+    assert (told["internal_force"][torn] > 0.0).any()
+    mean, greatest = told["internal_force_mean"], told["internal_force"]
+    assert ((mean > 0.0) == (greatest > 0.0)).all()
+    assert (mean <= greatest).all() and (greatest <= 100.0).all()
 
 
 def test_things_without_a_name_are_measured(carry):

@@ -69,7 +69,14 @@ BLANK = {f"strain: {name}": value for name, value in _BLANK.items()} | {_HELD_ST
 _AT_LIMIT = 0.99
 """Share of its torque limit from which on a joint is at it."""
 
-_RECORDS = ("actuator_force", "qvel", "sensordata", "cfrc_ext", "cfrc_int")
+_RECORDS = (
+    "actuator_force",
+    "qvel",
+    "sensordata",
+    "cfrc_ext",
+    "cfrc_int",
+    "eq_active",
+)
 """MuJoCo's fields that are read of every physics step."""
 
 _TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
@@ -193,7 +200,9 @@ class Strain:
         """Return the arrays that so many physics steps are to be recorded in."""
         if not self._records or self._records["qvel"].shape[1] != substeps:
             self._records = {
-                name: np.zeros((self._sim.num_envs, substeps, *field.shape))
+                name: np.zeros(
+                    (self._sim.num_envs, substeps, *field.shape), field.dtype
+                )
                 for name in _RECORDS
                 for field in [getattr(self._data, name)]
             }
@@ -225,7 +234,7 @@ class Strain:
             greatest["internal_force"] = forces.max(axis=0)
             sums["internal_force_mean"] = greatest["internal_force"]
             is_held = np.any([self._is_held(held) for held in self._held], axis=0)
-            held_steps = np.where(moved & is_held, speed.shape[1], 0)
+            held_steps = np.where(moved, is_held.sum(axis=1), 0)
             rows[_HELD_STEPS] = rows[_HELD_STEPS] + held_steps
         for name, values in greatest.items():
             row, axes = f"strain: {name}", tuple(range(1, values.ndim))
@@ -238,9 +247,9 @@ class Strain:
                 rows[row] = rows[row] + np.where(moved, step, 0.0)
 
     def _is_held(self, held: _Held) -> np.ndarray:
-        """Return where two arms or more hold a thing, (num_envs,)."""
+        """Return when two arms or more hold a thing, (num_envs, steps)."""
         bonds = [bond for bond, _, _ in held.bonds]
-        arms = (self._sim.eq_active[:, bonds] > 0).sum(axis=1)
+        arms = self._records["eq_active"][:, :, bonds].sum(axis=2)
         return arms + (held.tool is not None) >= 2
 
     def _internal_force(self, held: _Held) -> np.ndarray:
