@@ -125,8 +125,7 @@ class VectorEnv:
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
         self._auto_reset = auto_reset
-        self._is_started = False
-        self._is_closed = False
+        self._is_started = self._is_closed = False
         self._progress = Progress(
             task,
             self.sim.xp,

@@ -92,23 +92,34 @@ def evaluate(
             act = DelayedPolicy(act, vector_env)
         started = time.perf_counter()
         rows, steps = _play(vector_env, act, episodes, seed, on_progress)
-        duration = time.perf_counter() - started
+        rate = steps * num_envs / (time.perf_counter() - started)
+    settings = {
+        "identity": Identity.of(task).to_dict(),
+        "policy": name_policy(policy),
+        "delay": delay,
+        "episodes": episodes,
+        "seed": seed,
+    }
+    return _report(vector_env, rows, rate=rate, settings=settings)
+
+
+def _report(
+    env: VectorEnv,
+    rows: list[dict[str, Any]],
+    *,
+    rate: float,
+    settings: dict[str, Any],
+) -> Report:
+    """Return what episodes amount to."""
     # Episodes that start alike are one, of which nothing can be inferred.
     different = rows[:1] if are_one_episode(rows) else rows
-    sides, agents = vector_env.sides, task.agents
     return Report(
-        environment=task.name,
-        settings={
-            "identity": Identity.of(task).to_dict(),
-            "policy": name_policy(policy),
-            "delay": delay,
-            "episodes": episodes,
-            "seed": seed,
-        },
-        sides={side: _score(different, side, vector_env) for side in sides},
-        returns={agent: _statistic(different, f"{agent}/return") for agent in agents},
+        environment=env.task.name,
+        settings=settings,
+        sides={side: _score(different, side, env) for side in env.sides},
+        returns={a: _statistic(different, f"{a}/return") for a in env.agents},
         episodes=tuple(rows),
-        steps_per_second=steps * num_envs / duration,
+        steps_per_second=rate,
         strain={name: Worst.of(name, rows) for name in STRAIN},
     )
 

@@ -89,9 +89,7 @@ def train(
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
-        folder = started = None
-        if resume is not None:
-            folder, started = _resume(resume, stack)
+        folder, started = _resume(resume, stack)
         task = _task(env, started, robots=robots, randomization=randomization)
         settings = settle(
             task,
@@ -136,8 +134,12 @@ def _folder(name: str, given: str | Path) -> Path:
     return Path(given)
 
 
-def _resume(resume: str | Path, stack: ExitStack) -> tuple[Path, Checkpoint]:
-    """Return the folder of a run that goes on, which is claimed, and its checkpoint."""
+def _resume(
+    resume: str | Path | None, stack: ExitStack
+) -> tuple[Path | None, Checkpoint | None]:
+    """Claim the folder of a run that goes on, if one does; return it, and its state."""
+    if resume is None:
+        return None, None
     folder = _folder("resume", resume)
     stack.enter_context(claimed(folder, LAST))
     return folder, Checkpoint.load(folder / LAST)

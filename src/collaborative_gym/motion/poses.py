@@ -1,6 +1,7 @@
 """Joint angles that put tcps at poses: one pose, several arms at once, or a way."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -8,7 +9,13 @@ from numpy.typing import ArrayLike
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.solver import Chains, Kinematics, descend, simulated
+from collaborative_gym.motion.solver import (
+    Chains,
+    Kinematics,
+    descend,
+    joint_change,
+    simulated,
+)
 from collaborative_gym.motion.steering import shortened
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
@@ -129,9 +136,7 @@ def hold(
         limits=limits,
         steps=20,
         enough=1e-6,
-        damping=0.01,
-        longest=0.5,
-        rounds=1,
+        change=partial(joint_change, damping=0.01, longest=0.5, rounds=1),
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]

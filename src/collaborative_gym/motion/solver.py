@@ -137,9 +137,7 @@ def descend(
     miss: Callable[[Array], Array] = _greatest,
     bound: Callable[[Array], Array] = _all,
     lean: Callable[[int, Array, Array, Array], Array] = _nothing,
-    damping: float = DAMPING,
-    longest: float = np.inf,
-    rounds: int = 3,
+    change: Callable[..., Array] = joint_change,
 ) -> tuple[Array, Array]:
     """Return joint angles that bring tcps to their goals, and by how much they miss.
 
@@ -154,9 +152,7 @@ def descend(
       bound: what of an error (n, 3 or 6) one step takes on.
       lean: from a step's number, the angles (n, joints) and indices of the rows that
         go on and their Jacobians, changes that the arms should make besides.
-      damping: as in `joint_change`.
-      longest: as in `joint_change`.
-      rounds: as in `joint_change`.
+      change: `joint_change`, or a partial of it with other options.
     """
     angles = np.array(start)
     low, high = (np.full(angles.shape, limit) for limit in limits)
@@ -164,10 +160,8 @@ def descend(
     position = np.full((len(angles), 3), position)
     aims = orientation is not None and orientation.shape[-1] == 3
     if orientation is not None:
-        size = len(angles), orientation.shape[-1]
-        orientation = np.full(size, orientation)
-    misses = np.full(len(angles), np.inf)
-    rows = np.arange(len(angles))
+        orientation = np.full((len(angles), orientation.shape[-1]), orientation)
+    misses, rows = np.full(len(angles), np.inf), np.arange(len(angles))
     for step in range(steps + 1):
         here, rotation, jacobian = kinematics(angles[rows], rows)
         error, quat = position[rows] - here, _quats(rotation)
@@ -183,15 +177,9 @@ def descend(
         if aims:
             axis = math.axis_z(quat[goes_on])
             reduced, error = without_spin(reduced, error, axis)
-        angles[rows] = angle + joint_change(
-            reduced,
-            error,
-            lean=lean(step, angle, rows, jacobian),
-            room=(low[rows] - angle, high[rows] - angle),
-            damping=damping,
-            longest=longest,
-            rounds=rounds,
-        )
+        posture = lean(step, angle, rows, jacobian)
+        room = low[rows] - angle, high[rows] - angle
+        angles[rows] = angle + change(reduced, error, lean=posture, room=room)
     return angles, misses
 
 
