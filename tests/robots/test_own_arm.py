@@ -85,7 +85,7 @@ def test_an_arm_needs_no_fingers(own, edited, in_a_world):
     )
     arm = edited((text[start:end], ""), gripper=cg.Gripper())
     scene, model = in_a_world(arm)
-    assert model.nu == 6
+    assert model.nu == 3 * 6
     assert scene.arms["arm"].fingers == slice(0, 0)
     report = cg.evaluate("Pass", "expert", episodes=2, robots=(arm, own), num_threads=1)
     assert report.completion.mean == 1.0

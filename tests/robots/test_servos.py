@@ -72,7 +72,7 @@ def test_computed_gains_follow_commands(own, make_env, name):
         env.step(dict.fromkeys(env.agents, action))
         turned.append(turn * ((env.sim.qpos[:, arm.qpos] - before) / scale * joints))
     shares = np.sum(turned, axis=2)
-    assert (shares[0] > 0.85).all()
-    assert (np.abs(shares[1] - 1.0) < 0.02).all()
+    assert (shares[0] > 0.8).all()
+    assert (np.abs(shares[1] - 1.0) < 0.03).all()
     peak = np.max(speeds, axis=(0, 1)) / robot.velocity_limits
     assert (peak < 1.12).all()

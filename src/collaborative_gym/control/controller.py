@@ -8,7 +8,7 @@ import numpy as np
 from collaborative_gym.control.actions import ActionMode
 from collaborative_gym.control.grips import Grips
 from collaborative_gym.math import Array
-from collaborative_gym.scene import Arm, Scene
+from collaborative_gym.scene import STOP, Arm, Scene
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT, SIM_DT, SUBSTEPS
 
@@ -33,8 +33,8 @@ class _Servos:
       torque: greatest, in N m.
       full: speed that an action of 1 asks for, in rad/s.
       fastest: greatest reference speed, in rad/s.
-      low: least angles, in rad.
-      high: greatest angles, in rad.
+      low: least angles to go to, in rad.
+      high: greatest angles to go to, in rad.
       ramp: how far a speed may have changed by each physics step and by the one after
         the last, (substeps + 1, joints), in rad/s.
     """
@@ -58,8 +58,8 @@ class _Servos:
             torque=xp.asarray(robot.torque_limits),
             full=xp.asarray(arm.max_speed),
             fastest=xp.asarray(_SPEED_MARGIN * np.array(robot.velocity_limits)),
-            low=xp.asarray(arm.joint_range[0]),
-            high=xp.asarray(arm.joint_range[1]),
+            low=xp.asarray(arm.joint_range[0] + STOP),
+            high=xp.asarray(arm.joint_range[1] - STOP),
             ramp=xp.asarray(np.arange(1.0, SUBSTEPS + 2)[:, None] * slope),
         )
 

@@ -1,8 +1,10 @@
-"""Which shapes collide with which, and which are there to be seen only."""
+"""Which shapes collide with which and how hard, and which are there to be seen only."""
 
 from collections.abc import Collection
 
 import mujoco
+
+from collaborative_gym.timing import SIM_DT
 
 # Collision bits. A pair of geoms collides if a contype bit of one is among the
 # conaffinity bits of the other.
@@ -10,11 +12,20 @@ _FIXED = 1
 _OBJECT = 2
 _ROBOT = 4
 
+_SOLREF = SIM_DT, 1.0
+_SOLIMP = 0.95, 0.99, 0.001, 0.5, 2.0
+"""How contacts and stops give way, in MuJoCo's words: they are as stiff as the time
+step resolves without a bounce (docs/performance.md has what else was tried)."""
 
-def set_collision_bits(
+STOP = 0.015
+"""How far before the ends of a joint's range its stops are, in rad. A fast joint turns
+by 0.03 rad in a physics step before its stop acts."""
+
+
+def set_collisions(
     spec: mujoco.MjSpec, agents: Collection[str], finger_bodies: Collection[str]
 ) -> None:
-    """Let arms and objects collide with one another and with what is fixed.
+    """Let arms and objects collide with one another and with what is fixed, all alike.
 
     Args:
       spec: the world.
@@ -24,6 +35,7 @@ def set_collision_bits(
     for geom in spec.geoms:
         if not geom.contype and not geom.conaffinity:
             continue
+        geom.solref, geom.solimp = _SOLREF, _SOLIMP
         if geom.parent.name.split("/")[0] in agents:
             geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
             # Fingers close around what they grip; the grip itself is a constraint.
@@ -33,6 +45,12 @@ def set_collision_bits(
             geom.contype, geom.conaffinity = _FIXED, 0
         else:
             geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
+
+
+def set_stops(joint: mujoco.MjsJoint) -> None:
+    """Give an arm's joint stops as stiff as contacts, just before its range's ends."""
+    joint.margin = STOP
+    joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
 
 
 def is_decoration(geom: mujoco.MjsGeom) -> bool:

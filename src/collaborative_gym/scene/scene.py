@@ -29,11 +29,24 @@ from collaborative_gym.robots.model_file import (
     fix_joints,
 )
 from collaborative_gym.robots.robot import Robot
-from collaborative_gym.scene.collisions import is_decoration, set_collision_bits
+from collaborative_gym.scene.collisions import (
+    is_decoration,
+    set_collisions,
+    set_stops,
+)
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import SIM_DT
+
+_BRAKE_FROM = 1.1
+"""Speed from which on a joint is braked, over its limit; free motion stays below."""
+
+_BRAKE_GAIN = 40.0
+"""Slope of the brake's torque over the speed, in torque limits per speed limit."""
+
+_NO_LIMIT = 1e6
+"""A torque in N m that is never reached."""
 
 
 class Scene:
@@ -59,7 +72,9 @@ class Scene:
         self._finger_bodies: set[str] = set()
         option = self.spec.option
         option.timestep = SIM_DT
-        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        # It solves contacts, stops and brakes together with the servos' damping: so
+        # they may be as stiff as the time step resolves.
+        option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         # A world that diverges must be seen to, not silently put back to its start.
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         add_surroundings(self.spec)
@@ -105,9 +120,12 @@ class Scene:
         self.robots[agent] = robot
         if stand:
             self._add_stand(agent, robot, placement)
-        for joint, armature in zip(robot.joints, robot.armature, strict=True):
-            self.spec.joint(f"{agent}/{joint}").armature = armature
+        for name, armature in zip(robot.joints, robot.armature, strict=True):
+            joint = self.spec.joint(f"{agent}/{name}")
+            joint.armature = armature
+            set_stops(joint)
         self._add_servos(agent, robot)
+        self._add_brakes(agent, robot)
         if holds is None:
             for joint in gripper.joints:
                 self._add_finger(f"{agent}/{joint}", gripper.force)
@@ -239,7 +257,7 @@ class Scene:
         """
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
-        set_collision_bits(self.spec, self.robots, self._finger_bodies)
+        set_collisions(self.spec, self.robots, self._finger_bodies)
         if not any(camera.name == CAMERA for camera in self.spec.cameras):
             add_overview(self.spec)
         physics = self.spec.copy()
@@ -415,6 +433,31 @@ class Scene:
                 forcelimited=True,
                 forcerange=[-torque, torque],
             )
+
+    def _add_brakes(self, agent: str, robot: Robot) -> None:
+        """Brake joints that something else turns faster than their motors may.
+
+        As drives do that short the windings of a motor whose speed trips them: the
+        torque grows with the speed, and no limit of the motor's holds for it. One
+        actuator brakes each direction of turning, and pushes in no other.
+        """
+        rows = zip(
+            robot.joints, robot.torque_limits, robot.velocity_limits, strict=True
+        )
+        for joint, torque, speed in rows:
+            gain = _BRAKE_GAIN * torque / speed
+            for name, sign in (("forwards", 1.0), ("backwards", -1.0)):
+                self.spec.add_actuator(
+                    name=f"{agent}/{joint}/brake {name}",
+                    target=f"{agent}/{joint}",
+                    trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                    gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+                    biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                    gainprm=[0.0] * 10,
+                    biasprm=[sign * gain * _BRAKE_FROM * speed, 0.0, -gain] + [0.0] * 7,
+                    forcelimited=True,
+                    forcerange=sorted([0.0, -sign * _NO_LIMIT]),
+                )
 
     def _add_finger(self, joint: str, force: float) -> None:
         # Fingers are light and their grip is a constraint, so a soft servo does.
