@@ -1,5 +1,6 @@
 """What callers give to an environment, checked before any world is changed."""
 
+import os
 from typing import Any
 
 import numpy as np
@@ -72,3 +73,16 @@ def _array(what: str, given: Any) -> np.ndarray:
         return np.asarray(given)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{what} cannot be read as numbers: {error}") from None
+
+
+def check_process(made_in: int) -> None:
+    """Raise `RuntimeError` in a process that was forked from the one of this id.
+
+    A fork has copies of the locks, but none of the threads that step the physics.
+    """
+    if os.getpid() != made_in:
+        raise RuntimeError(
+            "this environment belongs to the process that made it, and cannot be used"
+            " in one that was forked from it; make another here, or start processes by"
+            " the method 'spawn'"
+        )

@@ -11,7 +11,11 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control import Controller, JointChanges, check_actions
-from collaborative_gym.envs.arguments import check_env_ids, check_episodes
+from collaborative_gym.envs.arguments import (
+    check_env_ids,
+    check_episodes,
+    check_process,
+)
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
@@ -74,8 +78,7 @@ class VectorEnv:
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
       auto_reset: whether a world goes on to its next episode by itself.
-      strain: whether to measure the strain, too; it takes some time, and changes no bit
-        of anything else.
+      strain: whether to measure the strain, too, which takes time and changes no bit.
 
     Attributes:
       task: the task.
@@ -400,13 +403,7 @@ class VectorEnv:
 
         The thread may come in again, as a watcher does that draws a picture.
         """
-        # A fork has copies of the locks, but none of the threads that step the physics.
-        if os.getpid() != self._process:
-            raise RuntimeError(
-                "this environment belongs to the process that made it, and cannot be"
-                " used in one that was forked from it; make another here, or start"
-                " processes by the method 'spawn'"
-            )
+        check_process(self._process)
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
                 f"thread {self._visitor!r} is inside this environment, which serves one"
