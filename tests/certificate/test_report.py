@@ -36,9 +36,8 @@ def test_a_row_tells_the_best_and_the_surest():
     table = certificate.to_markdown()
     assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | 0.6% | 0.40 |" in table
     assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | 4" in table
-    assert "in 1 of 2 rows, at most 25.0% with robot_2 frozen at 50 % (up to 4" in table
-    none = Certificate("Some-v0", {}, trials[::2])
-    assert "not once in any of 1 rows (up to 0.6% each" in none.statement
+    assert "with one arm still: 0.0% (up to 0.6%) if from the start on, 25.0%" in table
+    assert "25.0% (up to 40.6%) if from 50 % of the way on" in table
 
 
 @pytest.mark.parametrize(

@@ -56,3 +56,15 @@ def test_moments_at_which_the_goal_is_met_are_left_out(press):
     states = find_starts(env, seed=0, count=6, fractions=(0.25,))[0.25]
     episodes = states.progress["episode"]
     assert not np.isin(episodes, np.flatnonzero(met)).any() and len(episodes) == 6
+
+
+def test_a_round_in_which_nothing_moves_is_over(press):
+    task = press(max_episode_steps=60)
+    env = cg.VectorEnv(task, 4, num_threads=1, auto_reset=False)
+    starts = find_starts(env, seed=0, count=4, fractions=(0.0,))[0.0]
+    lengths = {}
+    for policy in ("idle", "random"):
+        steps, act = [], as_policy(policy, env)
+        play(env, starts, np.arange(4), lambda tries, a=act: a, on_step=steps.append)
+        lengths[policy] = len(steps)
+    assert 10 < lengths["idle"] < 40 and lengths["random"] == 60

@@ -14,6 +14,14 @@ Cast = Callable[[np.ndarray], Policy]
 """Returns what plays these tries, one in each world of the environment."""
 
 
+_FAR = 1e3
+"""Farther than any world is from its goal."""
+
+_REST, _PATIENCE = 1e-5, 10
+"""Where joints are slower than this, in rad/s or m/s, and no shortfall changes by as
+much, for so many control steps in all worlds of a round, nothing more will come."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What came of tries.
@@ -37,6 +45,8 @@ def play(
     on_step: Callable[[int], object] | None = None,
 ) -> Outcome:
     """Play on from states, each try in a world of its own, as many rounds as it takes.
+
+    A round ends early where the goal is reached in all of its worlds, or nothing moves.
 
     Args:
       env: worlds that do not reset themselves.
@@ -67,16 +77,20 @@ def _play_round(
     on_step: Callable[[int], object] | None,
 ) -> Outcome:
     task, observations = env.task, env.set_state(starts)
-    nearest = np.full(env.num_envs, np.inf)
-    completed = np.zeros(env.num_envs, bool)
+    nearest = now = np.full(env.num_envs, _FAR)
+    completed, rested = np.zeros(env.num_envs, bool), 0
     for _ in range(steps or task.config.max_episode_steps):
         observations, *_, infos = env.step(policy(observations))
         counts = (infos["step"] > task.success_after) & ~infos["diverged"]
-        now = np.where(counts, task.shortfall(env.facts), np.inf)
+        before, now = now, np.where(counts, task.shortfall(env.facts), _FAR)
         nearest = np.minimum(nearest, now)
         completed = infos["metrics"]["completion"] > 0.0
         if on_step is not None:
             on_step(env.num_envs)
-        if (completed | infos["ended"]).all():
+        left = ~(completed | infos["ended"])
+        moves = np.abs(env.sim.qvel[left]).max(initial=0.0)
+        moves = max(moves, np.abs(now - before)[left].max(initial=0.0))
+        rested = rested + 1 if moves < _REST else 0
+        if not left.any() or rested > _PATIENCE:
             break
     return Outcome(completed, np.where(completed, 0.0, nearest))

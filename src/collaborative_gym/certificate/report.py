@@ -137,19 +137,17 @@ class Certificate:
     @property
     def statement(self) -> str:
         """What the trials come to, in one sentence."""
-        done = [trial for trial in self.best.values() if trial.completed]
-        if not done:
-            bound = max((trial.bound for trial in self.best.values()), default=1.0)
-            return (
-                f"{self.environment}: not once in any of {len(self.rows)} rows (up to"
-                f" {bound:.1%} each, with 95 % confidence)"
+        by_fraction: dict[float, list[Trial]] = {}
+        for trial in self.best.values():
+            by_fraction.setdefault(trial.fraction, []).append(trial)
+        found = []
+        for fraction, trials in sorted(by_fraction.items()):
+            most = max(trials, key=lambda trial: (trial.completion, trial.bound))
+            since = f"{100 * fraction:.0f} % of the way" if fraction else "the start"
+            found.append(
+                f"{most.completion:.1%} (up to {most.bound:.1%}) if from {since} on"
             )
-        most = max(done, key=lambda trial: trial.completion)
-        return (
-            f"{self.environment}: in {len(done)} of {len(self.rows)} rows, at most"
-            f" {most.completion:.1%} with {most.passive} {name_row(most)} (up to"
-            f" {most.bound:.1%}, with 95 % confidence)"
-        )
+        return f"{self.environment} with one arm still: {', '.join(found)}"
 
     def to_json(self) -> str:
         """Return everything as JSON."""
