@@ -1,6 +1,8 @@
 """Tries to do a task while one arm is still."""
 
 import json
+import resource
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,7 @@ from collaborative_gym.certificate import rival
 from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.certificate.report import Certificate
 from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.folder import claimed
 
 
 def test_a_task_that_one_arm_can_do_is_found_out(press, small):
@@ -102,6 +105,29 @@ def test_another_certificate_is_not_gone_on_with(
     seed = change.pop("seed", 0)
     with pytest.raises(ValueError, match=f"another certificate: .*{message}"):
         cg.certify(task, budget=replace(small, **change), seed=seed, output=tmp_path)
+    assert (tmp_path / module.FILE).read_bytes() == before
+
+
+def test_one_process_at_a_time_works_in_a_folder(press, small, tmp_path):
+    with (
+        claimed(tmp_path),
+        pytest.raises(BlockingIOError, match=f"is at work in {tmp_path}; let it end"),
+    ):
+        cg.certify(press(), budget=small, output=tmp_path)
+
+
+def test_a_full_disk_is_told_and_leaves_what_was_there(press, small, tmp_path):
+    _begin(press(), small, tmp_path)
+    before = (tmp_path / module.FILE).read_bytes()
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before), limit[1]))
+    try:
+        with pytest.raises(OSError, match=f"cannot write {tmp_path / module.FILE}: "):
+            cg.certify(press(), budget=small, output=tmp_path, num_threads=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+        signal.signal(signal.SIGXFSZ, ignored)
     assert (tmp_path / module.FILE).read_bytes() == before
 
 

@@ -65,7 +65,7 @@ def _lock(descriptor: int, folder: Path) -> None:
         except BlockingIOError:
             process = os.pread(descriptor, 20, 0).decode() or "another process"
             raise BlockingIOError(
-                f"{process} is training in {folder}; let it end, or choose another"
+                f"{process} is at work in {folder}; let it end, or choose another"
                 " folder"
             ) from None
         os.ftruncate(descriptor, 0)
