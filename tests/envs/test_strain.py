@@ -44,8 +44,13 @@ class Plain:
         mujoco.mj_setState(self.model, self.data, state, kind)
         for control in controls[0]:
             self.data.ctrl[:] = control
+            before = self.data.qvel.copy()
             mujoco.mj_step(self.model, self.data)
             self.look()
+            for arm in self.env.scene.arms.values():
+                torque = self.motors(before)[arm.dof]
+                power = np.abs(torque * self.data.qvel[arm.dof]).sum()
+                self.found["energy"] += power * SIM_DT
         self.step(controls, records, breaks)
         assert (self.data.qpos == self.env.sim.qpos[0]).all()
         mujoco.mj_forward(self.model, self.data)
@@ -76,11 +81,24 @@ class Plain:
             speed = np.abs(data.qvel[arm.dof])
             self.at_limit += list(torque >= 0.99 * np.array(arm.robot.torque_limits))
             self.raises("speed_over_limit", (speed / arm.robot.velocity_limits).max())
-            self.found["energy"] += torque @ speed * SIM_DT
         one, other = self.pulls()
         if one is not None:
             self.held.append(np.min(np.linalg.norm(one - shares(one + other), axis=1)))
             self.raises("internal_force", self.held[-1])
+
+    def motors(self, before):
+        """Return what the motors added to the momentum in a step, per time."""
+        model, data, inertia = self.model, self.data, np.zeros((self.model.nv,) * 2)
+        mujoco.mj_fullM(model, data, inertia)
+        others = data.qfrc_smooth - data.qfrc_actuator + data.qfrc_constraint
+        torque = inertia @ (data.qvel - before) / SIM_DT - others
+        for i in range(model.nu):
+            dof = model.jnt_dofadr[model.actuator_trnid[i, 0]]
+            if "brake" in model.actuator(i).name and data.actuator_force[i]:
+                slope = model.actuator_biasprm[i, 2]
+                more = slope * (data.qvel[dof] - before[dof])
+                torque[dof] -= data.actuator_force[i] + more
+        return torque
 
     def owner(self, geom):
         """Return the arm or the body of a shape."""

@@ -13,7 +13,9 @@ an episode is told, the greatest unless said otherwise:
   limit or above, the mean over the joints.
 - `speed_over_limit`: a joint's speed over its limit.
 - `energy`: the sum over joints and physics steps of abs(torque x turn), in J. A motor
-  that brakes gives nothing back.
+  that brakes gives nothing back. The torque is that which the step applies: MuJoCo's
+  `actuator_force`, from the state before it, less what the implicit step takes off as
+  the joint moves.
 - `clearance`: the least distance between two arms at the ends of control steps, in m,
   and at most 1 m; minus their greatest depth where they touched.
 - `internal_force`: what arms spend against each other on what they hold, in N.
@@ -71,6 +73,7 @@ _AT_LIMIT = 0.99
 
 _RECORDS = (
     "actuator_force",
+    "actuator_velocity",
     "qvel",
     "sensordata",
     "cfrc_ext",
@@ -188,6 +191,8 @@ class Strain:
         self._dofs = np.r_[*(arm.dof for arm in arms)]
         self._torque = np.concatenate([arm.robot.torque_limits for arm in arms])
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
+        self._stiffness = np.concatenate([arm.robot.stiffness for arm in arms])
+        self._damping = np.concatenate([arm.robot.damping for arm in arms])
         self._depths = {kind: _columns(model, f"{kind} deep") for kind in _KINDS}
         self._forces = {kind: _columns(model, f"{kind} net") for kind in _KINDS}
         self._held = _held(scene, model)
@@ -216,18 +221,19 @@ class Strain:
           moved: (num_envs,) where these steps count.
         """
         sensed = self._records["sensordata"]
-        torque = np.abs(self._records["actuator_force"][:, :, self._servos])
-        speed = np.abs(self._records["qvel"][:, :, self._dofs])
-        greatest = {"speed_over_limit": speed / self._speed}
+        torque = self._records["actuator_force"][:, :, self._servos]
+        speed = self._records["qvel"][:, :, self._dofs]
+        greatest = {"speed_over_limit": np.abs(speed) / self._speed}
         for kind in _KINDS:
             if len(self._depths[kind]):
                 depth = -sensed[:, :, self._depths[kind][:, 0]]
                 greatest[f"contact_depth_{kind}"] = depth
                 force = math.norm(sensed[:, :, self._forces[kind]])
                 greatest[f"contact_force_{kind}"] = force
+        at_limit = np.abs(torque) >= _AT_LIMIT * self._torque
         sums = {
-            "energy": math.dot(torque, speed) * SIM_DT,
-            "torque_limit_share": (torque >= _AT_LIMIT * self._torque).mean(axis=2),
+            "energy": self._power(torque, speed) * SIM_DT,
+            "torque_limit_share": at_limit.mean(axis=2),
         }
         if self._held:
             forces = np.stack([self._internal_force(held) for held in self._held])
@@ -245,6 +251,19 @@ class Strain:
             row = f"strain: {name}"
             for step in values.T:
                 rows[row] = rows[row] + np.where(moved, step, 0.0)
+
+    def _power(self, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Return the sum of the joints' powers by amount, (num_envs, steps), in W.
+
+        Args:
+          torque: of the servos before each physics step, (num_envs, steps, joints).
+          speed: of the joints after it.
+        """
+        before = self._records["actuator_velocity"][:, :, self._servos]
+        yields = self._stiffness * SIM_DT * speed + self._damping * (speed - before)
+        # At its limit a torque follows no state.
+        yields = np.where(np.abs(torque) < self._torque, yields, 0.0)
+        return math.dot(np.abs(torque - yields), np.abs(speed))
 
     def _is_held(self, held: _Held) -> np.ndarray:
         """Return when two arms or more hold a thing, (num_envs, steps)."""
