@@ -105,7 +105,7 @@ def test_a_joint_turns_most_of_a_full_command_in_its_step(free, robots):
 
 
 @pytest.mark.parametrize("name", cg.list_robots())
-def test_a_held_payload_sinks_by_less_than_two_millimetres_a_step(name):
+def test_a_held_payload_sinks_slowly_without_an_action(name):
     scene, robot, load = Scene(), cg.get_robot(name), mujoco.MjSpec()
     scene.add_robot("arm", robot, placement=cg.Placement((0.0, 0.0, 3.0)))
     body = load.worldbody.add_body(name="load")
@@ -132,8 +132,24 @@ def test_a_held_payload_sinks_by_less_than_two_millimetres_a_step(name):
         sim.step(controller.command({"arm": np.zeros((8, 7))}))
         heights.append(sim.pose("arm/tcp")[0][:, 2].copy())
     sunk = -np.diff(heights, axis=0)
-    # The first steps take the load on; from then on the servos carry it.
-    assert sunk[5:].max() < 2e-3
+    # The first steps take the load on; from then on the servos carry most of it.
+    assert 1e-3 < sunk[5:].mean() and sunk[5:].max() < 1e-2
+
+
+def test_what_arms_exert_against_each_other_dies_away():
+    env = cg.make_vec("BalanceTaskSawyers-v0", 2, num_threads=1)
+    env.reset(seed=0)
+    arm = env.scene.arms["robot_1"]
+    # Both play the same episode, but one arm of the second presses against the board.
+    env.set_state(env.get_state([0]), [1])
+    stiffness = np.array(arm.robot.stiffness)
+    env.sim.act[1, arm.act] += 0.5 * np.array(arm.robot.torque_limits) / stiffness
+    pressed = []
+    for _ in range(8):
+        env.step(env.idle())
+        torque = stiffness * (env.sim.act[:, arm.act] - env.sim.qpos[:, arm.qpos])
+        pressed.append(np.abs(torque[1] - torque[0]).max())
+    assert pressed[0] > 5.0 and pressed[-1] < 0.2 * pressed[0]
 
 
 @pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])

@@ -10,7 +10,7 @@ from collaborative_gym.control.grips import Grips
 from collaborative_gym.math import Array
 from collaborative_gym.scene import STOP, Arm, Scene
 from collaborative_gym.sim.sim import EnvIds, Sim
-from collaborative_gym.timing import CONTROL_DT, SIM_DT, SUBSTEPS
+from collaborative_gym.timing import CONTROL_DT, KEPT_LOAD, SIM_DT, SUBSTEPS
 
 _RAMP = 0.03
 """Time in which a joint's reference speed goes from rest to full, in s. Shorter asks
@@ -118,8 +118,7 @@ class Controller:
         The reference speed ramps from the measured one to that which brings the joint
         to its new angle in time. The servo's target leads the reference angle by
         damping / stiffness of the speed, which turns damping into feedback on the speed
-        error, and by what the servo yields to its present load: a held load does not
-        sink a little at every step.
+        error, and by most of what the servo yields to its present load.
         """
         sim, xp = self._sim, self._sim.xp
         stiffness, damping, torque = servos.stiffness, servos.damping, servos.torque
@@ -128,7 +127,7 @@ class Controller:
         change = xp.maximum(change, (servos.low - angle) / _SLACK)
         change = xp.minimum(change, (servos.high - angle) / _SLACK)
         load = stiffness * (sim.act[:, arm.act] - angle) - damping * speed
-        load = xp.minimum(xp.maximum(load, -torque), torque) / stiffness
+        load = xp.minimum(xp.maximum(load, -torque), torque) * KEPT_LOAD / stiffness
         start = xp.minimum(xp.maximum(speed, -full), full)
         ramp = xp.abs(change / CONTROL_DT - start) / full * _RAMP
         final = (change - start * ramp / 2) / (CONTROL_DT - ramp / 2)

@@ -7,6 +7,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.timing import CONTROL_DT, KEPT_LOAD
 
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
@@ -120,4 +121,7 @@ def carry(
     stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
     torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
     excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
-    return change - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
+    # The servo lets go of a part of all that it bears; of a change that the joint cannot
+    # follow, it makes a torque by its stiffness and, for the speed, by its damping.
+    lost = (1.0 - KEPT_LOAD) * torque / (stiffness + damping / CONTROL_DT)
+    return change + lost - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)

@@ -62,7 +62,7 @@ reaches pots that do not stand in the middle."""
 _LIFT_STEP = 0.03
 """Motion of the pot in a step of the expert's lift, in m."""
 
-_CLOSE = 0.015
+_CLOSE = 0.018
 """Distance from the handle at which the expert grips, in m."""
 
 
