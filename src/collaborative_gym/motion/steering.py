@@ -121,7 +121,7 @@ def carry(
     stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
     torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
     excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
-    # The servo lets go of a part of all that it bears; of a change that the joint cannot
-    # follow, it makes a torque by its stiffness and, for the speed, by its damping.
+    # The servo lets go of a part of all that it bears. Of a change that a joint cannot
+    # follow it makes a torque by its stiffness, and for the speed by its damping.
     lost = (1.0 - KEPT_LOAD) * torque / (stiffness + damping / CONTROL_DT)
     return change + lost - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
