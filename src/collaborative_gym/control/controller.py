@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym import math
 from collaborative_gym.control.actions import ActionMode
-from collaborative_gym.control.grips import Grips
 from collaborative_gym.math import Array
 from collaborative_gym.scene import STOP, Arm, Scene
 from collaborative_gym.sim.sim import EnvIds, Sim
@@ -21,6 +21,10 @@ _SPEED_MARGIN = 1.04
 
 _SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT
 """A joint that arrives at a limit must also come to rest there."""
+
+
+_TEARING = 2.0
+"""Distance between tcp and site at which a grip tears, in thresholds of taking it."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,77 @@ class _Servos:
         )
 
 
+class Grips:
+    """Takes, holds and tears the grips of a scene's arms.
+
+    A grip is taken at the start of a control step if the agent asks for it and the site
+    is near. It lasts while the agent asks, unless it tears: a physics step that would
+    load it above what the gripper holds, or that begins beyond twice the distance at
+    which it can be taken, is taken without it. A torn grip is not taken in the next
+    control step, in which the hand opens; else one that is too weak would be taken and
+    torn in each.
+
+    Args:
+      scene: the compiled scene.
+      sim: its worlds.
+    """
+
+    def __init__(self, scene: Scene, sim: Sim):
+        self._sim, model, xp = sim, sim.model, sim.xp
+        arms = [scene.arms[grip.agent] for grip in scene.grips]
+        grippers = [arm.robot.gripper for arm in arms]
+        widths = [grip.width for grip in scene.grips]
+        self._agents = [grip.agent for grip in scene.grips]
+        self._fingers = [arm.fingers for arm in arms]
+        self._closed = [g.position(w) for g, w in zip(grippers, widths, strict=True)]
+
+        def columns(names: list[str]) -> Array:
+            """Return where `sensordata` has these vectors, (grips, 3)."""
+            starts = [int(model.sensor(name).adr[0]) for name in names]
+            return xp.asarray(np.add.outer(np.array(starts, int), np.arange(3)))
+
+        self._tcps = columns([f"{agent}/tcp.position" for agent in self._agents])
+        self._sites = columns([f"{grip.site}.position" for grip in scene.grips])
+        self._forces = columns([grip.palm for grip in scene.grips])
+        equalities = [model.equality(grip.name).id for grip in scene.grips]
+        self._equalities = xp.asarray(np.array(equalities, int))
+        self._thresholds = xp.asarray([grip.threshold for grip in scene.grips])
+        self._strengths = xp.asarray([gripper.holding_force for gripper in grippers])
+
+    def command(self, controls: Array, asked: dict[str, Array]) -> None:
+        """Take and leave grips for a control step; close the fingers where one holds.
+
+        Args:
+          controls: (num_envs, substeps, nu), what is written to.
+          asked: by agent, in which worlds it grips, (num_envs,).
+        """
+        sim, xp, sensed = self._sim, self._sim.xp, self._sim.sensordata
+        is_held = sim.eq_active[:, self._equalities] > 0
+        # What the last command held and is held no more has torn.
+        has_torn = (sim.userdata[:, : len(self._agents)] > 0) & ~is_held
+        gap = math.norm(sensed[:, self._tcps] - sensed[:, self._sites])
+        wanted = xp.stack([asked[agent] for agent in self._agents], axis=1)
+        holds = wanted & (is_held | (gap < self._thresholds)) & ~has_torn
+        sim.eq_active[:, self._equalities] = holds
+        sim.userdata[:, : len(self._agents)] = holds
+        closing = zip(self._fingers, self._closed, strict=True)
+        for i, (fingers, closed) in enumerate(closing):
+            is_closed = holds[:, i, None, None]
+            opened = controls[:, :, fingers]
+            controls[:, :, fingers] = xp.where(is_closed, closed, opened)
+
+    def tears(self, sensordata: Array) -> Array:
+        """Return which grips tear; see `Breaks` of the simulation."""
+        xp, shape = self._sim.xp, (*sensordata.shape[:-1], self._sim.model.neq)
+        force = math.norm(sensordata[..., self._forces])
+        gap = math.norm(sensordata[..., self._tcps] - sensordata[..., self._sites])
+        tears = xp.zeros(shape, dtype=xp.bool)
+        tears[..., self._equalities] = (force > self._strengths) | (
+            gap > _TEARING * self._thresholds
+        )
+        return tears
+
+
 class Controller:
     """Turns each agent's action into commands of its arm.
 
@@ -81,8 +156,8 @@ class Controller:
         self._mode = mode
         self._arms = scene.arms
         self._servos = {a: _Servos.of(arm, sim.xp) for a, arm in scene.arms.items()}
-        self._grips = Grips(scene, sim)
-        self.tears = self._grips.tears if scene.grips else None
+        self._grips = Grips(scene, sim) if scene.grips else None
+        self.tears = self._grips.tears if self._grips else None
 
     def start(self, env_ids: EnvIds) -> None:
         """Make the servos of freshly reset worlds hold their angles, grippers open."""
@@ -107,7 +182,8 @@ class Controller:
             change = mode.changes(sim, agent, moves)
             self._command_joints(controls, arm, self._servos[agent], change)
             controls[:, :, arm.fingers] = arm.robot.gripper.open_position
-        self._grips.command(controls, grips)
+        if self._grips is not None:
+            self._grips.command(controls, grips)
         return controls
 
     def _command_joints(

@@ -1,6 +1,5 @@
 """What callers give to an environment, checked before any world is changed."""
 
-import os
 from typing import Any
 
 import numpy as np
@@ -75,14 +74,9 @@ def _array(what: str, given: Any) -> np.ndarray:
         raise ValueError(f"{what} cannot be read as numbers: {error}") from None
 
 
-def check_process(made_in: int) -> None:
-    """Raise `RuntimeError` in a process that was forked from the one of this id.
-
-    A fork has copies of the locks, but none of the threads that step the physics.
-    """
-    if os.getpid() != made_in:
-        raise RuntimeError(
-            "this environment belongs to the process that made it, and cannot be used"
-            " in one that was forked from it; make another here, or start processes by"
-            " the method 'spawn'"
-        )
+FORKED = (
+    "this environment belongs to the process that made it, and cannot be used in one"
+    " that was forked from it; make another here, or start processes by the method"
+    " 'spawn'"
+)
+"""A fork has copies of an environment's locks, but no threads that step its physics."""

@@ -12,9 +12,9 @@ import numpy as np
 
 from collaborative_gym.control import Controller, JointChanges, check_actions
 from collaborative_gym.envs.arguments import (
+    FORKED,
     check_env_ids,
     check_episodes,
-    check_process,
 )
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress, copied
@@ -403,7 +403,8 @@ class VectorEnv:
 
         The thread may come in again, as a watcher does that draws a picture.
         """
-        check_process(self._process)
+        if os.getpid() != self._process:
+            raise RuntimeError(FORKED)
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
                 f"thread {self._visitor!r} is inside this environment, which serves one"

@@ -3,6 +3,8 @@
 from dataclasses import field, fields
 from typing import Any
 
+import numpy as np
+
 from collaborative_gym.errors import check_count, check_flag, check_number
 
 
@@ -17,7 +19,8 @@ def bounded(default: float | None, at_least: float, at_most: float) -> Any:
 def check_settings(settings: Any) -> None:
     """Check the fields of a dataclass whose defaults are numbers or booleans.
 
-    They become Python's own floats, integers and booleans.
+    They become Python's own floats, integers and booleans, unless they are of a kind of
+    these already.
 
     Raises:
       TypeError: if one is of another kind than its default.
@@ -36,4 +39,5 @@ def check_settings(settings: Any) -> None:
             number = check_flag(name, given)
         else:
             continue
-        object.__setattr__(settings, name, number)
+        if isinstance(given, np.generic) or not isinstance(given, type(number)):
+            object.__setattr__(settings, name, number)
