@@ -75,7 +75,7 @@ class Press(cg.Task[PressConfig, PressFacts]):
             place, quat = facts.tcp[agent]
             step = self._buttons[agent] - place
             far = np.maximum(math.norm(step), 1e-6)[:, None]
-            goal = place + step * np.minimum(1.0, 0.04 / far)
+            goal = place + step * np.minimum(1.0, 0.09 / far)
             home = np.array(arm.robot.home)
             change = reach(sim, arm, tcp=(place, quat), goal=(goal, quat), posture=home)
             motions[agent] = cg.Motion(change)

@@ -9,7 +9,13 @@ from collaborative_gym.motion.poses import (
     turn_fingers,
 )
 from collaborative_gym.motion.solver import Chains, joint_change, rotation_error
-from collaborative_gym.motion.steering import carry, reach, shortened, standoff
+from collaborative_gym.motion.steering import (
+    carry,
+    reach,
+    settling,
+    shortened,
+    standoff,
+)
 
 __all__ = [
     "Chains",
@@ -21,6 +27,7 @@ __all__ = [
     "quickest_way",
     "reach",
     "rotation_error",
+    "settling",
     "shortened",
     "solve_pose",
     "standoff",

@@ -12,8 +12,20 @@ from collaborative_gym.timing import CONTROL_DT, KEPT_LOAD
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
 
-_FARTHEST = 0.1
-"""Greatest motion that `reach` asks of a tcp in a step, in m; thrice that in rad."""
+_GAIN, _BRAKE = 0.45, 0.1
+"""Shares of a missing change, and of the present motion against it, that `settling`
+asks for. With actions that are done at once, a miss falls to 0.61 in a step, and with
+actions that are a control step late to 0.58; no other pair has both as small."""
+
+_LEANING = 0.2
+"""Share of its distance to the posture that an arm goes in `reach`, of which `settling`
+leaves a part."""
+
+_NEAR = 0.05
+"""Distance of a tcp to its goal, in m, below which a posture counts less and less."""
+
+_FARTHEST = 0.2
+"""Greatest way of a tcp that `reach` plans at a time, in m; thrice that in rad."""
 
 _YIELD = 0.5
 """Share of an unneeded torque that `carry` lets go in a step."""
@@ -34,6 +46,9 @@ def reach(
     posture: Array,
 ) -> Array:
     """Return joint changes that bring a tcp towards a pose, by resolved-rate control.
+
+    The posture counts less and less the nearer the goal is, where the arm comes to rest
+    (`settling`).
 
     Args:
       sim: the worlds.
@@ -56,10 +71,28 @@ def reach(
         jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
     angle = np.asarray(sim.qpos[:, arm.qpos])
     low, high = arm.joint_range
-    most = 0.5 * arm.max_change
-    lean = np.clip(0.1 * (posture - angle), -most, most)
+    size = np.maximum(math.norm(missing), math.norm(turn) / 3)
+    share = _LEANING * np.minimum(1.0, size / _NEAR)[:, None]
+    lean = np.clip(share * (posture - angle), -arm.max_change, arm.max_change)
     room = low - angle, high - angle
-    return joint_change(jacobian, error, lean=lean, room=room)
+    return settling(sim, arm, joint_change(jacobian, error, lean=lean, room=room))
+
+
+def settling(sim: Sim, arm: Arm, change: Array) -> Array:
+    """Return the part of a joint change that comes to its goal without swinging.
+
+    The whole change would be there at once, and past it where actions come late: what
+    is measured does not know yet of those that are on their way.
+
+    Args:
+      sim: the worlds.
+      arm: whose joints.
+      change: (num_envs, joints) from the present angles to the goal, in rad.
+
+    Returns:
+      (num_envs, joints) in rad.
+    """
+    return _GAIN * change - _BRAKE * CONTROL_DT * sim.qvel[:, arm.dof]
 
 
 def standoff(

@@ -29,7 +29,7 @@ from array_api_compat import array_namespace
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion import reach, solve_pose
+from collaborative_gym.motion import reach, settling, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick
 from collaborative_gym.rng import EpisodeRandom
@@ -45,6 +45,9 @@ _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plan
 
 _FAR = 0.5
 """Distance from stick to ring from which on the expert goes straight, in m."""
+
+_WAIT = 0.2
+"""How far before the ring's place the stick waits for it, in m."""
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
@@ -123,6 +126,14 @@ class Poke(Task[TaskConfig, PokeFacts]):
             self._spread[agent] = _spread(sim.model, arm, angles)
             goal = self._goal[agent]
             self._posture[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
+        # The stick waits before the hole, in a posture from which it can go in.
+        place, into = self._goal[_STICK]
+        self._posture[_STICK] = solve_pose(
+            sim.model,
+            scene.arms[_STICK],
+            goal=(place - _WAIT * into, into),
+            start=self._posture[_STICK],
+        )
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -188,10 +199,10 @@ class Poke(Task[TaskConfig, PokeFacts]):
         beside = math.norm(facts.offset[:, :2])
         is_lined_up = (beside < 0.03) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
         # The stick's middle keeps its tip clear of the ring, the more so the farther it
-        # is from the hole, and goes in by steps so short that it stays in line.
+        # is from the hole, and goes in so slowly that it stays in line.
         behind = np.where(
             is_lined_up | facts.is_threaded,
-            np.maximum(-facts.offset[:, 2] - 0.05, 0.0),
+            np.maximum(-facts.offset[:, 2] - 0.12, 0.0),
             0.16 + np.minimum(beside, 0.15),
         )
         position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
@@ -203,7 +214,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
             change = reach(sim, arm, tcp=tcp, goal=goals[agent], posture=posture)
             # From afar all joints go to the posture at once: a straight way may turn a
             # wrist into the ends of its joints, where it would stay.
-            swing = posture - sim.qpos[:, arm.qpos]
+            swing = settling(sim, arm, posture - sim.qpos[:, arm.qpos])
             motions[agent] = Motion(np.where(is_far, swing, change))
         return motions
 
