@@ -8,6 +8,8 @@ from collaborative_gym import Motion, VectorEnv, math
 from collaborative_gym.motion import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
+from collaborative_gym.policies.delayed import DelayedPolicy
+from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.tasks.poke import Poke, PokeFacts, is_threaded
 from collaborative_gym.tasks.registry import make_task
 
@@ -120,10 +122,15 @@ def test_starts_differ_and_touch_nothing(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_the_expert_threads_the_stick_and_keeps_it_there(env_id):
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_expert_threads_the_stick_and_keeps_it_there(env_id, delay):
     env = make(env_id, 6)
+    policy = expert_policy(env)
+    for _ in range(delay):
+        policy = DelayedPolicy(policy, env)
     for _ in range(40):
-        env.step(env.expert())
+        env.step(policy({}))
+        assert not any(env.sim.data(i).ncon for i in range(6))
     assert env.task.success(env.facts).all()
     assert (env.facts.distance < 0.01).all()
     assert (env.facts.cosine < 0.05).all()
