@@ -119,7 +119,8 @@ class Hyperparameters:
         )
         if not checked:
             raise ValueError(f"hidden_sizes must name at least one layer, got {sizes}")
-        object.__setattr__(self, "hidden_sizes", checked)
+        if not isinstance(sizes, tuple):
+            object.__setattr__(self, "hidden_sizes", checked)
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"
