@@ -10,6 +10,8 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.motion import greatest_load, strongest_way
 from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.objects.pot import pot
+from collaborative_gym.policies.delayed import DelayedPolicy
+from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.robots import get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.tasks.lift import Lift, LiftConfig, LiftFacts
@@ -26,10 +28,10 @@ def env(request):
     env.close()
 
 
-def play(env, idle=None, steps=200):
-    env.reset(seed=0)
+def play(env, idle=None, steps=200, policy=None):
+    observations, _ = env.reset(seed=0)
     for _ in range(steps):
-        actions = env.expert()
+        actions = policy(observations) if policy else env.expert()
         if idle is not None:
             actions[idle] = env.idle()[idle]
         infos = env.step(actions)[4]
@@ -70,6 +72,17 @@ def test_expert_lifts_from_every_start_and_holds(env):
     metrics = play(env)["metrics"]
     assert metrics["completion"].mean() == 1.0
     assert metrics["performance"].mean() > 0.95
+
+
+@pytest.mark.parametrize("name", (*VARIANTS, "Lift"))
+def test_expert_lifts_gently_even_where_its_actions_come_late(name):
+    robots = ("panda", "jaco") if name == "Lift" else None
+    env = VectorEnv(make_task(name, robots), num_envs=6, num_threads=1, strain=True)
+    metrics = play(env, policy=DelayedPolicy(expert_policy(env), env))["metrics"]
+    assert metrics["completion"].all()
+    assert metrics["performance"].mean() > 0.95
+    assert metrics["strain"]["torque_limit_share"].mean() < 0.05
+    assert metrics["strain"]["internal_force_mean"].max() < 25.0
 
 
 @pytest.mark.parametrize("idle", ("robot_1", "robot_2"))

@@ -8,6 +8,8 @@ import pytest
 
 from collaborative_gym import VectorEnv
 from collaborative_gym.objects.cube import cube
+from collaborative_gym.policies.delayed import DelayedPolicy
+from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.robots import list_robots
 from collaborative_gym.scene import Scene
 from collaborative_gym.tasks.registry import make_task
@@ -142,6 +144,20 @@ def test_success_needs_the_cube_at_the_target_in_the_grip_of_robot_2(sawyers):
 def test_expert_passes_the_cube(variant):
     variant.reset(seed=1)
     assert play(variant, 45).all()
+
+
+@pytest.mark.parametrize("name", (*IDS, "Pass"))
+def test_expert_passes_the_cube_gently_even_where_its_actions_come_late(name):
+    robots = ("panda", "jaco") if name == "Pass" else None
+    env = VectorEnv(make_task(name, robots), 8, num_threads=1, strain=True)
+    late = DelayedPolicy(expert_policy(env), env)
+    observations, infos = env.reset(seed=1)
+    for _ in range(70):
+        infos = env.step(late(observations))[4]
+    assert infos["success"].all()
+    strain = infos["metrics"]["strain"]
+    assert strain["torque_limit_share"].mean() < 0.05
+    assert strain["contact_depth_arms"].max() < 0.003
 
 
 @pytest.mark.parametrize("idle", AGENTS)

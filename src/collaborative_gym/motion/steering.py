@@ -17,18 +17,15 @@ _GAIN, _BRAKE = 0.45, 0.1
 asks for. With actions that are done at once, a miss falls to 0.61 in a step, and with
 actions that are a control step late to 0.58; no other pair has both as small."""
 
-_LEANING = 0.2
-"""Share of its distance to the posture that an arm goes in `reach`, of which `settling`
-leaves a part."""
+_LEANING, _KEEPING = 0.2, 0.8
+"""Shares of its distance to the posture that an arm goes in `reach` and `carry`, of
+which `settling` leaves a part."""
 
 _NEAR = 0.05
 """Distance of a tcp to its goal, in m, below which a posture counts less and less."""
 
 _FARTHEST = 0.2
 """Greatest way of a tcp that `reach` plans at a time, in m; thrice that in rad."""
-
-_YIELD = 0.5
-"""Share of an unneeded torque that `carry` lets go in a step."""
 
 
 def shortened(vector: Array, longest: float) -> Array:
@@ -69,13 +66,9 @@ def reach(
     error = np.concatenate([missing, turn], axis=1)
     if orientation.shape[-1] == 3:
         jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
-    angle = np.asarray(sim.qpos[:, arm.qpos])
-    low, high = arm.joint_range
     size = np.maximum(math.norm(missing), math.norm(turn) / 3)
-    share = _LEANING * np.minimum(1.0, size / _NEAR)[:, None]
-    lean = np.clip(share * (posture - angle), -arm.max_change, arm.max_change)
-    room = low - angle, high - angle
-    return settling(sim, arm, joint_change(jacobian, error, lean=lean, room=room))
+    share = _LEANING * np.minimum(1.0, size / _NEAR)
+    return settling(sim, arm, _leaning(sim, arm, jacobian, error, posture, share))
 
 
 def settling(sim: Sim, arm: Arm, change: Array) -> Array:
@@ -93,6 +86,17 @@ def settling(sim: Sim, arm: Arm, change: Array) -> Array:
       (num_envs, joints) in rad.
     """
     return _GAIN * change - _BRAKE * CONTROL_DT * sim.qvel[:, arm.dof]
+
+
+def _leaning(
+    sim: Sim, arm: Arm, jacobian: Array, error: Array, posture: Array, share: Array
+) -> np.ndarray:
+    """Return joint changes that make up for an error and go a share to a posture."""
+    angle = np.asarray(sim.qpos[:, arm.qpos])
+    low, high = arm.joint_range
+    lean = np.clip(share[:, None] * (posture - angle), -arm.max_change, arm.max_change)
+    room = low - angle, high - angle
+    return joint_change(jacobian, error, lean=lean, room=room)
 
 
 def standoff(
@@ -126,15 +130,15 @@ def carry(
 ) -> np.ndarray:
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
-    Torques other than those of the load are let go, as arms that hold one thing would
-    else press against each other. Without a load the posture counts less and less the
-    nearer the goal is.
+    What servos let go of the load's torques is made up for, and what arms that hold one
+    thing exert against each other is let go. Without a load the posture counts less and
+    less the nearer the goal is, where the arm comes to rest (`settling`).
 
     Args:
       sim: the worlds.
       arm: whose tcp.
       tcp: (num_envs, 3) where it is.
-      goal: (num_envs, 3) where it should be after the step, in m.
+      goal: (num_envs, 3) where it should go, in m.
       posture: (num_envs, joints) angles to keep to, in rad.
       mass: (num_envs,) of the load at the tcp in kg, 0 for none.
 
@@ -142,19 +146,12 @@ def carry(
       (num_envs, joints) in rad, not limited.
     """
     translation, _ = sim.jacobian(arm.hand, tcp)
-    angle, robot = np.asarray(sim.qpos[:, arm.qpos]), arm.robot
-    low, high = arm.joint_range
-    is_loaded = mass[:, None] > 0
-    nearness = np.minimum(1.0, math.distance(goal, tcp) / 0.05)[:, None]
-    lean = np.where(is_loaded, 0.4, 0.4 * nearness) * (posture - angle)
-    lean = np.clip(lean, -0.5 * arm.max_change, 0.5 * arm.max_change)
-    room = low - angle, high - angle
-    rows = translation[:, :, arm.dof]
-    change = joint_change(rows, goal - tcp, lean=lean, room=room)
-    stiffness, damping = np.array(robot.stiffness), np.array(robot.damping)
-    torque = stiffness * (sim.act[:, arm.act] - angle) - damping * sim.qvel[:, arm.dof]
-    excess = torque - translation[:, 2, arm.dof] * (GRAVITY * mass[:, None])
-    # The servo lets go of a part of all that it bears. Of a change that a joint cannot
-    # follow it makes a torque by its stiffness, and for the speed by its damping.
-    lost = (1.0 - KEPT_LOAD) * torque / (stiffness + damping / CONTROL_DT)
-    return change + lost - np.where(is_loaded, _YIELD * excess / stiffness, 0.0)
+    rows, is_loaded = translation[:, :, arm.dof], mass > 0
+    nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
+    share = _KEEPING * np.where(is_loaded, 1.0, nearness)
+    change = settling(sim, arm, _leaning(sim, arm, rows, goal - tcp, posture, share))
+    # Of a change that a joint cannot follow its servo makes a torque by the stiffness,
+    # and for the speed by the damping.
+    stiffness, damping = np.array(arm.robot.stiffness), np.array(arm.robot.damping)
+    lost = (1.0 - KEPT_LOAD) * GRAVITY * mass[:, None] * rows[:, 2]
+    return change + lost / (stiffness + damping / CONTROL_DT)

@@ -26,7 +26,7 @@ from array_api_compat import array_namespace
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion import quickest_way, reach, standoff
+from collaborative_gym.motion import quickest_way, reach, settling, standoff
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
@@ -42,8 +42,9 @@ _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
-_CLOSE = {"robot_1": 0.012, "robot_2": 0.02}  # m at which the expert grips
-_FUNNEL = {"slack": 0.01, "least": 0.005, "most": 0.12}  # m, of `standoff`
+_CLOSE = {"robot_1": 0.018, "robot_2": 0.03}  # m at which the expert grips
+_ABOVE, _ASIDE = 0.06, 0.1  # m from the cube at which a hand comes before it
+_ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
 
 # Directions, and orientations (w x y z) of a hand. The hands meet head on, one closing
 # along x and the other along z, so that their fingers pass one another.
@@ -249,7 +250,7 @@ class Pass(Task[PassConfig, PassFacts]):
         giver, taker = self.agents
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds, taken = facts.holds[giver][:, None], facts.holds[taker][:, None]
-        gap = np.where(holds, 0.1, standoff(position - place, _DOWN, **_FUNNEL))
+        gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, _ABOVE))
         goal = np.where(taken, self._meeting - 0.15 * _ACROSS, place - gap * _DOWN)
         hand = np.where(taken, self._hands[giver][1], self._hands[giver][0])
         angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
@@ -263,16 +264,16 @@ class Pass(Task[PassConfig, PassFacts]):
         """Return robot_2's motion: wait at the meeting, grip, carry to the target."""
         giver, taker = self.agents
         (position, quat), holds = facts.tcp[taker], facts.holds[taker][:, None]
-        is_there = math.distance(facts.cube[0], self._meeting) < 0.03
+        is_there = math.distance(facts.cube[0], self._meeting) < _ARRIVED
         offered = (facts.holds[giver] & is_there)[:, None]
         place = np.where(offered, facts.cube[0], self._meeting)
-        gap = np.where(offered, standoff(position - place, -_ACROSS, **_FUNNEL), 0.1)
+        gap = _funnel(position - facts.cube[0], -_ACROSS, _ASIDE)
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS
         goal = np.where(carries, facts.target, goal)
         hand = np.where(carries, quat, self._hands[taker][1])
         angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
-        swings = carries & (math.distance(position, facts.target) > 0.2)[:, None]
+        swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
         change = self._move(sim, facts, taker, goal, hand, angles, swings)
         grips = facts.holds[taker] | (facts.to_cube[taker] < _CLOSE[taker])
         return Motion(change, grips)
@@ -285,7 +286,12 @@ class Pass(Task[PassConfig, PassFacts]):
         straight = reach(
             sim, arm, tcp=facts.tcp[agent], goal=(goal, hand), posture=angles
         )
-        return np.where(swings, angles - facts.joints[agent], straight)
+        swing = settling(sim, arm, angles - facts.joints[agent])
+        return np.where(swings, swing, straight)
+
+
+def _funnel(offset: Array, approach: np.ndarray, most: float) -> Array:
+    return standoff(offset, approach, slack=0.01, least=0.0, most=most)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))
