@@ -1,5 +1,9 @@
 """Bounds, tables and statements."""
 
+import json
+from dataclasses import asdict
+
+import numpy as np
 import pytest
 
 from collaborative_gym.certificate.budget import Budget
@@ -58,3 +62,9 @@ def test_a_row_tells_the_best_and_the_surest():
 def test_a_budget_has_bounds(name, value):
     with pytest.raises((TypeError, ValueError), match=name):
         Budget(**{name: value})
+
+
+def test_a_budget_of_numpys_numbers_can_be_written():
+    budget = Budget(episodes=np.int64(4), fractions=np.array([0.5, 0.25]))
+    assert json.loads(json.dumps(asdict(budget)))["fractions"] == [0.25, 0.5]
+    assert budget == Budget(episodes=4, fractions=(0.25, 0.5))

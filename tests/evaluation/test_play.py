@@ -19,6 +19,12 @@ def test_each_episode_is_played_once_in_order(report):
     assert not any(row["diverged"] for row in report.episodes)
 
 
+def test_numpys_numbers_do_for_pythons(carry, report):
+    given = {"episodes": np.int64(5), "seed": np.int64(0), "delay": np.int64(0)}
+    again = cg.evaluate(carry(), "expert", **given, num_threads=1)
+    assert json.loads(again.to_json())["Carry"]["settings"] == report.settings
+
+
 @pytest.mark.parametrize("policy", ["expert", "random"])
 @pytest.mark.parametrize(("num_envs", "num_threads"), [(1, 1), (3, 2), (8, 1)])
 def test_numbers_do_not_depend_on_worlds_and_threads(

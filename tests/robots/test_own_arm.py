@@ -91,6 +91,12 @@ def test_an_arm_needs_no_fingers(own, edited, in_a_world):
     assert report.completion.mean == 1.0
 
 
+def test_an_arm_may_call_its_hand_a_palm(own, edited):
+    arm = edited(('<body name="hand"', '<body name="palm"'))
+    env = cg.make_vec("Pass", 1, robots=(arm, own), num_threads=1)
+    assert env.model.body("robot_1/palm").id == env.scene.arms["robot_1"].hand
+
+
 def test_lists_and_text_do_for_tuples_and_paths(own):
     listed = replace(
         own,

@@ -2,7 +2,11 @@
 
 from dataclasses import dataclass
 
-from collaborative_gym.errors import check_count, check_number, check_numbers
+from collaborative_gym.errors import check_number, check_numbers
+from collaborative_gym.tasks.settings import bounded, check_settings
+
+_MOST = 10**12
+"""Larger than any number of a budget that could be spent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,7 +17,7 @@ class Budget:
       episodes: held-out starts on which the expert, the motion and the trained policy
         are judged.
       fractions: where the still arm froze, as shares of the time in which the expert
-        reaches the goal, each above 0 and below 1.
+        reaches the goal, each from 0.01 to 0.99.
       motion_steps: control steps of a motion that is searched for; it holds still then.
       knots: points that a motion goes through.
       candidates: motions tried in a round of the search.
@@ -26,32 +30,24 @@ class Budget:
         goal, the nearest first.
     """
 
-    episodes: int = 500
+    episodes: int = bounded(500, 1, _MOST)
     fractions: tuple[float, ...] = (0.25, 0.5, 0.75)
-    motion_steps: int = 50
-    knots: int = 6
-    candidates: int = 128
-    rounds: int = 12
-    training_starts: int = 16
-    searched_starts: int = 32
-    ppo_steps: int = 1_000_000
-    ppo_rows: int = 2
+    motion_steps: int = bounded(50, 1, _MOST)
+    knots: int = bounded(6, 2, _MOST)
+    candidates: int = bounded(128, 4, _MOST)
+    rounds: int = bounded(12, 1, _MOST)
+    training_starts: int = bounded(16, 1, _MOST)
+    searched_starts: int = bounded(32, 0, _MOST)
+    ppo_steps: int = bounded(1_000_000, 0, _MOST)
+    ppo_rows: int = bounded(2, 0, _MOST)
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name == "fractions":
-                shares = check_numbers(name, value)
-                for share in shares:
-                    check_number("each of fractions", share, above=0.0, at_most=0.99)
-                object.__setattr__(self, name, tuple(sorted(set(shares))))
-            else:
-                check_count(name, value, _LEAST.get(name, 1), _MOST)
+        check_settings(self)
+        shares = check_numbers("fractions", self.fractions)
+        for share in shares:
+            check_number("each of fractions", share, at_least=0.01, at_most=0.99)
+        object.__setattr__(self, "fractions", tuple(sorted(set(shares))))
 
-
-_LEAST = {"knots": 2, "candidates": 4, "searched_starts": 0} | dict.fromkeys(
-    ("ppo_steps", "ppo_rows"), 0
-)
-_MOST = 10**12
 
 QUICK = Budget(
     episodes=4,

@@ -23,6 +23,7 @@ from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.learning.folder import claimed
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.policies import Policy, as_policy
+from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
@@ -92,7 +93,7 @@ def certify(
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
     _check(task)
-    training_seed(seed)
+    training_seed(seed := check_seed(seed))
     if budget.ppo_steps and budget.ppo_rows:
         import collaborative_gym.learning.train  # noqa: F401  # Shows what is missing.
     with ExitStack() as stack:

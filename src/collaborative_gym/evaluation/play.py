@@ -20,6 +20,7 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.policies.delayed import DelayedPolicy
+from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
@@ -77,7 +78,7 @@ def evaluate(
       ValueError: if a number is out of range, the policy is for another environment, or
         `robots` or `randomization` is given beside a task, which has its own.
     """
-    check_count("episodes", episodes, at_least=1)
+    episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
     delay = check_count("delay", delay, 0, MOST_DELAY)
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)

@@ -235,7 +235,7 @@ def reproduce_table11(
       ValueError: if a number is out of range, `env_ids` is empty, or a baseline is
         damaged or does not fit.
     """
-    check_count("episodes", episodes, at_least=1)
+    episodes = check_count("episodes", episodes, at_least=1)
     check_callback("on_progress", on_progress)
     if env_ids is not None and not env_ids:
         raise ValueError("env_ids is empty; name environments, or None for all eight")

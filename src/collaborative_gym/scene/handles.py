@@ -96,7 +96,8 @@ class Grip:
     @property
     def palm(self) -> str:
         """The name of the body and site that bear the hand's grips, and its sensor."""
-        return f"{self.agent}/palm"
+        # No name that a model file is likely to give a body of its own.
+        return f"{self.agent}/palm of grips"
 
 
 def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
