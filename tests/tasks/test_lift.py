@@ -85,6 +85,22 @@ def test_expert_lifts_gently_even_where_its_actions_come_late(name):
     assert metrics["strain"]["internal_force_mean"].max() < 25.0
 
 
+@pytest.mark.parametrize("loser", ("robot_1", "robot_2"))
+def test_expert_lifts_again_where_a_grip_was_lost(env, loser):
+    lost = np.zeros(6, bool)
+
+    def clumsy(observations):
+        actions = env.expert()
+        high = env.facts.pot[0][:, 2] > np.linspace(0.72, 1.0, 6)
+        actions[loser][high & ~lost, -1] = -1.0
+        lost[high] = True
+        return actions
+
+    metrics = play(env, policy=clumsy)["metrics"]
+    assert lost.all()
+    assert metrics["completion"].sum() >= 5
+
+
 @pytest.mark.parametrize("idle", ("robot_1", "robot_2"))
 def test_expert_fails_while_one_robot_is_idle(env, idle):
     assert play(env, idle)["metrics"]["completion"].max() == 0.0

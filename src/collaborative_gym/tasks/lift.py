@@ -294,7 +294,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return xp.where(self.success(facts), 0.0, missing)
 
     def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
-        """Return motions of arms that grip, wait for each other and lift together."""
+        """Return motions of arms that grip, wait for each other and lift together.
+
+        Where one loses its grip on the way, both let go and begin anew.
+        """
         holds = facts.gripping
         lifting = reduce(and_, holds.values())
         goals = self._lifted_handles(facts)
@@ -316,7 +319,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
                 sim, arm, tcp=tcp, goal=goal, posture=way.at(progress), mass=mass
             )
             near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
-            motions[agent] = Motion(change, near)
+            # A pot that hangs from one arm tips over. Let go by both, it lands upright.
+            stands = facts.pot[0][:, 2] < _START[2] + 0.03
+            motions[agent] = Motion(change, near & (lifting | stands))
         return motions
 
     def _lifted_handles(self, facts: LiftFacts) -> dict[str, np.ndarray]:
