@@ -72,11 +72,3 @@ def _array(what: str, given: Any) -> np.ndarray:
         return np.asarray(given)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{what} cannot be read as numbers: {error}") from None
-
-
-FORKED = (
-    "this environment belongs to the process that made it, and cannot be used in one"
-    " that was forked from it; make another here, or start processes by the method"
-    " 'spawn'"
-)
-"""A fork has copies of an environment's locks, but no threads that step its physics."""

@@ -1,9 +1,6 @@
 """The one environment loop: many worlds of one task, stepped together."""
 
-import os
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from typing import Any
@@ -11,15 +8,12 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control import Controller, JointChanges, check_actions
-from collaborative_gym.envs.arguments import (
-    FORKED,
-    check_env_ids,
-    check_episodes,
-)
+from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
 from collaborative_gym.envs.strain import Strain, add_strain_sensors
+from collaborative_gym.envs.turns import Turns
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
@@ -121,9 +115,7 @@ class VectorEnv:
         self.substeps = SUBSTEPS
         self.control_dt = CONTROL_DT
         self._build(num_threads, strain)
-        self._process = os.getpid()
-        self._lock, self._visitor = threading.RLock(), ""
-        self._is_changing = False
+        self._turns = Turns()
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
@@ -202,7 +194,7 @@ class VectorEnv:
           ValueError: if the seed is negative or the episodes do not fit.
           RuntimeError: for some of the worlds before the first `reset` of all.
         """
-        with self._turn(changes=True):
+        with self._turns.take(self._keep):
             self._check_open()
             if env_ids is not None and not self._is_started:
                 raise RuntimeError("call reset() of all worlds before that of some")
@@ -251,7 +243,7 @@ class VectorEnv:
           RuntimeError: before the first `reset`, after `close`, and where the episodes
             of all worlds have ended and none resets itself.
         """
-        with self._turn(changes=True):
+        with self._turns.take(self._keep):
             self._check_started("step")
             progress, xp = self._progress, self.sim.xp
             resting = progress.has_ended
@@ -281,7 +273,7 @@ class VectorEnv:
 
     def expert(self) -> dict[str, Array]:
         """Return the task's scripted expert's actions for the present state."""
-        with self._turn():
+        with self._turns.take():
             self._check_started("expert")
             motions = self.task.expert(self.sim, self.facts)
             try:
@@ -302,7 +294,7 @@ class VectorEnv:
         Raises:
           IndexError: if there are no such worlds.
         """
-        with self._turn():
+        with self._turns.take():
             self._check_started("get_state")
             rows = check_env_ids(env_ids, self.num_envs)
             parts = self.sim, self.task.memory, self._progress.rows
@@ -325,7 +317,7 @@ class VectorEnv:
           ValueError: if the state is of another environment or does not fit.
           RuntimeError: for some of the worlds before the first `reset`.
         """
-        with self._turn(changes=True):
+        with self._turns.take(self._keep):
             self._check_open()
             if env_ids is not None:
                 self._check_started("set_state")
@@ -373,7 +365,7 @@ class VectorEnv:
           ValueError: if the picture is too large.
           RuntimeError: if no off-screen renderer can start; says what to install.
         """
-        with self._turn():
+        with self._turns.take():
             self._check_started("render")
             size = check_count("width", width), check_count("height", height)
             if not 0 <= check_count("env_id", env_id, -(2**63)) < self.num_envs:
@@ -388,7 +380,7 @@ class VectorEnv:
 
     def close(self) -> None:
         """Free the renderer. No other call is allowed afterwards."""
-        with self._turn():
+        with self._turns.take():
             self._close_camera()
             self._is_closed = True
 
@@ -397,43 +389,17 @@ class VectorEnv:
             self._camera.close()
             self._camera = None
 
-    @contextmanager
-    def _turn(self, *, changes: bool = False) -> Iterator[None]:
-        """Let one thread of one process in, and undo what fails.
+    def _keep(self) -> Callable[[], None]:
+        """Return what puts the worlds back to where they are now."""
+        # Arrays of memory and progress are not written to, but replaced.
+        physics = self.sim.get_state()
+        memory, rows = dict(self.task.memory), dict(self._progress.rows)
 
-        The thread may come in again, as a watcher does that draws a picture.
-        """
-        if os.getpid() != self._process:
-            raise RuntimeError(FORKED)
-        if not self._lock.acquire(blocking=False):
-            raise RuntimeError(
-                f"thread {self._visitor!r} is inside this environment, which serves one"
-                " thread at a time; make one for each thread, or take turns by a lock"
-            )
-        try:
-            self._visitor = threading.current_thread().name
-            if not changes:
-                yield
-                return
-            if self._is_changing:
-                raise RuntimeError(
-                    "the environment is in the middle of a step; what watches it may"
-                    " look and draw, but not step, reset or set the state"
-                )
-            # Arrays of memory and progress are not written to, but replaced.
-            physics = self.sim.get_state()
-            memory, rows = dict(self.task.memory), dict(self._progress.rows)
-            self._is_changing = True
-            try:
-                yield
-            except BaseException:
-                self.task.memory, self._progress.rows = memory, rows
-                self.sim.set_state(physics)
-                raise
-            finally:
-                self._is_changing = False
-        finally:
-            self._lock.release()
+        def put_back() -> None:
+            self.task.memory, self._progress.rows = memory, rows
+            self.sim.set_state(physics)
+
+        return put_back
 
     def _check_open(self) -> None:
         if self._is_closed:

@@ -1,0 +1,69 @@
+"""Who may be inside an environment, and what becomes of a call that fails."""
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+class Turns:
+    """Lets one thread at a time into an environment, of the process that made it."""
+
+    def __init__(self) -> None:
+        self._process = os.getpid()
+        self._lock, self._visitor = threading.RLock(), ""
+        self._is_changing = False
+
+    @contextmanager
+    def take(
+        self, keep: Callable[[], Callable[[], None]] | None = None
+    ) -> Iterator[None]:
+        """Let the calling thread in, and undo what fails.
+
+        The thread may come in again, as a watcher does that draws a picture.
+
+        Args:
+          keep: for a call that changes something, returns what puts it back.
+
+        Raises:
+          RuntimeError: in another process, while another thread is inside, or for a
+            change in the middle of another.
+        """
+        # A fork has copies of the locks, but none of the threads that step the physics.
+        if os.getpid() != self._process:
+            raise RuntimeError(
+                "this environment belongs to the process that made it, and cannot be"
+                " used in one that was forked from it; make another here, or start"
+                " processes by the method 'spawn'"
+            )
+        if not self._lock.acquire(blocking=False):
+            raise RuntimeError(
+                f"thread {self._visitor!r} is inside this environment, which serves one"
+                " thread at a time; make one for each thread, or take turns by a lock"
+            )
+        try:
+            self._visitor = threading.current_thread().name
+            if keep is None:
+                yield
+            else:
+                with self._change(keep):
+                    yield
+        finally:
+            self._lock.release()
+
+    @contextmanager
+    def _change(self, keep: Callable[[], Callable[[], None]]) -> Iterator[None]:
+        if self._is_changing:
+            raise RuntimeError(
+                "the environment is in the middle of a step; what watches it may look"
+                " and draw, but not step, reset or set the state"
+            )
+        put_back = keep()
+        self._is_changing = True
+        try:
+            yield
+        except BaseException:
+            put_back()
+            raise
+        finally:
+            self._is_changing = False
