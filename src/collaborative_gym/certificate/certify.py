@@ -167,7 +167,7 @@ class _Work:
         """Do the trials that are left, and return the certificate."""
         self._on_progress = on_progress
         players = {
-            "expert": self._play_expert,
+            "expert": lambda row: self._judge_policy(row, "expert"),
             "blind": self._play_blindly,
             "search": self._search_each,
             "ppo": self._train,
@@ -285,9 +285,6 @@ class _Work:
         starts = self._held_out[row[2]]
         which = np.arange(len(starts.physics))
         return play(self._env, starts, which, cast, on_step=self._advance)
-
-    def _play_expert(self, row: Row) -> Outcome:
-        return self._judge_policy(row, "expert")
 
     def _judge_policy(self, row: Row, policy: str | Policy) -> Outcome:
         team: Any = dict.fromkeys(self._task.agents, policy) | self._partners(row)

@@ -53,12 +53,20 @@ class Trial:
         return self.passive, self.partner, self.fraction
 
     @property
+    def still(self) -> str:
+        """Whose arm is still and how, such as "robot_1 frozen at 50 %"."""
+        at = f" at {100 * self.fraction:.0f} %" if self.fraction else ""
+        return f"{self.passive} {self.partner}{at}"
+
+    @property
+    def count(self) -> str:
+        """How often the goal was reached, such as "0 of 500"."""
+        return f"{self.completed} of {self.episodes}"
+
+    @property
     def title(self) -> str:
         """What came of it, in words."""
-        return (
-            f"{self.passive} {name_row(self)}, {PLAYERS[self.player]}: {self.completed}"
-            f" of {self.episodes}"
-        )
+        return f"{self.still}, {PLAYERS[self.player]}: {self.count}"
 
     @property
     def completion(self) -> float:
@@ -88,8 +96,6 @@ def upper_bound(completed: int, episodes: int) -> float:
 
 def _binomial(most: int, episodes: int, share: float) -> float:
     """Return how likely at most so many of the episodes are completed."""
-    if not 0.0 < share < 1.0:
-        return float(share <= 0.0)
     yes, no = math.log(share), math.log1p(-share)
     whole = math.lgamma(episodes + 1)
     return sum(
@@ -199,12 +205,6 @@ def _checked(content: dict[str, Any]) -> Trial:
     return trial
 
 
-def name_row(trial: Trial) -> str:
-    """Return how an arm is still, such as "frozen at 50 %"."""
-    at = f" at {100 * trial.fraction:.0f} %" if trial.fraction else ""
-    return f"{trial.partner}{at}"
-
-
 CERTIFICATE_NOTE = (
     "How often the goal was reached while one arm was still, by who commanded the other"
     " arms; up to: upper end of the 95 % interval of the best of them; nearest: the"
@@ -221,18 +221,12 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
     """Return the cells of `COLUMNS`, one tuple for each still arm."""
     found = []
     for row, trials in certificate.rows.items():
-        by_player = {trial.player: trial for trial in trials}
-        cells = [_count(by_player.get(player)) for player in PLAYERS]
-        best = certificate.best[row]
-        nearest = min(trial.nearest for trial in trials)
-        still = f"{best.passive} {name_row(best)}"
-        bound, least = f"{best.bound:.1%}", f"{nearest:.2f}"
-        found.append((certificate.environment, still, *cells, bound, least))
+        counts = {trial.player: trial.count for trial in trials}
+        best, nearest = certificate.best[row], min(trial.nearest for trial in trials)
+        cells = (counts.get(player, "-") for player in PLAYERS)
+        ends = f"{best.bound:.1%}", f"{nearest:.2f}"
+        found.append((certificate.environment, best.still, *cells, *ends))
     return found
-
-
-def _count(trial: Trial | None) -> str:
-    return "-" if trial is None else f"{trial.completed} of {trial.episodes}"
 
 
 def certificates_to_markdown(certificates: Sequence[Certificate]) -> str:
