@@ -160,6 +160,23 @@ def test_expert_passes_the_cube_gently_even_where_its_actions_come_late(name):
     assert strain["contact_depth_arms"].max() < 0.003
 
 
+def test_expert_picks_up_a_cube_that_it_lost_over_either_table(variant):
+    variant.reset(seed=1)
+    held, lost, reached = np.zeros(8, int), np.zeros(8, bool), np.zeros(8, bool)
+    fell_beyond = np.zeros(8, bool)
+    for _ in range(120):
+        actions = variant.expert()
+        held += variant.facts.holds["robot_1"]
+        # Where it leaves its table, and where it flies on to the other one.
+        now = (held > [0, 0, 1, 1, 2, 2, 4, 4]) & ~lost
+        actions["robot_1"][now, -1] = -1.0
+        lost |= now
+        reached |= variant.step(actions)[4]["success"]
+        place = variant.facts.cube[0]
+        fell_beyond |= (place[:, 1] > 0.1) & (place[:, 2] < 0.7)
+    assert lost.all() and reached.all() and fell_beyond.any()
+
+
 @pytest.mark.parametrize("idle", AGENTS)
 def test_one_robot_cannot_pass_alone(variant, idle):
     variant.reset(seed=1)

@@ -45,6 +45,7 @@ _TABLE_END = 1.1  # m, x of the tables' far ends
 _CLOSE = {"robot_1": 0.018, "robot_2": 0.03}  # m at which the expert grips
 _ABOVE, _ASIDE = 0.06, 0.1  # m from the cube at which a hand comes before it
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
+_BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 
 # Directions, and orientations (w x y z) of a hand. The hands meet head on, one closing
 # along x and the other along z, so that their fingers pass one another.
@@ -249,7 +250,8 @@ class Pass(Task[PassConfig, PassFacts]):
         """Return robot_1's motion: pick from above, bring to the meeting, let go."""
         giver, taker = self.agents
         position, place = facts.tcp[giver][0], facts.cube[0]
-        holds, taken = facts.holds[giver][:, None], facts.holds[taker][:, None]
+        holds = facts.holds[giver][:, None]
+        taken = facts.holds[taker][:, None] | self._is_beyond(facts)
         gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, _ABOVE))
         goal = np.where(taken, self._meeting - 0.15 * _ACROSS, place - gap * _DOWN)
         hand = np.where(taken, self._hands[giver][1], self._hands[giver][0])
@@ -271,12 +273,21 @@ class Pass(Task[PassConfig, PassFacts]):
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS
         goal = np.where(carries, facts.target, goal)
-        hand = np.where(carries, quat, self._hands[taker][1])
+        picks = ~holds & self._is_beyond(facts)
+        above = _funnel(position - facts.cube[0], _DOWN, _ABOVE)
+        goal = np.where(picks, facts.cube[0] - above * _DOWN, goal)
+        hand = np.where(picks, _PICKING, self._hands[taker][1])
+        hand = np.where(carries, quat, hand)
         angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
         swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
         change = self._move(sim, facts, taker, goal, hand, angles, swings)
         grips = facts.holds[taker] | (facts.to_cube[taker] < _CLOSE[taker])
         return Motion(change, grips)
+
+    def _is_beyond(self, facts: PassFacts) -> np.ndarray:
+        """Return where robot_1 has lost the cube on robot_2's side, (num_envs, 1)."""
+        across = math.dot(facts.cube[0] - self._meeting, _ACROSS)
+        return ((across > _BEYOND) & ~facts.holds[self.agents[0]])[:, None]
 
     def _move(
         self, sim: Sim, facts: PassFacts, agent: str, goal, hand, angles, swings
