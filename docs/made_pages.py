@@ -115,7 +115,7 @@ def _tasks_page() -> str:
     return "\n\n".join(
         (
             "# Tasks",
-            "![The eight environments](../media/contact_sheet.png)",
+            "![The eight environments of the thesis](../media/contact_sheet.png)",
             _put("README.md, The tasks"),
             "## The environments",
             "Sizes are those of robot_1 and robot_2. Any arms go into any task:"

@@ -46,7 +46,7 @@ class Train(Command):
     Attributes:
       envs: environment id, or a task's name; with --resume that of the run.
       all: train the baselines of all environments, or of those named, one after the
-        other, and write their cards; what is there is gone on with.
+        other, and write their cards; runs that are there already are continued.
       mode: who learns what. collaborative (default): a policy for each robot and one
         critic that sees all observations; independent: a policy and a critic each;
         shared: one policy and critic for robots with equal spaces; centralized: one
@@ -55,7 +55,7 @@ class Train(Command):
       seeds: of the runs of each baseline, with --all (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS), or of all baselines
         (default: runs/baselines).
-      resume: folder of a run to go on with; what it was started with holds.
+      resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much starts differ: default, or paper for the thesis's fixed
         starts.

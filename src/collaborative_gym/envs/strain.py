@@ -1,7 +1,8 @@
 """What arms do to one another, to things and to themselves, in every physics step.
 
-It is read from MuJoCo's own sensors and fields, and changes no bit of the physics. Of
-an episode is told, the greatest unless said otherwise:
+It is read from MuJoCo's own sensors and fields, and changes no bit of the physics. An
+episode has these measures, each the greatest over its physics steps unless said
+otherwise:
 
 - `contact_depth_arms`: how deep two arms are in one another, in m.
 - `contact_depth_objects`: how deep a loose thing is in an arm, in what is fixed or in
@@ -23,9 +24,9 @@ an episode is told, the greatest unless said otherwise:
 
 Tools are parts of their arms. Shapes that cannot collide have no clearance.
 
-The internal force is our definition. Arms pull at one thing by forces f_i, in sum F. An
-arm may well bear a share of F, from nothing to all: only the distance of its f_i from
-the line between 0 and F is spent against the others, and the greatest of these counts.
+The internal force is our definition. Arms pull at one thing with forces f_i, whose sum
+is F. An arm may bear any share of F, from nothing to all. Only the distance of its f_i
+from the line between 0 and F is spent against the others, and the greatest counts.
 Two arms always have the same; it is 0 where both pull in one direction, and the smaller
 force where they pull in opposite ones. Other definitions (Williams and Khatib, "The
 virtual linkage", 1993) divide forces along lines between the grasps, which arms that

@@ -60,7 +60,7 @@ class VectorEnv:
     opponents.
 
     A world that does not reset itself rests after its episode's end: it does not move,
-    earns nothing, and is told as before, now also in the mask `resting`, until `reset`.
+    earns nothing, and keeps its infos, now also in the mask `resting`, until `reset`.
 
     One thread at a time may be in an environment, and only in the process that made it.
     A call that fails leaves every world as it was. Copies and pickles, of a task that

@@ -74,7 +74,7 @@ def train_baselines(
     For each environment there are in `output`: a folder with a run for each seed; the
     policy of the run with the best validation, as `ID.safetensors`; its curve,
     `ID.png`; and the card, `ID.md`, with all runs' results. Runs that are there already
-    are gone on with or, where they are complete, taken as they are.
+    are continued or, where they are complete, taken as they are.
 
     Args:
       env_ids: which environments.

@@ -13,8 +13,8 @@ slower than 0.3 m/s, while both arms grip it.
 
 The pot's mass follows from the arms, so that none can hold it alone; `lift_mass` says
 how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone
-would not do: an arm can swing the pot past the target for a moment by its momentum, and
-carry another arm along that holds on and does nothing else.
+would not do: an arm can swing the pot past the target by its momentum, even while the
+other arm only holds on. A pot that is swung is tilted or fast.
 """
 
 from dataclasses import dataclass, replace
