@@ -54,7 +54,7 @@ def certify(
     on_trial: Callable[[Trial], object] | None = None,
     on_progress: Callable[[float], object] | None = None,
 ) -> Certificate:
-    """Try to do a task while one arm is still, and return what came of it.
+    """Try to do a task while one arm is still, and return how often that worked.
 
     Each agent in turn is still: idle; idle with a closed grip, where the task has
     grips; and frozen on the expert's way to the goal, with the grip as it was. Against

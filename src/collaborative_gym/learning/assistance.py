@@ -14,7 +14,7 @@ _EASE = 0.01
 
 
 class Assistance:
-    """Carries a share of the weight of what moves freely, the less the better it goes.
+    """Carries a share of the weight of what moves freely, and less as more succeed.
 
     A pot that takes all the strength of two arms is not lifted by chance. What is
     learned on a lighter one carries over as its weight comes back. What a task itself

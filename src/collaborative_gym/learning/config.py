@@ -61,14 +61,14 @@ class Hyperparameters:
       initial_grip_std: that of their grip component.
       grip_limit: greatest mean of a grip's command, 0 for any. Its noise then reaches
         both sides of zero for as long as it is about half as large: a robot that holds
-        on can still find out what comes of letting go.
+        on can still find out what it gains by letting go.
       grip_persistence: how much of the grip's noise stays for the next action, from 0
         to below 1. A grip that noise opens now and then loses what it carries, and
         carrying would not be learned; noise that lasts tries long holds and long
         releases.
       assistance: share of the weight of what moves freely that is carried at first; it
-        falls by 0.01 with each rollout of whose episodes half are completed. Nothing is
-        carried in validations.
+        falls by 0.01 after each rollout in which half of the episodes are completed.
+        Nothing is carried in validations.
       torque_penalty: what a control step costs a robot while its servos ask for their
         torque limits: this times the mean square of asked torque over limit.
       change_penalty: what a change of action costs it: this times its mean square.

@@ -45,7 +45,7 @@ def train(
     checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
 ) -> Result:
-    """Train policies by PPO, and return what came of it.
+    """Train policies by PPO, and return the finished run.
 
     The folder of the run holds `policy.safetensors`, the policy with the best
     validation so far, for `load_policy`; `last.pt` and `best.pt`, from which it can go

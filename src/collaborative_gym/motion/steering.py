@@ -74,8 +74,8 @@ def reach(
 def settling(sim: Sim, arm: Arm, change: Array) -> Array:
     """Return the part of a joint change that comes to its goal without swinging.
 
-    The whole change would be there at once, and past it where actions come late: what
-    is measured does not know yet of those that are on their way.
+    The whole change would bring the joint there at once, and past it where actions come
+    late: the measured angle does not show the actions that are still under way.
 
     Args:
       sim: the worlds.
@@ -130,8 +130,8 @@ def carry(
 ) -> np.ndarray:
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
-    What servos let go of the load's torques is made up for, and what arms that hold one
-    thing exert against each other is let go. Without a load the posture counts less and
+    They make up for what the servos let go of the load's torques, and let go of what
+    arms that hold one thing exert against each other. Without a load the posture counts less and
     less the nearer the goal is, where the arm comes to rest (`settling`).
 
     Args:
