@@ -131,8 +131,8 @@ def carry(
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
     They make up for what the servos let go of the load's torques, and let go of what
-    arms that hold one thing exert against each other. Without a load the posture counts less and
-    less the nearer the goal is, where the arm comes to rest (`settling`).
+    arms that hold one thing exert against each other. Without a load the posture counts
+    less and less the nearer the goal is, where the arm comes to rest (`settling`).
 
     Args:
       sim: the worlds.

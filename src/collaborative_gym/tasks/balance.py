@@ -2,9 +2,10 @@
 
 The board (0.8 x 1.5 m, 1 kg) is fixed in robot_1's hand and welded to robot_2's tcp, so
 both arms move with every tilt. One arm can tilt it alone, against the servos of the
-other: the task measures how well two arms cooperate, not whether they must. The ball rolls without slipping, and rests on
-slopes below 0.075. In the two-Sawyer environment a vertical force drawn anew at every
-step, up to 10 N either way, acts on a random point of the board.
+other: the task measures how well two arms cooperate, not whether they must. The ball
+rolls without slipping, and rests on slopes below 0.075. In the two-Sawyer environment a
+vertical force drawn anew at every step, up to 10 N either way, acts on a random point
+of the board.
 
 Randomised: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm

@@ -3,8 +3,8 @@
 As Balance, but the target moves: seen from above it runs along a figure of eight, twice
 as often across the board as along it, and meanwhile it rises and sinks once. The ball
 is to be where the target is, so the whole board must rise and sink with it. An arm that
-holds still keeps its end of the board where it is. The other arm can tilt the board, but
-not lift the far end: the board is a lever of 1.6 m, and the wrist of an arm is weak.
+holds still keeps its end of the board where it is. The other arm can tilt the board,
+but not lift the far end: the board is a lever of 1.6 m, and an arm's wrist is weak.
 
 Randomised: as in Balance; where the path lies (along every axis), its size (0.9 to 1),
 where on it the target starts, and which way round it runs.
