@@ -1,6 +1,6 @@
 """The commands that play, measure and show."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -141,21 +141,13 @@ class Evaluate(_World):
 
     def run(self) -> None:
         """Print a table and write the files."""
-        from collaborative_gym import list_envs
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.files import write_text
-        from collaborative_gym.tasks.registry import as_task
 
-        if self.all and self.envs:
-            raise ValueError("name environments or pass --all, not both")
-        env_ids = list_envs() if self.all else self.envs
-        if not env_ids:
-            raise ValueError("name the environments to evaluate, or pass --all")
+        env_ids = _env_ids(self)
         policy = read_policy(self.policy)
         check_files(self.json, self.csv)
-        for env_id in env_ids:  # A wrong one shows before the work.
-            as_task(env_id, self.robots or None, self.randomization)
         reports = []
         with progress_bars() as progress:
             for env_id in env_ids:
@@ -180,6 +172,27 @@ class Evaluate(_World):
             write_text(self.json, report.reports_to_json(reports))
         if self.csv is not None:
             write_text(self.csv, report.reports_to_csv(reports))
+
+
+def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
+    """Return the environments that a command names; a wrong one shows before the work.
+
+    Raises:
+      KeyError: if there is no such environment.
+      ValueError: if none is named, or its task cannot be done so.
+    """
+    from collaborative_gym import list_envs
+    from collaborative_gym.tasks.registry import as_task
+
+    if command.all and command.envs:
+        raise ValueError("name environments or pass --all, not both")
+    env_ids = list_envs() if command.all else command.envs
+    if not env_ids:
+        verb = type(command).__name__.lower()
+        raise ValueError(f"name the environments to {verb}, or pass --all")
+    for env_id in env_ids:
+        as_task(env_id, command.robots or None, command.randomization)
+    return env_ids
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,24 +271,16 @@ class Certify(Command):
 
     def run(self) -> None:
         """Tell each trial, print a table and write the files."""
-        from collaborative_gym import list_envs
         from collaborative_gym.certificate.certify import certify
         from collaborative_gym.certificate.report import certificates_to_markdown
         from collaborative_gym.cli.tables import certificates_table
         from collaborative_gym.files import write_text
-        from collaborative_gym.tasks.registry import as_task
 
-        if self.all and self.envs:
-            raise ValueError("name environments or pass --all, not both")
-        env_ids = list_envs() if self.all else self.envs
-        if not env_ids:
-            raise ValueError("name the environments to certify, or pass --all")
+        env_ids = _env_ids(self)
         if self.quick and self.budget != Budget():
             raise ValueError("--quick has a budget of its own; give it alone")
         markdown = self.output / "certificates.md"
         check_files(markdown)
-        for env_id in env_ids:  # A wrong one shows before the work.
-            as_task(env_id, self.robots or None, self.randomization)
         certificates = []
         with progress_bars() as progress:
             for env_id in env_ids:

@@ -26,7 +26,7 @@ from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
 
-MOST_DELAY = 100
+_MOST_DELAY = 100
 """Control steps, ten seconds."""
 
 _MOST_ENVS = 64
@@ -79,7 +79,7 @@ def evaluate(
         `robots` or `randomization` is given beside a task, which has its own.
     """
     episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
-    delay = check_count("delay", delay, 0, MOST_DELAY)
+    delay = check_count("delay", delay, 0, _MOST_DELAY)
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
     if num_envs is None:
