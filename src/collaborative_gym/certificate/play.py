@@ -13,7 +13,6 @@ from collaborative_gym.policies import Policy
 Cast = Callable[[np.ndarray], Policy]
 """Returns what plays these tries, one in each world of the environment."""
 
-
 _FAR = 1e3
 """Farther than any world is from its goal."""
 

@@ -22,7 +22,6 @@ _SPEED_MARGIN = 1.04
 _SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT
 """A joint that arrives at a limit must also come to rest there."""
 
-
 _TEARING = 2.0
 """Distance between tcp and site at which a grip tears, in thresholds of taking it."""
 
@@ -157,7 +156,7 @@ class Controller:
         self._arms = scene.arms
         self._servos = {a: _Servos.of(arm, sim.xp) for a, arm in scene.arms.items()}
         self._grips = Grips(scene, sim) if scene.grips else None
-        self.tears = self._grips.tears if self._grips else None
+        self.tears = None if self._grips is None else self._grips.tears
 
     def start(self, env_ids: EnvIds) -> None:
         """Make the servos of freshly reset worlds hold their angles, grippers open."""

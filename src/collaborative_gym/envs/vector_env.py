@@ -284,8 +284,14 @@ class VectorEnv:
                 name = type(self.task).__name__
                 raise ValueError(f"{name}.expert(): {error}") from None
 
-    def idle(self, grips: Any = False) -> dict[str, np.ndarray]:
-        """Return actions of robots that hold still, and grip where they are to."""
+    def idle(
+        self, grips: Mapping[str, Array | bool] | bool = False
+    ) -> dict[str, np.ndarray]:
+        """Return actions of robots that hold still.
+
+        Args:
+          grips: whether they grip, or by agent in which worlds, (num_envs,).
+        """
         return self._mode.idle(self.num_envs, grips)
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:

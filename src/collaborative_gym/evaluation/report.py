@@ -13,7 +13,6 @@ import numpy as np
 _RESAMPLES = 2000
 """Draws of the bootstrap; more would change an interval by less than a tenth."""
 
-
 _STRAIN_FORMS = {
     "contact_depth": (1e3, " mm"),
     "clearance": (1e3, " mm"),
@@ -121,7 +120,8 @@ class Report:
       sides: how each side did, by its name; most tasks have one.
       returns: of each agent's own return, by agent.
       episodes: one row per episode, in order.
-      steps_per_second: environment steps per second, with the policy's own time.
+      steps_per_second: environment steps per second, with the policy's own time and
+        that of measuring the strain.
       strain: what arms did to one another, to things and to themselves, by the names in
         `envs.strain`.
     """

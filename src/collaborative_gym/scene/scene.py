@@ -420,7 +420,7 @@ class Scene:
         )
         for joint, torque, stiffness, damping in rows:
             # A position servo whose target moves at the commanded speed, as MuJoCo's
-            # intvelocity actuator; `control.py` keeps the limits of the speed.
+            # intvelocity actuator; the controller keeps the limits of the speed.
             self.spec.add_actuator(
                 name=f"{agent}/{joint}",
                 target=f"{agent}/{joint}",

@@ -10,7 +10,6 @@ from collaborative_gym.math import Array
 EnvIds = Any
 """Sorted integer ids of worlds, a boolean mask over them, or None for all."""
 
-
 Breaks = Callable[[Array], Array]
 """Tells of `sensordata` of physics steps, as they began and with the forces in them,
 (..., nsensordata), which equality constraints they break, (..., neq) booleans."""

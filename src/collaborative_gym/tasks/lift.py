@@ -301,6 +301,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         holds = facts.gripping
         lifting = reduce(and_, holds.values())
         goals = self._lifted_handles(facts)
+        # A pot that hangs from one arm tips over. Let go by both, it lands upright.
+        stands = facts.pot[0][:, 2] < _START[2] + 0.03
         motions = {}
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
             handle, tcp = facts.handles[agent][0], facts.tcps[agent][0]
@@ -319,8 +321,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
                 sim, arm, tcp=tcp, goal=goal, posture=way.at(progress), mass=mass
             )
             near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
-            # A pot that hangs from one arm tips over. Let go by both, it lands upright.
-            stands = facts.pot[0][:, 2] < _START[2] + 0.03
             motions[agent] = Motion(change, near & (lifting | stands))
         return motions
 
