@@ -18,7 +18,7 @@ divided by the reach: what the strongest joint pulls with at an eighth of the re
 
 Our choice: data sheets give what fingers squeeze with (70 N of the Franka Hand), not
 what tears a thing out of them, and Lift's pots weigh up to 4.7 payloads an arm. It is
-1.2 (Jaco) to 1.7 times (Sawyer, Panda) the greatest force of Lift's experts in any
+1.6 (Sawyer, Panda) to 2.3 times (Jaco) the greatest force of Lift's experts in any
 physics step, by `benchmarks/grips.py`."""
 
 

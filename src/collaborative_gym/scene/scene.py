@@ -24,29 +24,14 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
-from collaborative_gym.robots.model_file import (
-    finger_bodies,
-    fix_joints,
-)
+from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
-from collaborative_gym.scene.collisions import (
-    is_decoration,
-    set_collisions,
-    set_stops,
-)
+from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
+from collaborative_gym.scene.drives import add_brakes, add_finger, add_servos
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import SIM_DT
-
-_BRAKE_FROM = 1.1
-"""Speed from which on a joint is braked, over its limit; free motion stays below."""
-
-_BRAKE_GAIN = 40.0
-"""Slope of the brake's torque over the speed, in torque limits per speed limit."""
-
-_NO_LIMIT = 1e6
-"""A torque in N m that is never reached."""
 
 
 class Scene:
@@ -124,11 +109,11 @@ class Scene:
             joint = self.spec.joint(f"{agent}/{name}")
             joint.armature = armature
             set_stops(joint)
-        self._add_servos(agent, robot)
-        self._add_brakes(agent, robot)
+        add_servos(self.spec, agent, robot)
+        add_brakes(self.spec, agent, robot)
         if holds is None:
             for joint in gripper.joints:
-                self._add_finger(f"{agent}/{joint}", gripper.force)
+                add_finger(self.spec, f"{agent}/{joint}", force=gripper.force)
 
     def add(
         self,
@@ -409,61 +394,3 @@ class Scene:
         else:
             return
         self.add(f"{agent}_stand", stand, position=(x, y, 0.0), quat=placement.quat)
-
-    def _add_servos(self, agent: str, robot: Robot) -> None:
-        rows = zip(
-            robot.joints,
-            robot.torque_limits,
-            robot.stiffness,
-            robot.damping,
-            strict=True,
-        )
-        for joint, torque, stiffness, damping in rows:
-            # A position servo whose target moves at the commanded speed, as MuJoCo's
-            # intvelocity actuator; the controller keeps the limits of the speed.
-            self.spec.add_actuator(
-                name=f"{agent}/{joint}",
-                target=f"{agent}/{joint}",
-                trntype=mujoco.mjtTrn.mjTRN_JOINT,
-                dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
-                gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-                gainprm=[stiffness] + [0.0] * 9,
-                biasprm=[0.0, -stiffness, -damping] + [0.0] * 7,
-                forcelimited=True,
-                forcerange=[-torque, torque],
-            )
-
-    def _add_brakes(self, agent: str, robot: Robot) -> None:
-        """Brake joints that something else turns faster than their motors may.
-
-        As drives do that short the windings of a motor whose speed trips them: the
-        torque grows with the speed, and no limit of the motor's holds for it. One
-        actuator brakes each direction of turning, and pushes in no other.
-        """
-        rows = zip(
-            robot.joints, robot.torque_limits, robot.velocity_limits, strict=True
-        )
-        for joint, torque, speed in rows:
-            gain = _BRAKE_GAIN * torque / speed
-            for name, sign in (("forwards", 1.0), ("backwards", -1.0)):
-                self.spec.add_actuator(
-                    name=f"{agent}/{joint}/brake {name}",
-                    target=f"{agent}/{joint}",
-                    trntype=mujoco.mjtTrn.mjTRN_JOINT,
-                    gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-                    biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-                    gainprm=[0.0] * 10,
-                    biasprm=[sign * gain * _BRAKE_FROM * speed, 0.0, -gain] + [0.0] * 7,
-                    forcelimited=True,
-                    forcerange=sorted([0.0, -sign * _NO_LIMIT]),
-                )
-
-    def _add_finger(self, joint: str, force: float) -> None:
-        # Fingers are light and their grip is a constraint, so a soft servo does.
-        finger = self.spec.add_actuator(
-            name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
-        finger.set_to_position(kp=force / 0.1, dampratio=1.0)
-        finger.forcelimited = True
-        finger.forcerange = [-force, force]

@@ -1,0 +1,88 @@
+"""What turns the joints of arms, and what brakes them."""
+
+import mujoco
+
+from collaborative_gym.robots.robot import Robot
+
+_BRAKE_FROM = 1.1
+"""Speed from which on a joint is braked, over its limit; free motion stays below."""
+
+_BRAKE_GAIN = 40.0
+"""Slope of the brake's torque over the speed, in torque limits per speed limit."""
+
+_NO_LIMIT = 1e6
+"""A torque in N m that is never reached."""
+
+
+def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
+    """Let a servo turn each joint of an arm.
+
+    A position servo whose target moves at the commanded speed, as MuJoCo's intvelocity
+    actuator; the controller keeps the limits of the speed.
+    """
+    rows = zip(
+        robot.joints, robot.torque_limits, robot.stiffness, robot.damping, strict=True
+    )
+    for name, torque, stiffness, damping in rows:
+        joint = f"{agent}/{name}"
+        bias, torques = (0.0, -stiffness, -damping), (-torque, torque)
+        servo = _add(spec, joint, joint, gain=stiffness, bias=bias, torques=torques)
+        servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+
+
+def add_brakes(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
+    """Brake joints that something else turns faster than their motors may.
+
+    As drives do that short the windings of a motor whose speed trips them: the torque
+    grows with the speed, and no limit of the motor's holds for it. One actuator brakes
+    each direction of turning, and pushes in no other.
+    """
+    rows = zip(robot.joints, robot.torque_limits, robot.velocity_limits, strict=True)
+    for name, torque, speed in rows:
+        joint, slope = f"{agent}/{name}", _BRAKE_GAIN * torque / speed
+        start = slope * _BRAKE_FROM * speed
+        for way, bias, torques in (
+            ("forwards", (start, 0.0, -slope), (-_NO_LIMIT, 0.0)),
+            ("backwards", (-start, 0.0, -slope), (0.0, _NO_LIMIT)),
+        ):
+            brake = f"{joint}/brake {way}"
+            _add(spec, joint, brake, gain=0.0, bias=bias, torques=torques)
+
+
+def add_finger(spec: mujoco.MjSpec, joint: str, *, force: float) -> None:
+    """Let a soft servo move a finger, as fingers are light and a grip is a constraint.
+
+    Args:
+      spec: the world.
+      joint: the finger's.
+      force: its limit, in N or N m.
+    """
+    finger = spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+    )
+    finger.set_to_position(kp=force / 0.1, dampratio=1.0)
+    finger.forcelimited = True
+    finger.forcerange = [-force, force]
+
+
+def _add(
+    spec: mujoco.MjSpec,
+    joint: str,
+    name: str,
+    *,
+    gain: float,
+    bias: tuple[float, float, float],
+    torques: tuple[float, float],
+) -> mujoco.MjsActuator:
+    """Add what turns a joint by a gain and a bias, as MuJoCo's manual defines them."""
+    return spec.add_actuator(
+        name=name,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        gainprm=[gain] + [0.0] * 9,
+        biasprm=[*bias] + [0.0] * 7,
+        forcelimited=True,
+        forcerange=torques,
+    )
