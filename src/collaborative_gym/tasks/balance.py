@@ -61,8 +61,8 @@ _CALM = 0.05  # m/s; when less is wanted, the ball is left to stop by itself
 _GAIN = 0.35  # s/m, slope over missing speed
 _PULL = 7 / 5 / 9.81  # s2/m, slope over acceleration of a full ball that rolls
 _STEEPEST = 0.16
-_LONGEST_MOVE = 0.02  # m in a control step
-_LARGEST_TURN = 0.03  # rad in a control step; faster, and the ball lifts off
+_LONGEST_MOVE = 0.03  # m, missing at a time
+_LARGEST_TURN = 0.067  # rad, missing at a time; with more, the ball lifts off
 
 
 @dataclass(frozen=True)
@@ -351,9 +351,9 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         low, high = arm.joint_range
         most = 0.3 * arm.max_change
         lean = np.clip(0.1 * (self._posture[agent] - angle), -most, most)
-        return motion.joint_change(
-            jacobian, error, lean=lean, room=(low - angle, high - angle)
-        )
+        room = low - angle, high - angle
+        change = motion.joint_change(jacobian, error, lean=lean, room=room)
+        return motion.settling(sim, arm, change)
 
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:

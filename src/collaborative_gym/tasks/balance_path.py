@@ -40,7 +40,8 @@ from collaborative_gym.timing import CONTROL_DT, SIM_DT
 
 _SMALLEST = 0.9  # share of the path's size
 _ROUNDS = (2.0, 1.0, 1.0)  # in a lap, along x, y and z
-_LONGEST_RISE = 0.012  # m in a control step; more leaves slow arms no speed to tilt
+_LONGEST_RISE = 0.027  # m, missing at a time; more leaves slow arms no speed to tilt
+_LAG = 0.15  # s by which a board that rises comes later than a control step
 _START = (0.0, 0.0, np.pi / 2)  # rad, so that the target turns highest at y = 0
 
 
@@ -179,7 +180,8 @@ class BalancePath(Balance):
 
     def place(self, facts: BalancePathFacts) -> Array:
         # A ball on the floor leads nowhere.
-        missing = np.where(facts.fell, 0.0, (facts.coming[0] - facts.ball[0])[:, 2])
+        coming = facts.coming[0] + _LAG * facts.coming[1]
+        missing = np.where(facts.fell, 0.0, (coming - facts.ball[0])[:, 2])
         missing = np.clip(missing, -_LONGEST_RISE, _LONGEST_RISE)
         place = np.tile(self.centre, (len(missing), 1))
         place[:, 2] = facts.board[0][:, 2] + missing
