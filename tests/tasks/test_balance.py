@@ -8,6 +8,8 @@ import pytest
 
 from collaborative_gym import VectorEnv, math
 from collaborative_gym.objects.ball import RADIUS, ball
+from collaborative_gym.policies.delayed import DelayedPolicy
+from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.scene import Placement
 from collaborative_gym.tasks.registry import make_task
 
@@ -174,13 +176,19 @@ def test_variants_without_a_push_are_left_alone():
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_the_expert_brings_the_ball_to_the_middle(env_id):
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_expert_brings_the_ball_to_the_middle_and_rests(env_id, delay):
     env = make(env_id, 6)
+    policy = expert_policy(env)
+    for _ in range(delay):
+        policy = DelayedPolicy(policy, env)
     for _ in range(60):
-        *_, infos = env.step(env.expert())
+        actions = policy({})
+        *_, infos = env.step(actions)
         pulled, turned = parted(env)
         assert pulled < 3e-3 and turned < np.radians(0.7)
     assert infos["success"].all()
+    assert all(np.abs(action).max() < 0.2 for action in actions.values())
 
 
 def test_the_board_stays_held_under_random_actions():

@@ -62,7 +62,7 @@ _GAIN = 0.35  # s/m, slope over missing speed
 _PULL = 7 / 5 / 9.81  # s2/m, slope over acceleration of a full ball that rolls
 _STEEPEST = 0.16
 _LONGEST_MOVE = 0.03  # m, missing at a time
-_LARGEST_TURN = 0.067  # rad, missing at a time; with more, the ball lifts off
+_LARGEST_TURN = 0.08  # rad, missing at a time; with more, the ball lifts off
 
 
 @dataclass(frozen=True)
@@ -349,8 +349,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         jacobian = np.concatenate(sim.jacobian(arm.hand, place), axis=1)[:, :, arm.dof]
         angle = np.asarray(sim.qpos[:, arm.qpos])
         low, high = arm.joint_range
-        most = 0.3 * arm.max_change
-        lean = np.clip(0.1 * (self._posture[agent] - angle), -most, most)
+        lean = 0.3 * (self._posture[agent] - angle)
+        lean = np.clip(lean, -arm.max_change, arm.max_change)
         room = low - angle, high - angle
         change = motion.joint_change(jacobian, error, lean=lean, room=room)
         return motion.settling(sim, arm, change)
