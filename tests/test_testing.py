@@ -62,6 +62,15 @@ def test_a_goal_that_is_reached_by_doing_nothing(faults):
     assert any("robots that hold still reach the goal in all" in each for each in found)
 
 
+@pytest.mark.parametrize("wrong", [0.5, -1.0, np.nan])
+def test_a_shortfall_that_is_none(faults, wrong):
+    def shortfall(self, own, facts):
+        return np.where(own(self, facts) > 0.0, 1.0, wrong)
+
+    (found,) = faults(shortfall=shortfall)[1:]
+    assert "at least 0, and 0 where the goal is met" in found
+
+
 def test_a_reset_of_other_worlds(faults):
     def reset(self, own, sim, env_ids, *, rng):
         own(self, sim, env_ids, rng=rng)

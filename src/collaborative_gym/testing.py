@@ -272,6 +272,7 @@ def check_goal(trial: Trial) -> None:
     reached = np.zeros(env.num_envs, bool)
     for _ in range(trial.task.config.max_episode_steps):
         *_, infos = env.step(env.idle())
+        _check_shortfall(env)
         reached |= np.logical_and.reduce(_met(infos))
     assert not reached.all(), (
         f"robots that hold still reach the goal in all of {env.num_envs} episodes; ask"
@@ -294,6 +295,7 @@ def check_expert(trial: Trial) -> None:
         )
         small.step(one)
         *_, infos = large.step(many)
+        _check_shortfall(large)
         is_first = infos["episode"] == np.arange(large.num_envs)
         reached |= np.logical_or.reduce(_met(infos)) & is_first
     failed = np.flatnonzero(~reached).tolist()
@@ -333,6 +335,18 @@ def _agree(one: bytes, other: bytes) -> bool:
     """Return whether what an episode gave is the same as far as both played it."""
     common = min(len(one), len(other))
     return one[:common] == other[:common]
+
+
+def _check_shortfall(env: VectorEnv) -> None:
+    if len(env.sides) > 1:
+        return
+    task, missing = env.task, np.asarray(env.task.shortfall(env.facts))
+    is_number = missing.shape == (env.num_envs,) and np.isfinite(missing).all()
+    met = np.asarray(task.success(env.facts))
+    assert is_number and (missing >= 0.0).all() and not missing[met].any(), (
+        f"shortfall() is {missing} where success() is {met}; it must be a number for"
+        " each world, at least 0, and 0 where the goal is met"
+    )
 
 
 def _met(infos: Mapping[str, Any]) -> list[np.ndarray]:
