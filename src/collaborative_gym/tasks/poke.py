@@ -197,7 +197,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         """Present the ring, wait behind the hole until lined up with it, then go in."""
         normal = math.axis_z(facts.donut[1])
         beside = math.norm(facts.offset[:, :2])
-        is_lined_up = (beside < 0.03) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
+        is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
         # The stick's middle keeps its tip clear of the ring, the more so the farther it
         # is from the hole, and goes in so slowly that it stays in line.
         behind = np.where(
