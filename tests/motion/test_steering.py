@@ -42,7 +42,7 @@ def test_steadied_motion_stops_at_its_goal_even_where_it_comes_late(scene, delay
     for _ in range(40):
         missing = 1.0 - sim.qpos[:, arm.qpos]
         misses.append(missing.max())
-        coming.append(motion.settling(sim, arm, missing))
+        coming.append(motion.settling(sim, arm, change=missing))
         now = np.clip(coming.pop(0), -arm.max_change, arm.max_change)
         sim.qpos[:, arm.qpos] += now
         sim.qvel[:, arm.dof] = now / CONTROL_DT

@@ -16,7 +16,7 @@ Cast = Callable[[np.ndarray], Policy]
 _FAR = 1e3
 """Farther than any world is from its goal."""
 
-_REST, _PATIENCE = 1e-5, 10
+_REST, _PATIENCE = 5e-4, 10
 """Where joints are slower than this, in rad/s or m/s, and no shortfall changes by as
 much, for so many control steps in all worlds of a round, nothing more will come."""
 

@@ -68,10 +68,11 @@ def reach(
         jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
     size = np.maximum(math.norm(missing), math.norm(turn) / 3)
     share = _LEANING * np.minimum(1.0, size / _NEAR)
-    return settling(sim, arm, _leaning(sim, arm, jacobian, error, posture, share))
+    change = _leaning(sim, arm, jacobian, error, posture, share)
+    return settling(sim, arm, change=change)
 
 
-def settling(sim: Sim, arm: Arm, change: Array) -> Array:
+def settling(sim: Sim, arm: Arm, *, change: Array) -> Array:
     """Return the part of a joint change that comes to its goal without swinging.
 
     The whole change would bring the joint there at once, and past it where actions come
@@ -149,7 +150,8 @@ def carry(
     rows, is_loaded = translation[:, :, arm.dof], mass > 0
     nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
     share = _KEEPING * np.where(is_loaded, 1.0, nearness)
-    change = settling(sim, arm, _leaning(sim, arm, rows, goal - tcp, posture, share))
+    change = _leaning(sim, arm, rows, goal - tcp, posture, share)
+    change = settling(sim, arm, change=change)
     # Of a change that a joint cannot follow its servo makes a torque by the stiffness,
     # and for the speed by the damping.
     stiffness, damping = np.array(arm.robot.stiffness), np.array(arm.robot.damping)

@@ -353,7 +353,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         lean = np.clip(lean, -arm.max_change, arm.max_change)
         room = low - angle, high - angle
         change = motion.joint_change(jacobian, error, lean=lean, room=room)
-        return motion.settling(sim, arm, change)
+        return motion.settling(sim, arm, change=change)
 
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:

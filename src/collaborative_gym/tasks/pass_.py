@@ -297,7 +297,7 @@ class Pass(Task[PassConfig, PassFacts]):
         straight = reach(
             sim, arm, tcp=facts.tcp[agent], goal=(goal, hand), posture=angles
         )
-        swing = settling(sim, arm, angles - facts.joints[agent])
+        swing = settling(sim, arm, change=angles - facts.joints[agent])
         return np.where(swings, swing, straight)
 
 

@@ -214,7 +214,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
             change = reach(sim, arm, tcp=tcp, goal=goals[agent], posture=posture)
             # From afar all joints go to the posture at once: a straight way may turn a
             # wrist into the ends of its joints, where it would stay.
-            swing = settling(sim, arm, posture - sim.qpos[:, arm.qpos])
+            swing = settling(sim, arm, change=posture - sim.qpos[:, arm.qpos])
             motions[agent] = Motion(np.where(is_far, swing, change))
         return motions
 
