@@ -109,13 +109,12 @@ class ActionMode:
         moves = {a: self.moves(sim, a, motions[a].change) for a in self.arms}
         most = {a: np.abs(move).max(axis=1) for a, move in moves.items()}
         together = [most[agent] for agent in self.arms if motions[agent].in_step]
-        actions = self.idle(sim.num_envs)
+        grips = {agent: motions[agent].grips for agent in self.arms}
+        actions = self.idle(sim.num_envs, grips)
         for agent, action in actions.items():
             pace = np.max(together if motions[agent].in_step else [most[agent]], axis=0)
             share = moves[agent] / np.maximum(1.0, pace)[:, None]
             action[:, : share.shape[1]] = share
-            if self.gripping:
-                action[:, -1] = np.where(motions[agent].grips, 1.0, -1.0)
         return actions
 
     def _check(self, sim: Sim, motions: Mapping[str, Motion]) -> None:

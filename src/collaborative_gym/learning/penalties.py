@@ -15,7 +15,8 @@ what its motor has, and less would not change what the arm does at once."""
 class Penalties:
     """Costs of torque and of changing actions, of each robot for itself.
 
-    They steer what is learned and are in no episode's return.
+    They steer what is learned and are in no episode's return. Torque is looked at as a
+    control step ends; where that ended an episode, the next one's start costs nothing.
 
     Args:
       env: the worlds.
