@@ -204,9 +204,15 @@ def test_opponents_keep_promises_too(carry):
         "success": success,
         "reward": reward,
         "over": lambda self, facts: facts.height > 0.7,
+        "score": lambda self, facts: (facts.height, -facts.height),
     }
     task = type("Duel", (type(carry()),), parts)
     check_task(task, episodes=3)
+    steps = iter(range(10**6))
+    parts["score"] = lambda self, facts: (facts.height + next(steps), facts.height)
+    task = type("Duel", (type(carry()),), parts)
+    with pytest.raises(AssertionError, match=r"score\(\) gives something else when"):
+        check_task(task, episodes=3)
 
 
 def test_an_expert_that_acts_otherwise_in_another_batch(faults):

@@ -111,6 +111,7 @@ def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
             rows = [infos["final_observation"][agent][i] for agent in env.agents]
             rows += [rewards[agent][i] for agent in env.agents]
             rows += [mask[i] for mask in _met(infos)]
+            rows += [points[i] for points in _score(infos)]
             key = int(played["seed"][i]), int(played["episode"][i])
             given = b"".join(np.asarray(row).tobytes() for row in rows)
             seen[key] = seen.get(key, b"") + given
@@ -147,7 +148,11 @@ def check_values(trial: Trial) -> None:
                     f"reward term {name!r} of {agent} is not finite after {step}"
                     " random steps; look for a division or a root in reward()"
                 )
-        observations = env.step(actions)[0]
+        observations, *_, infos = env.step(actions)
+        assert all(np.isfinite(points).all() for points in _score(infos)), (
+            f"the score is not finite after {step + 1} random steps; look for a"
+            " division or a root in score()"
+        )
         for agent in env.agents:
             assert np.isfinite(observations[agent]).all(), (
                 f"the observation of {agent} is not finite after {step + 1} random"
@@ -258,6 +263,7 @@ def check_measuring(trial: Trial) -> None:
         ("observe", lambda: task.observe(env.facts)),
         ("reward", lambda: task.reward(env.facts, actions)),
         ("success", lambda: task.success(env.facts)),
+        ("score", lambda: task.score(env.facts)),
     ):
         once, twice = leaves(ask()), leaves(ask())
         assert all(map(_equal, once, twice)), (
@@ -353,6 +359,11 @@ def _met(infos: Mapping[str, Any]) -> list[np.ndarray]:
     """Return in which worlds each side meets its goal."""
     success = infos["success"]
     return list(success.values()) if isinstance(success, Mapping) else [success]
+
+
+def _score(infos: Mapping[str, Any]) -> list[np.ndarray]:
+    """Return each side's points so far; an only side has none."""
+    return list(infos["metrics"].get("score", {}).values())
 
 
 def _equal(one: Any, other: Any) -> bool:

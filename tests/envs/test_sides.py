@@ -114,6 +114,37 @@ def test_sides_have_their_own_goal_and_return(make):
     for side, (agent,) in env.sides.items():
         np.testing.assert_allclose(metrics["return"][side], returns[agent], rtol=1e-6)
         assert metrics["completion"][side].tolist() == [1.0, 1.0]
+        assert metrics["score"][side].tolist() == [1.0, 1.0]
+
+
+def rising(self, facts):
+    return 1 * (facts.height > 0.6), 0.5 * (facts.height > -1.0)
+
+
+def test_points_are_summed_up_until_the_episode_is_over(make):
+    env = make(**DUEL, score=rising, over=high, auto_reset=False)
+    _, infos = env.reset(seed=0)
+    assert infos["metrics"]["score"]["side_2"].tolist() == [0.0, 0.0]
+    env.step(env.expert())
+    env.reset(env_ids=[1])  # So that the first world rests while it goes on.
+    while not infos["ended"].all():
+        *_, infos = env.step(env.expert())
+    score = infos["metrics"]["score"]
+    assert score["side_1"].tolist() == [1.0, 1.0]
+    assert score["side_2"].tolist() == (infos["metrics"]["length"] / 2).tolist()
+    assert infos["resting"].tolist() == [True, False]
+
+
+def test_nobody_wins_an_episode_that_diverged(make, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warnings where it runs.
+    env = make(**DUEL, score=rising)
+    env.reset(seed=0)
+    *_, infos = env.step(env.expert())
+    assert infos["metrics"]["score"]["side_2"].tolist() == [0.5, 0.5]
+    actions = env.expert()
+    env.sim.qpos[1, 0] = np.nan
+    *_, infos = env.step(actions)
+    assert infos["metrics"]["score"]["side_2"].tolist() == [1.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -123,8 +154,11 @@ def test_sides_have_their_own_goal_and_return(make):
         ({"sides": (("robot_1",), ("robot_1", "robot_2"))}, "on exactly one side"),
         ({"sides": (("robot_1", "robot_2"), ())}, "no side empty"),
         ({"sides": None}, "Changed.sides is None; each of"),
-        ({"sides": (("robot_1",), ("robot_2",))}, "returns a tuple with a mask for"),
+        ({"sides": (("robot_1",), ("robot_2",))}, "returns a tuple with an array"),
         ({**DUEL, "performing": lambda *_: (1, 2)}, r"performing\(\) of side_1 is int"),
+        ({"score": lambda self, facts: (facts.height,)}, "for tasks of several sides"),
+        ({**DUEL, "score": lambda *_: 1}, r"score\(\) is of type int; a task of 2"),
+        ({**DUEL, "score": lambda *_: (1, 2)}, r"score\(\) of side_1 is of type int"),
         ({"over": lambda self, facts: facts.height}, r"over\(\) is float64"),
         ({"over": lambda self, facts: facts.height < 9}, "ends an episode at its very"),
     ],

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.cli.tables import reports_table
 from collaborative_gym.tasks.identity import Identity
 
 
@@ -227,13 +228,18 @@ def test_a_report_of_several_sides_adds_nothing_up_over_them(carry):
     first, second = report.sides["side_1"], report.sides["side_2"]
     assert first.mean_reward == report.returns["robot_1"]
     assert first.performance != second.performance
+    assert (first.score, second.score) == (first.completion, second.completion)
     for row in report.episodes:
         assert row["side_1/return"] == row["robot_1/return"] and "return" not in row
     with pytest.raises(ValueError, match="has the sides side_1, side_2, each with"):
         report.mean_reward  # noqa: B018
     assert "| completion of side_2 |" in report.to_markdown()
+    assert "| score of side_1 | 1.0 (1.0 to 1.0) |" in report.to_markdown()
     summary = json.loads(report.to_json())["Rivals"]
     assert set(summary["sides"]) == {"side_1", "side_2"} and "completion" not in summary
+    assert "score" in summary["sides"]["side_2"]
+    heads = [column.header for column in reports_table([report]).columns]
+    assert heads[1] == "score"
 
 
 def test_episodes_that_end_early_are_evaluated(carry):

@@ -1,5 +1,6 @@
 import math
 import resource
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -91,9 +92,12 @@ def test_summary_of_a_validation():
     assert summary["validation/return"] == -4.0
     assert summary["validation/completion"] == 0.5
     assert summary["validation/performance"] == 0.25
+    assert "validation/score" not in summary
+    score = replace(score, score=Statistic.of([2.0]))
     rivals = SimpleNamespace(sides={"side_1": score, "side_2": score})
     summary = summarize(1, 1.0, 1.0, Iteration([], {}), rivals)
     assert summary["validation/side_2/return"] == -4.0
+    assert summary["validation/side_2/score"] == 2.0
     assert "validation/return" not in summary
 
 

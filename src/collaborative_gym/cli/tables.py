@@ -42,12 +42,15 @@ def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
 def reports_table(reports: Sequence[Report]) -> Table:
     """Return what evaluations found, with 95 % intervals below the means."""
     columns = ("mean reward", "completion", "performance", "time to\nsuccess")
-    table = _table("environment", *columns)
+    has_score = any(len(report.sides) > 1 for report in reports)
+    table = _table("environment", *["score"] * has_score, *columns)
     for report in reports:
         for side, score in report.sides.items():
+            own = "-" if score.score is None else _two_lines(score.score)
             median = f"\nmedian {format_number(score.mean_reward.median)}"
             table.add_row(
                 report.environment + (f"\n{side}" if len(report.sides) > 1 else ""),
+                *[own] * has_score,
                 _two_lines(score.mean_reward).append(median, "dim"),
                 _two_lines(score.completion, percent=True),
                 _two_lines(score.performance, percent=True),

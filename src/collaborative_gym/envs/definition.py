@@ -67,8 +67,9 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
     sides = _sides(name, task)
     for method in ("success", "performing"):
         given = getattr(task, method)(facts)
-        for what, mask in _masks(f"{name}.{method}()", given, sides):
+        for what, mask in _by_side(f"{name}.{method}()", given, sides):
             _check_mask(what, mask, sim)
+    _check_score(f"{name}.score()", task.score(facts), sides, tried, sim)
     _check_over(f"{name}.over()", task.over(facts), tried, sim)
     sim.reset()
     task.memory = task.remember(sim.num_envs)
@@ -197,18 +198,16 @@ def _sides(name: str, task: Task) -> dict[str, tuple[str, ...]]:
     return sides
 
 
-def _masks(what: str, given: Any, sides: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Return what to call each side's mask, and the mask."""
+def _by_side(what: str, given: Any, sides: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return what to call the array of each side, and the array."""
     if len(sides) == 1:
         return [(what, given)]
     if not isinstance(given, tuple) or len(given) != len(sides):
         raise ValueError(
             f"{what} is {_kind(given)}; a task of {len(sides)} sides returns a tuple"
-            " with a mask for each, in the order of its sides"
+            " with an array for each, in the order of its sides"
         )
-    return [
-        (f"{what} of {side}", mask) for side, mask in zip(sides, given, strict=True)
-    ]
+    return [(f"{what} of {side}", own) for side, own in zip(sides, given, strict=True)]
 
 
 def _check_mask(what: str, mask: Any, sim: Sim) -> None:
@@ -218,6 +217,25 @@ def _check_mask(what: str, mask: Any, sim: Sim) -> None:
             f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for each"
             f" world, ({sim.num_envs},), as a comparison gives"
         )
+
+
+def _check_score(
+    what: str, points: Any, sides: Mapping[str, Any], tried: np.ndarray, sim: Sim
+) -> None:
+    if points is None:
+        return
+    if len(sides) == 1:
+        raise ValueError(
+            f"{what} is for tasks of several sides; a single one is judged by success()"
+            " and reward()"
+        )
+    for own, gained in _by_side(what, points, sides):
+        if np.shape(gained) != (sim.num_envs,):
+            raise ValueError(
+                f"{own} is {_kind(gained)}; it needs one number for each world,"
+                f" ({sim.num_envs},)"
+            )
+        _check_finite(own, gained, tried, sim)
 
 
 def _check_over(what: str, over: Any, tried: np.ndarray, sim: Sim) -> None:

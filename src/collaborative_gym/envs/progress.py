@@ -59,6 +59,8 @@ class Progress:
         blank |= dict.fromkeys(("terminated", "truncated", "diverged"), False)
         for side in sides:
             blank |= {f"{side}: performing_steps": 0, f"{side}: first_success": -1}
+            if self._is_divided:
+                blank[f"{side}: score"] = 0.0
         for names in self._sums.values():
             blank |= dict.fromkeys(names.values(), 0.0)
         if has_strain:
@@ -129,6 +131,7 @@ class Progress:
             for name, row in names.items():
                 rows[row] = rows[row] + terms[agent][name]
         met, performing = task.success(facts), task.performing(facts)
+        points = task.score(facts) if self._is_divided else None
         successes = {}
         is_late = (rows["step"] > task.success_after) & counts
         for i, side in enumerate(self._sides):
@@ -142,6 +145,10 @@ class Progress:
                 now &= rows[f"{side}: first_success"] >= 0
             performed = rows[f"{side}: performing_steps"]
             rows[f"{side}: performing_steps"] = performed + now
+            if self._is_divided:
+                gained = is_first if points is None else points[i]
+                gained = xp.where(counts & moved, gained, 0)
+                rows[f"{side}: score"] = rows[f"{side}: score"] + gained
         over = task.over(facts)
         if over is not None:
             rows["terminated"] = rows["terminated"] | (over & counts & moved)
@@ -182,6 +189,10 @@ class Progress:
                 "performance": xp.where(counts, share, 0.0),
                 "time_to_success": xp.where(completed, first * CONTROL_DT, xp.nan),
             }
+            if self._is_divided:
+                # Nobody wins an episode whose physics has diverged.
+                score = xp.where(counts, rows[f"{side}: score"], 0.0)
+                by_side[side]["score"] = score
         told = {"strain": strain.told(rows)} if self._has_strain else {}
         return {
             **(_by_name(by_side) if self._is_divided else by_side[side]),

@@ -57,7 +57,9 @@ class VectorEnv:
 
     Where a task has several sides, `success` and the metrics `return`, `completion`,
     `performance` and `time_to_success` are dictionaries by side; nothing is summed over
-    opponents.
+    opponents. So is one more metric, `score`, the sum of what `Task.score` gave; it is
+    0 for all where the episode diverged. Who has more at the episode's end has won it,
+    and equal scores are a draw.
 
     A world that does not reset itself rests after its episode's end: it does not move,
     earns nothing, and keeps its infos, now also in the mask `resting`, until `reset`.

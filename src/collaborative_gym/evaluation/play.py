@@ -32,8 +32,8 @@ _MOST_DELAY = 100
 _MOST_ENVS = 64
 """Worlds beside one another unless told otherwise; more run hardly faster on a CPU."""
 
-_MEASURES = ("return", "completion", "performance", "time_to_success")
-"""The metrics that a `Score` is made of, in its order."""
+_MEASURES = ("return", "completion", "performance", "time_to_success", "score")
+"""The metrics that a `Score` is made of, in its order; an only side has no score."""
 
 
 def evaluate(
@@ -165,7 +165,7 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     }
     for name in _MEASURES:
         # By side where there are several.
-        given = metrics[name]
+        given = metrics.get(name, {})
         if not isinstance(given, Mapping):
             given = {"": given}
         for side, values in given.items():
@@ -190,7 +190,8 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
 
 def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Score:
     prefix = f"{side}/" if len(env.sides) > 1 else ""
-    return Score(*(_statistic(rows, f"{prefix}{name}") for name in _MEASURES))
+    columns = (f"{prefix}{name}" for name in _MEASURES)
+    return Score(*(_statistic(rows, name) for name in columns if name in rows[0]))
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:

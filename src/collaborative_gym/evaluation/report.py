@@ -94,12 +94,14 @@ class Score:
       performance: of the share of steps at the goal, 0 to 1, as the task counts it.
       time_to_success: of the time until the goal was reached, over the episodes in
         which it was, in s.
+      score: of the points, where there are several sides, else None.
     """
 
     mean_reward: Statistic
     completion: Statistic
     performance: Statistic
     time_to_success: Statistic
+    score: Statistic | None = None
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ class Report:
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
     agent `robot_1/return` and the sum of each reward term, such as
     `robot_1/distance`, and the measures of the strain. Where the task has several
-    sides, their names stand before what each has of its own, as in `side_1/return`;
-    nothing is summed over opponents.
+    sides, their names stand before what each has of its own, as in `side_1/return`
+    and `side_1/score`; nothing is summed over opponents.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -171,7 +173,10 @@ class Report:
     def summary(self) -> dict[str, Any]:
         """Return the statistics as plain dictionaries, an only side's at the top."""
         scores = {side: asdict(score) for side, score in self.sides.items()}
-        own = next(iter(scores.values())) if len(scores) == 1 else {"sides": scores}
+        own = {"sides": scores}
+        if len(scores) == 1:
+            own = next(iter(scores.values()))
+            del own["score"]
         returns = {agent: asdict(own) for agent, own in self.returns.items()}
         strain = {name: asdict(worst) for name, worst in self.strain.items()}
         return {
@@ -238,6 +243,7 @@ def reports_to_markdown(reports: Sequence[Report]) -> str:
     ]
     for report in reports:
         measures = [
+            *_measures(report, "score"),
             *_measures(report, "mean_reward"),
             *(
                 (f"return of {agent}", own, False, "")
@@ -298,7 +304,7 @@ def strain_lines(report: Report) -> list[list[str]]:
 def _measures(
     report: Report, field: str, percent: bool = False, unit: str = ""
 ) -> list[tuple[str, Statistic, bool, str]]:
-    """Return names, statistics and forms of a measure, one for each side."""
+    """Return names, statistics and forms of a measure, one for each side with it."""
     name = "return" if field == "mean_reward" else field.replace("_", " ")
     is_alone = len(report.sides) == 1
     return [
@@ -309,6 +315,7 @@ def _measures(
             unit,
         )
         for side, score in report.sides.items()
+        if getattr(score, field) is not None
     ]
 
 

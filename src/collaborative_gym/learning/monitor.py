@@ -41,8 +41,8 @@ def summarize(
     `robot_1/distance`; by learner what the update did, such as `team/kl`; and of a
     validation the means `validation/return`, `validation/completion` and
     `validation/performance`. Where there are several sides, return, completion and
-    performance are by side, as `side_1/return` and `validation/side_1/return`. What is
-    not known, as where no episode ended, is left out.
+    performance are by side, as `side_1/return` and `validation/side_1/return`, and so
+    is `score`. What is not known, as where no episode ended, is left out.
 
     Args:
       steps: environment steps done so far, over all worlds.
@@ -65,6 +65,8 @@ def summarize(
             row[f"{own}return"] = score.mean_reward.mean
             row[f"{own}completion"] = score.completion.mean
             row[f"{own}performance"] = score.performance.mean
+            if score.score is not None:
+                row[f"{own}score"] = score.score.mean
     return row
 
 

@@ -290,6 +290,16 @@ class Task(Generic[ConfigT, FactsT]):
         """Return in which worlds this step counts towards performance, as `success`."""
         return self.success(facts)
 
+    def score(self, facts: FactsT) -> tuple[Array, ...] | None:
+        """Return the points that each side gains in this step, (num_envs,) numbers.
+
+        Asked once per control step, in the order of `sides`. At an episode's end the
+        side with more points has won, equal ones are a draw. Only a task of several
+        sides has a score. None, as here, where a side gains one point when it first
+        reaches its goal.
+        """
+        return None
+
     def over(self, facts: FactsT) -> Array | None:
         """Return which episodes end now, before their time, (num_envs,) booleans.
 
