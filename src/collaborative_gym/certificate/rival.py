@@ -82,6 +82,7 @@ def train_rival(
         assistance=0.0,
         torque_penalty=0.0,
         change_penalty=0.0,
+        contact_penalty=0.0,
         delayed=0.0,
         validation_interval=max(1, steps // 8),
     )

@@ -6,6 +6,13 @@ from collaborative_gym.control.actions import (
     Motion,
     check_actions,
 )
-from collaborative_gym.control.controller import Controller
+from collaborative_gym.control.controller import Controller, lost_load
 
-__all__ = ["ActionMode", "Controller", "JointChanges", "Motion", "check_actions"]
+__all__ = [
+    "ActionMode",
+    "Controller",
+    "JointChanges",
+    "Motion",
+    "check_actions",
+    "lost_load",
+]

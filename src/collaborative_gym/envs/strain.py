@@ -183,6 +183,10 @@ class Strain:
     Args:
       scene: the compiled scene, which had `add_strain_sensors`.
       sim: its worlds.
+
+    Attributes:
+      depths: by kind of contact, how deep the deepest was in the physics steps that
+        were counted last, (num_envs,) in m.
     """
 
     def __init__(self, scene: Scene, sim: CpuSim):
@@ -194,13 +198,14 @@ class Strain:
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
         self._stiffness = np.concatenate([arm.robot.stiffness for arm in arms])
         self._damping = np.concatenate([arm.robot.damping for arm in arms])
-        self._depths = {kind: _columns(model, f"{kind} deep") for kind in _KINDS}
+        self._deep = {kind: _columns(model, f"{kind} deep") for kind in _KINDS}
         self._forces = {kind: _columns(model, f"{kind} net") for kind in _KINDS}
         self._held = _held(scene, model)
         self._pairs, self._radii = _pairs(scene, model)
         self._data = mujoco.MjData(model)
         self._centres = sim.geom_xpos
         self._records: dict[str, np.ndarray] = {}
+        self.depths = dict.fromkeys(_KINDS, np.zeros(sim.num_envs))
 
     def records(self, substeps: int) -> dict[str, np.ndarray]:
         """Return the arrays that so many physics steps are to be recorded in."""
@@ -226,8 +231,9 @@ class Strain:
         speed = self._records["qvel"][:, :, self._dofs]
         greatest = {"speed_over_limit": np.abs(speed) / self._speed}
         for kind in _KINDS:
-            if len(self._depths[kind]):
-                depth = -sensed[:, :, self._depths[kind][:, 0]]
+            if len(self._deep[kind]):
+                depth = -sensed[:, :, self._deep[kind][:, 0]]
+                self.depths[kind] = depth.max(axis=(1, 2))
                 greatest[f"contact_depth_{kind}"] = depth
                 force = math.norm(sensed[:, :, self._forces[kind]])
                 greatest[f"contact_force_{kind}"] = force

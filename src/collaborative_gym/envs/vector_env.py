@@ -91,6 +91,7 @@ class VectorEnv:
       substeps: physics steps in a control step.
       control_dt: time of a control step, in s.
       facts: what the task measured of the present state.
+      strain: what measures the strain, None unless it was asked for.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class VectorEnv:
             add_strain_sensors(self.scene)
         self.model = self.scene.compile()
         self.sim = CpuSim(self.model, self.num_envs, num_threads)
-        self._strain = Strain(self.scene, self.sim) if strain else None
+        self.strain = Strain(self.scene, self.sim) if strain else None
         self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
         self._controller = Controller(self.scene, self.sim, self._mode)
         task.setup(self.scene, self.sim, action_mode=self._mode)
@@ -425,7 +426,7 @@ class VectorEnv:
         controls = self._controller.command(actions)
         self.task.disturb(sim, self._progress.rows["step"])
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
-        length, strain = self.substeps // self._shots, self._strain
+        length, strain = self.substeps // self._shots, self.strain
         for start in range(0, self.substeps, length):
             try:
                 records = strain.records(length) if strain else None

@@ -230,7 +230,13 @@ class Collector:
         self._index = index
         share = len(range(index, job.hyperparameters.num_envs, count))
         seed = training_seed(job.seed)
-        self.env = VectorEnv(job.task, share, seed=seed, num_threads=job.num_threads)
+        self.env = VectorEnv(
+            job.task,
+            share,
+            seed=seed,
+            num_threads=job.num_threads,
+            strain=job.hyperparameters.contact_penalty > 0,
+        )
         self._players = [Player(learner, job, share) for learner in job.learners]
         self._penalties = Penalties(self.env, job.hyperparameters)
         self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)

@@ -7,19 +7,24 @@ import numpy as np
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 
+_FREE_DEPTH, _MOST_DEPTH = 1.0, 10.0
+"""How deep contacts of things cost nothing, since they rest that deep on what holds
+them, and how much more of any contact is counted, in mm."""
+
 _MOST_TORQUE = 3.0
 """Share of its limit above which a torque costs no more. A servo may ask for many times
 what its motor has, and less would not change what the arm does at once."""
 
 
 class Penalties:
-    """Costs of torque and of changing actions, of each robot for itself.
+    """Costs of torque and of changing actions of each robot, and of contacts for all.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
+    Contacts are looked at in every physics step, whoever is in them.
 
     Args:
-      env: the worlds.
+      env: the worlds, which measure strain if contacts cost something.
       hyperparameters: what is charged.
     """
 
@@ -27,6 +32,7 @@ class Penalties:
         self._env = env
         self._torque = hyperparameters.torque_penalty
         self._change = hyperparameters.change_penalty
+        self._contact = hyperparameters.contact_penalty
 
     def charge(
         self,
@@ -50,7 +56,19 @@ class Penalties:
             if self._change:
                 change = actions[agent] - previous[agent]
                 charged[agent] = charged[agent] - self._change * _mean_square(change)
+            if self._contact:
+                charged[agent] = charged[agent] - self._contact * self._depth()
         return charged
+
+    def _depth(self) -> np.ndarray:
+        """Return how deep the deepest contact was that costs something, in mm."""
+        assert self._env.strain is not None
+        free = {"objects": _FREE_DEPTH}
+        depths = [
+            1e3 * depth - free.get(kind, 0.0)
+            for kind, depth in self._env.strain.depths.items()
+        ]
+        return np.clip(np.max(depths, axis=0), 0.0, _MOST_DEPTH)
 
     def _asked(self, agent: str) -> np.ndarray:
         """Return what the servos ask of the motors, as a share of the torque limits."""

@@ -3,11 +3,12 @@
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.control import lost_load
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.timing import CONTROL_DT, KEPT_LOAD
+from collaborative_gym.timing import CONTROL_DT
 
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
@@ -155,5 +156,5 @@ def carry(
     # Of a change that a joint cannot follow its servo makes a torque by the stiffness,
     # and for the speed by the damping.
     stiffness, damping = np.array(arm.robot.stiffness), np.array(arm.robot.damping)
-    lost = (1.0 - KEPT_LOAD) * GRAVITY * mass[:, None] * rows[:, 2]
+    lost = lost_load(change) * GRAVITY * mass[:, None] * rows[:, 2]
     return change + lost / (stiffness + damping / CONTROL_DT)
