@@ -12,6 +12,7 @@ from collaborative_gym.learning.team import Sizes, make_learners
 
 LENGTH, WORLDS, STEPS = 12, 4, 8
 NOTHING = Assistance(0.0)
+PENALTIES = "torque_penalty", "change_penalty", "contact_penalty"
 
 
 @pytest.fixture
@@ -143,7 +144,7 @@ def test_what_rollouts_say_is_learned_beside_one_another(make):
 
 @pytest.mark.parametrize("delayed", [0.0, 0.5, 1.0])
 def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
-    free = {"torque_penalty": 0.0, "change_penalty": 0.0}
+    free = dict.fromkeys(PENALTIES, 0.0)
     collector, learners = make(delayed=delayed, rollout_steps=2 * LENGTH, **free)
     done = []
     step = collector.env.step
@@ -166,10 +167,20 @@ def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
 def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
     found = []
     for weight in (0.0, 5.0):
-        penalties = {"torque_penalty": weight, "change_penalty": weight}
+        penalties = dict.fromkeys(PENALTIES, weight)
         collector, learners = make(rollout_steps=2 * LENGTH, **penalties)
         found.append(collector.collect(acting(learners), 0, NOTHING))
     free, charged = found
     assert (free.rollouts["team"].rewards > charged.rollouts["team"].rewards).all()
     earned = [[row["return"] for row in each.episodes] for each in found]
     assert earned[0] == earned[1] != []
+
+
+def test_contacts_are_charged_by_the_deepest(make):
+    collector, _ = make(contact_penalty=0.5, torque_penalty=0.0, change_penalty=0.0)
+    depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
+    collector.env.strain.depths = {k: np.array(each) for k, each in depths.items()}
+    rewards = {agent: np.ones(WORLDS) for agent in collector.env.agents}
+    charged = collector._penalties.charge(rewards, {}, previous={})
+    for earned in charged.values():
+        np.testing.assert_allclose(earned, 1.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
