@@ -119,6 +119,8 @@ class Task(Generic[ConfigT, FactsT]):
       success_after: the goal counts as reached only after this many control steps.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
+      shaping: names of the reward's terms that are there to lead learners, and that
+        training may fade out. Those of opponents that are not shaping add up to zero.
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
@@ -131,6 +133,7 @@ class Task(Generic[ConfigT, FactsT]):
     config_class: type[TaskConfig] = TaskConfig
     success_after: int = 0
     performance_from_start: bool = False
+    shaping: tuple[str, ...] = ()
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
         self.name = type(self).__name__
