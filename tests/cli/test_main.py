@@ -296,3 +296,12 @@ def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
     finally:
         process.kill()
         process.wait()
+
+
+def test_it_ends_quietly_where_nobody_reads_on():
+    module = [sys.executable, "-m", "collaborative_gym", "train", "--help"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(module, **pipes) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141

@@ -52,6 +52,10 @@ def test_idle_robots_hold_still_and_grip_nothing(env):
     assert closed["robot_1"][:, -1].tolist() == [1.0, -1.0]
     assert closed["robot_2"][:, -1].tolist() == [1.0, 1.0]
     assert not closed["robot_1"][:, :-1].any()
+    alone = env.idle(grips={"robot_2": True})
+    assert (alone["robot_1"][:, -1] == -1.0).all() and (
+        alone["robot_2"][:, -1] == 1.0
+    ).all()
     still = JointChanges(env.scene.arms, gripping=False).idle(3)["robot_1"]
     assert still.tolist() == np.zeros((3, 7)).tolist()
 

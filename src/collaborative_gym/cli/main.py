@@ -1,5 +1,6 @@
 """The command line."""
 
+import os
 import signal
 import sys
 import threading
@@ -27,7 +28,7 @@ from collaborative_gym.cli.terminal import Command, tell
 from collaborative_gym.cli.train import Train
 from collaborative_gym.plugins import load_modules, location_of
 
-_CANNOT, _BAD_INPUT, _INTERRUPTED, _TERMINATED = 1, 2, 130, 143
+_CANNOT, _BAD_INPUT, _INTERRUPTED, _UNREAD, _TERMINATED = 1, 2, 130, 141, 143
 
 _PACKAGE = Path(__file__).parents[1]
 
@@ -46,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
       0 when done, 1 where the machine lacks something, 2 for bad input, 130 after
-      Ctrl-C, 143 after SIGTERM. Nothing half-written is left in any case.
+      Ctrl-C, 141 if nobody reads the output any more, as after `| head`, 143 after
+      SIGTERM. Nothing half-written is left in any case.
     """
     try:
         with _heeding_sigterm():
@@ -55,6 +57,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _end(str(stop), _INTERRUPTED)
     except _Terminated:
         return _TERMINATED
+    except BrokenPipeError:
+        # Python writes what is left when it ends, which would fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _UNREAD
     except Exception as error:
         return _fail(error)
     return 0

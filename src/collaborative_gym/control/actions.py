@@ -91,11 +91,11 @@ class ActionMode:
 
         Args:
           num_envs: in how many worlds.
-          grips: whether they grip, or by agent in which worlds.
+          grips: whether they grip, or by agent in which worlds; no one else does.
         """
         idle = {agent: np.zeros((num_envs, self.size(agent))) for agent in self.arms}
         for agent, action in idle.items() if self.gripping else ():
-            own = grips[agent] if isinstance(grips, Mapping) else grips
+            own = grips.get(agent, False) if isinstance(grips, Mapping) else grips
             action[:, -1] = np.where(own, 1.0, -1.0)
         return idle
 
