@@ -4,9 +4,10 @@ PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
 .PHONY: demo test check format docs serve-docs clean
 
-# Evaluate the expert on all eight environments: a table, videos and a contact sheet.
+# Evaluate and film the baselines of the thesis's eight environments.
 demo: .venv/demo
 	$(BIN)/collaborative-gym demo
+	@echo "To watch: $(BIN)/collaborative-gym view PassTaskSawyers-v0 --policy baseline --web"
 
 # Format, lint, types and tests.
 test: check
@@ -35,7 +36,7 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/demo: pyproject.toml constraints.txt | .venv/bin/pip
-	$(PIP) --editable ".[video]"
+	$(PIP) --editable ".[video,view]"
 	touch $@
 
 .venv/docs: pyproject.toml constraints.txt | .venv/bin/pip

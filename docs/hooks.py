@@ -13,4 +13,4 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, config, files):
     """Put what is made into a page that asks for it."""
-    return expanded(markdown)
+    return expanded(markdown, page.file.src_uri)

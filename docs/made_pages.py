@@ -52,7 +52,6 @@ _WIDTH = 78
 def made_pages() -> dict[str, str]:
     """Return the Markdown of each page that is made, by its path in `docs/`."""
     pages = {
-        "tasks/index.md": _tasks_page(),
         "reference/command_line.md": _command_line_page(),
     }
     for name in _TASKS:
@@ -60,18 +59,27 @@ def made_pages() -> dict[str, str]:
     return pages
 
 
-def expanded(markdown: str) -> str:
+def expanded(markdown: str, path: str = "index.md") -> str:
     """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
 
-    That is `arms` or `certificates`; a file of the repository, such as `CHANGELOG.md`;
-    a section of one, such as `README.md, Speed`; or lines of Python, such as
-    `examples/it.py:1:11`. Links in it are made to be from `docs/`.
+    That is `arms`, `certificates` or `environments`; a file of the repository, such as
+    `CHANGELOG.md`; a section of one, such as `README.md, Licence`; or lines of Python,
+    such as `examples/it.py:1:11`. Links in it are made to be from the page.
+
+    Args:
+      markdown: the page.
+      path: where it is in `docs/`.
 
     Raises:
       FileNotFoundError: if there is no such file.
       KeyError: if the file has no such section.
     """
-    return re.sub(r"<!-- put: (.+) -->", lambda comment: _put(comment[1]), markdown)
+    links = f"]({'../' * path.count('/')}"
+
+    def put(comment: re.Match[str]) -> str:
+        return _put(comment[1]).replace("](docs/", links)
+
+    return re.sub(r"<!-- put: (.+) -->", put, markdown)
 
 
 def python_lines(what: str) -> str:
@@ -86,6 +94,8 @@ def _put(what: str) -> str:
         return _arms()
     if what == "certificates":
         return _certificates()
+    if what == "environments":
+        return _environments()
     if ":" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -93,10 +103,11 @@ def _put(what: str) -> str:
     if title:
         sections = re.split(r"^## (.+)\n", text, flags=re.M)
         text = dict(zip(sections[1::2], sections[2::2], strict=True))[title]
-    return text.strip().replace("](docs/", "](")
+    return text.strip()
 
 
-def _tasks_page() -> str:
+def _environments() -> str:
+    """Return the table of all environments, with links from the page of all tasks."""
     rows = []
     for name in _TASKS:
         link = f"[{name}]({name.lower()}.md)"
@@ -112,17 +123,7 @@ def _tasks_page() -> str:
                 )
             )
     columns = "environment", "task", "robot_1, robot_2", "observations", "actions"
-    return "\n\n".join(
-        (
-            "# Tasks",
-            "![The eight environments of the thesis](../media/contact_sheet.png)",
-            _put("README.md, The tasks"),
-            "## The environments",
-            "Sizes are those of robot_1 and robot_2. Any arms go into any task:"
-            ' `cg.make("Lift", robots=("panda", "jaco"))`.',
-            _table(columns, rows),
-        )
-    )
+    return _table(columns, rows)
 
 
 def _task_page(name: str) -> str:

@@ -14,6 +14,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 import collaborative_gym as cg
+from collaborative_gym.evaluation.table11 import THESIS
 
 ROOT = Path(__file__).parents[1]
 
@@ -44,6 +45,7 @@ collaborative-gym() {
     esac
     "$PYTHON" -c "$QUICK" "$@"
 }
+.venv/bin/collaborative-gym() { collaborative-gym "$@"; }
 view() {
     : > page  # What an earlier view wrote there is no answer.
     "$PYTHON" -c "$QUICK" "$@" --port 0 >> page &
@@ -281,11 +283,28 @@ def test_what_is_put_into_a_page():
     assert expanded("a\n<!-- put: README.md, Licence -->\nb").startswith(
         "a\nApache-2.0"
     )
-    assert "](media/baselines/" in expanded("<!-- put: README.md, Results -->")
+    results = "<!-- put: README.md, Results -->"
+    assert "](media/baselines/" in expanded(results)
+    assert "](../media/baselines/" in expanded(results, "tasks/index.md")
     with pytest.raises(KeyError):
         expanded("<!-- put: README.md, Nothing -->")
     with pytest.raises(FileNotFoundError):
         expanded("<!-- put: NOTHING.md -->")
+
+
+def test_the_readme_has_the_results_of_table_11_and_can_be_read_in_minutes():
+    readme = (ROOT / "README.md").read_text()
+    assert len(readme.split()) <= 1500
+    table11 = (ROOT / "docs" / "tables" / "table11.md").read_text()
+    for env_id in THESIS:
+        row = re.search(rf"^\| {env_id} \| (.*) \|$", readme, re.M)
+        cells = re.findall(
+            rf"^\| {env_id} \| [a-z ]+ \| ([^|]+) \| (.+?) (?:PASS|FAIL) \|",
+            table11,
+            re.M,
+        )
+        (reward, *shares) = cells
+        assert row and row[1].split(" | ") == [*shares[0], *shares[1], *reward]
 
 
 def test_the_reference_has_every_public_name():
