@@ -144,7 +144,7 @@ def test_what_rollouts_say_is_learned_beside_one_another(make):
 
 @pytest.mark.parametrize("delayed", [0.0, 0.5, 1.0])
 def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
-    free = dict.fromkeys(PENALTIES, 0.0)
+    free = dict.fromkeys((*PENALTIES, "lost_grips"), 0.0)
     collector, learners = make(delayed=delayed, rollout_steps=2 * LENGTH, **free)
     done = []
     step = collector.env.step
@@ -184,3 +184,17 @@ def test_contacts_are_charged_by_the_deepest(make):
     charged = collector._penalties.charge(rewards, {}, previous={})
     for earned in charged.values():
         np.testing.assert_allclose(earned, 1.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
+
+
+@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.2, 0.1, 0.3)])
+def test_grips_are_lost_now_and_then(make, monkeypatch, share, least, most):
+    collector, learners = make(lost_grips=share, delayed=0.0, rollout_steps=100)
+    done = []
+    step = collector.env.step
+    monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
+    chosen = collector.collect(acting(learners), 0, NOTHING).rollouts["team"].actions
+    asked = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
+    is_lost = asked != np.clip(chosen, -1.0, 1.0)
+    grips = learners[0].learner.is_grip(Sizes.of(collector.env.task))
+    assert not is_lost[:, :, ~grips].any() and (asked[is_lost] == -1.0).all()
+    assert least <= is_lost[:, :, grips].mean() <= most

@@ -240,6 +240,7 @@ class Collector:
         self._players = [Player(learner, job, share) for learner in job.learners]
         self._penalties = Penalties(self.env, job.hyperparameters)
         self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)
+        self._lost_grips = job.hyperparameters.lost_grips
         self._partners = {
             agent: as_policy(policy, self.env) for agent, policy in job.partners.items()
         }
@@ -271,7 +272,7 @@ class Collector:
             for agent, policy in self._partners.items():
                 actions[agent] = np.asarray(policy(observations)[agent])
             assistance.carry(self.env)
-            observations, rewards, *ends, infos = self._step(actions)
+            observations, rewards, *ends, infos = self._step(actions, rng)
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
             episodes += full_episodes(infos)
@@ -308,11 +309,16 @@ class Collector:
         """Free the worlds."""
         self.env.close()
 
-    def _step(self, chosen: Mapping[str, np.ndarray]) -> tuple[Any, ...]:
-        """Do what the robots chose, late in some worlds, and charge them for it."""
+    def _step(
+        self, chosen: Mapping[str, np.ndarray], rng: np.random.Generator
+    ) -> tuple[Any, ...]:
+        """Do what robots chose, late or with a grip lost, and charge them for it."""
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
         late = self._is_late[:, None]
         done = {a: np.where(late, self._previous[a], chosen[a]) for a in chosen}
+        if self.env.task.gripping and self._lost_grips:
+            for action in done.values():
+                action[rng.random(len(action)) < self._lost_grips, -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
         rewards = self._penalties.charge(rewards, chosen, previous=self._previous)
         fresh, idle = infos["ended"][:, None], self.env.idle()

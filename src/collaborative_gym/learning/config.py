@@ -79,6 +79,9 @@ class Hyperparameters:
         Measuring it makes collecting about a quarter slower.
       delayed: share of the worlds in which each action is done one control step late.
         No validation is delayed.
+      lost_grips: how likely a robot loses its grip in a control step, whatever it
+        asked for; 0.005 is once in an episode. So it learns to take it again. None is
+        lost in validations.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for none but at
@@ -110,6 +113,7 @@ class Hyperparameters:
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
+    lost_grips: float = bounded(0.0, 0.0, 1.0)
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = bounded(250_000, 0, 10**15)
