@@ -14,7 +14,8 @@ from collaborative_gym.learning.folder import LAST
 @pytest.fixture
 def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
     """Return a function that trains the small task's baseline, of two runs."""
-    monkeypatch.setattr(baselines, "_EPISODES", 4)
+    four = dict.fromkeys(baselines._EPISODES, 4)
+    monkeypatch.setattr(baselines, "_EPISODES", four)
 
     def train_both(changes=None, **options):
         changes = changes or changed(tiny(total_steps=64))
@@ -45,14 +46,18 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
     assert f"--seed {best} " in card and "--hidden-sizes 16 16" in card
     assert "not the defaults: total_steps 64, num_envs 4, rollout_steps 8" in card
     rows = [line for line in card.splitlines() if re.match(r"\| [01] ", line)]
-    assert len(rows) == 4
+    assert len(rows) == 6
     shown = [row for row in rows if "(shipped)" in row]
-    assert len(shown) == 2 and all(f"| {best} (shipped)" in row for row in shown)
-    report = cg.evaluate(
-        carry_id, policy, episodes=4, randomization="paper", num_threads=1
-    )
-    (paper,) = [row for row in shown if "| paper |" in row]
-    assert f"| {format_statistic(report.mean_reward)} |" in paper
+    assert len(shown) == 3 and all(f"| {best} (shipped)" in row for row in shown)
+    conditions = {
+        "paper": {"randomization": "paper"},
+        "default": {},
+        "default, late": {"delay": 1},
+    }
+    for starts, options in conditions.items():
+        report = cg.evaluate(carry_id, policy, episodes=4, num_threads=1, **options)
+        (row,) = [row for row in shown if f"| {starts} |" in row]
+        assert f"| {format_statistic(report.mean_reward)} |" in row
 
 
 def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):

@@ -28,8 +28,9 @@ from collaborative_gym.learning.train import train
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.tasks.registry import as_task
 
-_EPISODES, _SEED = 200, 0
-"""What a card reports on; no run is trained on these episodes or chosen by them."""
+_EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
+"""What a card reports on; no run is trained on these episodes or chosen by them. Where
+they are late, each action is done one control step late."""
 
 
 class _Display(Protocol):
@@ -51,7 +52,8 @@ class Candidate:
     Attributes:
       seed: of the run.
       result: what came of the training.
-      reports: by randomization, "paper" and "default".
+      reports: by the starts that they tell of, "paper", "default", and "default, late"
+        for actions that are done one control step late.
     """
 
     seed: int
@@ -136,15 +138,16 @@ def _recipes(
 
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
     return {
-        preset: evaluate(
+        starts: evaluate(
             env_id,
             result.policy(),
-            episodes=_EPISODES,
+            episodes=episodes,
             seed=_SEED,
-            randomization=preset,
+            randomization=starts.partition(",")[0],
+            delay=int(starts.endswith("late")),
             num_threads=resources.num_threads,
         )
-        for preset in ("paper", "default")
+        for starts, episodes in _EPISODES.items()
     }
 
 
@@ -199,9 +202,9 @@ def write_card(
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
-        f"{_EPISODES} episodes of seed {_SEED} each; means, 95 % bootstrap intervals."
+        f"Episodes of seed {_SEED} ({_episodes()}); means, 95 % bootstrap intervals."
         " Where starts are all the same there is one deterministic episode, and no"
-        " interval.",
+        " interval. Where they are late, each action is done one control step late.",
         "",
         "| seed | steps | time | start | mean reward | median | completion |"
         " performance | time to success |",
@@ -213,14 +216,20 @@ def write_card(
     return "\n".join(lines) + "\n"
 
 
+def _episodes() -> str:
+    return "; ".join(
+        f"{starts}: {episodes:,}" for starts, episodes in _EPISODES.items()
+    )
+
+
 def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
     """Yield the lines of a card's table that tell of a run."""
-    for preset, report in candidate.reports.items():
+    for starts, report in candidate.reports.items():
         cells = [
             f"{candidate.seed} (shipped)" if is_best else f"{candidate.seed}",
             f"{candidate.result.steps / 1e6:.1f} M",
             f"{candidate.result.seconds / 60:.0f} min",
-            preset,
+            starts,
             format_statistic(report.mean_reward),
             format_number(report.mean_reward.median),
             format_statistic(report.completion, percent=True),
