@@ -45,6 +45,13 @@ _TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath")
 _LABELS = ("Agents", "Randomised", "Reward of each agent", "Success")
 """Words that begin a paragraph of a task's docstring, to stand out in its page."""
 
+_COMPLETION = """```sh
+collaborative-gym --tyro-write-completion bash \\
+    ~/.local/share/bash-completion/completions/collaborative-gym
+collaborative-gym --tyro-write-completion zsh ~/.zfunc/_collaborative-gym
+```"""
+"""How the shell learns what can follow; zsh's folder must be in its `fpath`."""
+
 _WIDTH = 78
 """Columns of the command line's help."""
 
@@ -323,10 +330,16 @@ def _folded(title: str, source: str) -> str:
 def _command_line_page() -> str:
     paragraphs = [
         "# Command line",
-        "What `collaborative-gym` says of itself. `python -m collaborative_gym` is the"
-        " same, and also finds it where the folder of scripts is not on the path. Its"
-        " exit status is 0 when done, 1 where the machine lacks something, 2 for bad"
-        " input, 130 after Ctrl-C and 143 after SIGTERM.",
+        "This is what `collaborative-gym` says of itself. `python -m collaborative_gym`"
+        " is the same command, for a shell that does not find the first one.",
+        "The exit status is 0 when the work is done, 1 where the machine lacks"
+        " something, 2 for wrong input, 130 after Ctrl-C, 141 where nobody reads the"
+        " output any more, and 143 after SIGTERM.",
+        "`--json -` writes the results to standard output, and the tables to standard"
+        " error.",
+        "The shell can complete commands and options, after one of these (and a new"
+        " shell):",
+        _COMPLETION,
         _help(),
     ]
     for command in COMMANDS:

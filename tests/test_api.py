@@ -61,20 +61,20 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
     with pytest.raises(KeyError) as caught:
         cg.make("CarryPanda-v0")
     message = str(caught.value)
-    assert message.startswith("no environment 'CarryPanda-v0'; environments: ")
-    assert message.endswith(f"(did you mean '{carry_id}'?)")
+    hint = f"no environment 'CarryPanda-v0' (did you mean '{carry_id}'?); environments:"
+    assert message.startswith(hint)
     assert "Carry, " in message
 
 
 @pytest.mark.parametrize(
     ("error", "arguments", "message"),
     [
-        (KeyError, {"robots": ("panda", "jacko")}, "no robot 'jacko'; .*mean 'jaco'"),
-        (KeyError, {"heigt": 1.0}, "no option 'heigt'; options: .*mean 'height'"),
+        (KeyError, {"robots": ("panda", "jacko")}, "no robot 'jacko' .*mean 'jaco'"),
+        (KeyError, {"heigt": 1.0}, "no option 'heigt' .*mean 'height'.*; options: "),
         (
             KeyError,
             {"randomization": "papr"},
-            "no randomization 'papr'; randomizations: default, paper .*mean 'paper'",
+            "no randomization 'papr' .*mean 'paper'.*; randomizations: default, paper",
         ),
         (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(panda, p"),
         (TypeError, {"robots": "panda"}, "sequence of names"),
@@ -92,7 +92,7 @@ def test_wrong_options_are_refused(carry_id, error, arguments, message):
 
 
 def test_a_tasks_name_is_no_environments_id(carry_id):
-    with pytest.raises(KeyError, match=f"no environment 'Carry'; .*mean '{carry_id}'"):
+    with pytest.raises(KeyError, match=f"no environment 'Carry' .*mean '{carry_id}'"):
         get_env("Carry")
 
 

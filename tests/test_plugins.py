@@ -64,7 +64,11 @@ def test_the_location_of_an_error_is_the_users_line(wave):
         ("1 / 0", "ZeroDivisionError: division by zero (my_wave.py, line 11)", 2),
         ("{}[3]", "KeyError: 3 (my_wave.py, line 11)", 2),
         ("import no_such", "ModuleNotFoundError: No module named 'no_such' (", 1),
-        ("cg.get_robot('pand')", "no robot 'pand'; robots: jaco, panda, sawyer (", 2),
+        (
+            "cg.get_robot('pand')",
+            "no robot 'pand' (did you mean 'panda'?); robots: jaco, panda, sawyer",
+            2,
+        ),
     ],
 )
 def test_the_command_line_tells_where_a_file_is_wrong(

@@ -52,14 +52,15 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
       valid: every name that would have been accepted.
 
     Returns:
-      One sentence that lists the valid names and suggests the nearest.
+      One sentence that suggests the nearest name and lists all of them.
     """
     names = sorted(valid)
     lower = {name.lower(): name for name in names}
     near = difflib.get_close_matches(str(given).lower(), lower, n=1, cutoff=0.5)
+    # Before the list, which may be long.
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-    return f"no {kind} {shown(given)}; {kinds}: {', '.join(names)}{hint}"
+    return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names)}"
 
 
 def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:

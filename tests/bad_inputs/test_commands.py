@@ -80,6 +80,7 @@ HYPERPARAMETERS = [
 
 WHOLE = [
     ("frobnicate", "frobnicate"),
+    ("evalute Poke", "did you mean 'evaluate'"),
     ("evaluate", "environment"),
     ("evaluate Lif --episodes 1", "Lif"),
     ("evaluate --all Poke", "not both"),
@@ -104,6 +105,8 @@ WHOLE = [
     ("list Poke", "Poke"),
     ("demo Poke", "Poke"),
     (EVALUATE + " --json {folder}/same --csv {folder}/same", "same"),
+    (EVALUATE + " --json - --csv -", "two outputs"),
+    ("evaluate Poke --robots panda jaco --policy PokeTaskSawyers-v0", "--any-env"),
 ]
 
 CANNOT = [

@@ -63,6 +63,7 @@ LOAD = [
         _file(b"\x02\0\0\0\0\0\0\0{}"),
         ["broken_3.safetensors"],
     ),
+    *table("policies", "policy file", _file(b"x"), ["last.pt", "mine.onnx", "mine"]),
     *table("policies", "sizes", _load, ["LiftTaskSawyers-v0"]),
 ]
 

@@ -31,6 +31,13 @@ def _in_scene(method, argument, /, *first, **rest):
     return call
 
 
+def _attached():
+    """Return an object that is in a scene."""
+    child = objects.cube()
+    cg.Scene().add("cube", child)
+    return child
+
+
 GRIP = {"agent": "robot_1", "site": "cube/centre", "threshold": 0.1, "width": 0.04}
 TARGET = {"name": "goal", "radius": 0.1}
 ADD = {"name": "box", "child": None}
@@ -59,7 +66,7 @@ SCENE = [
     *table("scene", "holds", _robot_added("holds"), NO_NUMBER[:6], [-1]),
     *table("scene", "stand", _robot_added("stand"), ["yes", 1, THING]),
     *table("scene", "name", _added("name"), [None, 3, "", [], "cube"]),
-    *table("scene", "child", _added("child"), [None, 3, "cube", THING]),
+    *table("scene", "child", _added("child"), [None, 3, "cube", THING, _attached()]),
     *table("scene", "position", _added("position"), NO_NUMBERS, [(0, 0, math.nan)]),
     *table("scene", "quat", _added("quat"), NO_NUMBERS, [(1, 0, 0, math.inf)]),
     *table("scene", "name", _in_scene("add_target", "name", radius=0.1), [None, 3, ""]),
@@ -101,7 +108,7 @@ SCENE = [
         "scene",
         "child",
         lambda s, v: s.scene.add_tool("robot_1", "t", child=v),
-        [None, "a"],
+        [None, "a", _attached()],
     ),
     *table(
         "scene",
@@ -288,3 +295,9 @@ CASES: list[Case] = [*SCENE, *OBJECTS, *ROBOTS, *REGISTRY, *MODULES]
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_bad_input_meets_a_sentence(case, shared):
     assert not fault(case, shared)
+
+
+def test_an_object_that_there_is_not_meets_those_that_are():
+    with pytest.raises(AttributeError, match=r"^no object 'bal' .*'ball'.*; objects: "):
+        _ = objects.bal
+    assert not hasattr(objects, "wall")

@@ -6,14 +6,16 @@ import subprocess
 import sys
 import time
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import viewer
-from collaborative_gym.cli.commands import Evaluate, Reproduce
+from collaborative_gym.cli import tables, terminal
+from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
-from collaborative_gym.cli.terminal import read_policies
+from collaborative_gym.cli.terminal import progress_bars, read_policies
 from collaborative_gym.evaluation import table11
 from collaborative_gym.policies import policy
 from collaborative_gym.tasks.identity import Identity
@@ -27,8 +29,36 @@ def test_list_has_a_line_per_environment(carry_id, capsys):
     for env_id in cg.list_envs():
         assert sum(line.split()[:1] == [env_id] for line in lines) == 1
     carry = next(line for line in lines if line.startswith(carry_id))
-    assert "  ".join(carry.split()[1:]) == "19,  19  8,  8  panda,  panda"
+    assert carry.split()[1:] == ["Carry", "panda,", "panda", "-"]
     assert max(map(len, lines[: len(cg.list_envs()) + 2])) <= 80
+
+
+def test_list_builds_worlds_for_their_sizes_alone(carry_id, capsys, monkeypatch):
+    monkeypatch.setattr(tables, "list_envs", lambda: [carry_id])
+    with monkeypatch.context() as patched:
+        patched.setattr(tables, "VectorEnv", None)
+        assert main(["list"]) == 0
+    assert main(["list", "--sizes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    carry = [line.split() for line in lines if line.startswith(carry_id)]
+    assert carry[1] == [*carry[0], "19,", "19", "8,", "8"]
+
+
+@pytest.mark.parametrize("command", ["evaluate Carry --episodes 2", "benchmark Poke"])
+def test_a_file_named_dash_is_standard_output(carry_id, capsys, command):
+    arguments = [*command.split(), "--num-envs", "2", "--num-threads", "1"]
+    assert main([*arguments, "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    json.loads(printed.out)
+    assert command.split()[1] in printed.err
+
+
+def test_lines_tell_the_progress_where_there_is_no_terminal(capsys, monkeypatch):
+    with progress_bars() as progress:
+        progress("quick")(0.5)
+        monkeypatch.setattr(terminal, "_LINE_INTERVAL", 0.0)
+        progress("slow")(0.25)
+    assert capsys.readouterr() == ("", "slow: 25%\n")
 
 
 def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
@@ -61,6 +91,11 @@ def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path)
     assert identity.robot_names == ("panda", "jaco")
     assert identity.config["randomization"]["joint_noise"] == 0.0
     assert (settings["seed"], settings["policy"]) == (5, "robot_1=random robot_2=idle")
+
+
+def test_all_commands_play_the_same_policy_unless_told_otherwise():
+    played = Record(env="Poke", output=Path("a.gif")), Evaluate(), View(env="Poke")
+    assert {command.policy for command in played} == {("expert",)}
 
 
 def test_words_for_robots_that_follow_each_other_are_one_policy():
@@ -138,8 +173,9 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
         ("certify Cary", "did you mean 'Carry'?"),
         ("certify Carry --episodes 0", "episodes must be at least 1"),
         ("certify Carry --quick --rounds 3", "--quick has a budget of its own"),
-        ("reproduce table12", "no table 'table12'; tables: table11"),
+        ("reproduce table12", "did you mean 'table11'?); tables: table11"),
         ("benchmark Cary", "did you mean 'Carry'?"),
+        ("evalute Carry", "no command 'evalute' (did you mean 'evaluate'?); commands"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(carry_id, capsys, arguments, message):
@@ -253,7 +289,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
     warn = named.pop("warn")
     assert env_id == "Lift"
     assert named == {
-        "policy": "random",
+        "policy": "expert",
         "any_env": False,
         "seed": 0,
         "robots": None,

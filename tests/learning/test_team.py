@@ -95,5 +95,5 @@ def test_a_shared_policy_needs_equal_spaces():
 
 
 def test_an_unknown_mode_names_those_there_are():
-    with pytest.raises(ValueError, match=r"centralized, .*did you mean 'shared'"):
+    with pytest.raises(ValueError, match=r"did you mean 'shared'.*: centralized, "):
         make_learners("share", SIZES)

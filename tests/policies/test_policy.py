@@ -72,7 +72,7 @@ def test_policies_play_a_pettingzoo_environment(carry_id, name):
 def test_unknown_policy_names_the_nearest(make_env):
     with pytest.raises(
         KeyError,
-        match=r"expert, frozen, gripping, idle, random \(did you mean 'expert'",
+        match=r"did you mean 'expert'\?\); .*expert, frozen, gripping, idle, random",
     ):
         load_policy("exprt", make_env())
 
@@ -198,7 +198,7 @@ def test_what_is_missing_is_named(make_env, tmp_path):
 def test_another_kind_of_file_is_refused(tmp_path, name):
     (tmp_path / name).write_bytes(b"PK" + bytes(100))
     with pytest.raises(
-        ValueError, match=r"is no policy.*policy\.safetensors of a train"
+        ValueError, match=r"is no policy file; .*policy\.safetensors in"
     ):
         load_policy(tmp_path / name)
 
@@ -282,7 +282,9 @@ def test_each_robot_needs_a_policy_that_commands_it(saved, make_env):
     env = make_env()
     with pytest.raises(ValueError, match="no policy for the agent robot_2; name one"):
         load_policy({"robot_1": "expert"}, env)
-    with pytest.raises(KeyError, match="no agent 'robot_3'; agents: robot_1, robot_2"):
+    with pytest.raises(
+        KeyError, match="no agent 'robot_3' .*; agents: robot_1, robot_2"
+    ):
         load_policy({"robot_1": "idle", "robot_2": "idle", "robot_3": "idle"}, env)
     with pytest.raises(
         TypeError, match=r"policy must be one of 'baseline', .* got None"

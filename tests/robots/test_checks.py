@@ -26,7 +26,7 @@ def test_neighbours_may_overlap_at_home(own, from_urdf, in_a_world):
 
 WRONG_VALUES = [
     ({"name": ""}, "name must not be empty"),
-    ({"stand": "desk"}, "no stand 'desk'; stands: none, pedestal, table"),
+    ({"stand": "desk"}, "no stand 'desk'.*; stands: none, pedestal, table"),
     ({"joints": ()}, "joints must name each arm joint once"),
     ({"joints": ("joint_1",) * 6}, "joints must name each arm joint once"),
     ({"home": (0.0,) * 5}, "has 6 joints but 5 values in home; give one per joint"),
@@ -49,9 +49,9 @@ WRONG_VALUES = [
     ({"reach": float("inf")}, "reach must be finite, got inf"),
     (
         {"joints": tuple(f"joint{i}" for i in range(6))},
-        "no joint 'joint0'; joints: .*did",
+        "no joint 'joint0' .did .*; joints: ",
     ),
-    ({"tcp": "tpc"}, "own_arm.xml has no frame 'tpc'; frames: .*did you mean 'tcp'"),
+    ({"tcp": "tpc"}, "own_arm.xml has no frame 'tpc' .did you mean 'tcp'.*; frames: "),
     ({"tcp": "forearm"}, "its body 'forearm' is not carried by 'wrist_3'; list joints"),
     (
         {"joints": tuple(f"joint_{i}" for i in (2, 1, 3, 4, 5, 6))},
@@ -135,7 +135,10 @@ def test_a_missing_model_file_is_named(own, tmp_path):
             "gripper.open_position puts joint 'left_finger' at 0.5",
         ),
         ({"open_position": 0.0, "closed_position": 0.039}, "swap the two"),
-        ({"joints": ("left_fingr",)}, "no joint 'left_fingr'; joints: .*did you mean"),
+        (
+            {"joints": ("left_fingr",)},
+            "no joint 'left_fingr' .did you mean .*; joints: ",
+        ),
     ],
 )
 def test_wrong_grippers_are_refused(own, fields, message):

@@ -20,6 +20,7 @@ from collaborative_gym.cli.terminal import (
     Size,
     check_files,
     progress_bars,
+    put,
     read_policies,
     read_policy,
     tell,
@@ -31,15 +32,21 @@ from collaborative_gym.cli.terminal import (
 
 @dataclass(frozen=True, kw_only=True)
 class List(Command):
-    """List the environments: robots, and each agent's observation and action sizes."""
+    """List the environments, with their robots and whether a baseline is shipped.
+
+    Attributes:
+      sizes: list the sizes of each agent's observation and action, too. It builds every
+        world, which takes seconds.
+    """
+
+    sizes: tyro.conf.FlagCreatePairsOff[bool] = False
 
     def run(self) -> None:
         """Print the table."""
-        from collaborative_gym import list_envs, list_robots, list_tasks, make_vec
+        from collaborative_gym import list_robots, list_tasks
         from collaborative_gym.cli.tables import environments_table
 
-        envs = ((env_id, make_vec(env_id, 1, num_threads=1)) for env_id in list_envs())
-        tell(environments_table(envs))
+        tell(environments_table(self.sizes))
         tell(
             f"\nAny robots ({', '.join(list_robots())}) go into any task"
             f" ({', '.join(list_tasks())}):\n"
@@ -123,8 +130,8 @@ class Evaluate(_World):
       num_envs: worlds to play in beside one another; the numbers do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
       json: file for all statistics, interquartile means and each robot's return too,
-        and all episodes.
-      csv: file with one row per episode.
+        and all episodes; - for standard output.
+      csv: file with one row per episode; - for standard output.
     """
 
     envs: Envs = ()
@@ -143,7 +150,6 @@ class Evaluate(_World):
         """Print a table and write the files."""
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
-        from collaborative_gym.files import write_text
 
         env_ids = _env_ids(self)
         policy = read_policy(self.policy)
@@ -166,12 +172,10 @@ class Evaluate(_World):
                         on_progress=progress(env_id),
                     )
                 )
-        tell(reports_table(reports))
-        tell(strain_table(reports))
-        if self.json is not None:
-            write_text(self.json, report.reports_to_json(reports))
-        if self.csv is not None:
-            write_text(self.csv, report.reports_to_csv(reports))
+        tell(reports_table(reports), besides=(self.json, self.csv))
+        tell(strain_table(reports), besides=(self.json, self.csv))
+        put(self.json, report.reports_to_json(reports))
+        put(self.csv, report.reports_to_csv(reports))
 
 
 def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
@@ -311,7 +315,7 @@ class Benchmark(Command):
       envs: environment ids, or tasks' names. (default: all ids)
       num_envs: worlds to step together.
       num_threads: physics threads, 0 for one per CPU.
-      json: file for the numbers and the machine's description.
+      json: file for the numbers and the machine's description; - for standard output.
     """
 
     envs: Envs = ()
@@ -324,7 +328,6 @@ class Benchmark(Command):
         from collaborative_gym import list_envs
         from collaborative_gym.cli.tables import benchmark_table
         from collaborative_gym.evaluation.speed import benchmark
-        from collaborative_gym.files import write_text
 
         check_files(self.json)
         with progress_bars() as progress:
@@ -334,9 +337,8 @@ class Benchmark(Command):
                 num_threads=self.num_threads,
                 on_progress=progress("benchmark"),
             )
-        tell(benchmark_table(measured))
-        if self.json is not None:
-            write_text(self.json, measured.to_json())
+        tell(benchmark_table(measured), besides=(self.json,))
+        put(self.json, measured.to_json())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,10 +350,6 @@ class View(_World):
 
     Attributes:
       env: environment id, or a task's name.
-      policy: who commands the robots: expert, random, idle, gripping or frozen (hold
-        still: with an open grip, a closed one, or as it is), baseline (the trained
-        policy that is shipped), or a path to a policy file or a training
-        folder; or one for each robot, such as robot_1=baseline robot_2=idle.
       web: show it in the browser.
       host: address that the browser's page is served at. Whoever reaches it can watch
         and control the robots.
@@ -359,7 +357,6 @@ class View(_World):
     """
 
     env: Env
-    policy: Policies = ("random",)
     web: tyro.conf.FlagCreatePairsOff[bool] = False
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     port: int = 8080

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import traceback
+import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -26,6 +27,7 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.terminal import Command, tell
 from collaborative_gym.cli.train import Train
+from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _UNREAD, _TERMINATED = 1, 2, 130, 141, 143
@@ -104,6 +106,9 @@ def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         tell(f"collaborative-gym {version('collaborative-gym')}")
         return
+    verbs = [kind.__metadata__[0].name for kind in typing.get_args(_Command)]
+    if arguments and arguments[0] not in verbs and arguments[0][:1] != "-":
+        raise UnknownName(unknown("command", arguments[0], verbs))
     command = tyro.cli(
         _Command,
         prog="collaborative-gym",

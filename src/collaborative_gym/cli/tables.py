@@ -1,6 +1,6 @@
 """Tables that the command line prints."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from rich import box
 from rich.table import Table
@@ -23,20 +23,36 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
+from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 
 
-def environments_table(envs: Iterable[tuple[str, VectorEnv]]) -> Table:
-    """Return ids, robots and sizes of environments, one line each."""
-    table = _table("environment", "observation", "action", "robots")
-    table.columns[-1].justify = "left"
-    for env_id, env in envs:
-        robots = [robot.name for robot in env.task.robots.values()]
-        sizes = [
-            ", ".join(str(space.shape[0]) for space in spaces.values())
-            for spaces in (env.single_observation_spaces, env.single_action_spaces)
-        ]
-        table.add_row(env_id, *sizes, ", ".join(robots))
+def environments_table(with_sizes: bool) -> Table:
+    """Return ids, tasks and robots of all environments, one line each."""
+    sizes = ["observation", "action"] if with_sizes else []
+    table = _table("environment", "task", "robots", "baseline", *sizes)
+    for column in table.columns[1:4]:
+        column.justify = "left"
+    for env_id in list_envs():
+        spec = get_env(env_id)
+        has_baseline = (BASELINES / f"{env_id}.safetensors").exists()
+        table.add_row(
+            env_id,
+            spec.task.__name__,
+            ", ".join(spec.robots),
+            "yes" if has_baseline else "-",
+            *(_sizes(env_id) if with_sizes else ()),
+        )
     return table
+
+
+def _sizes(env_id: str) -> list[str]:
+    """Return the sizes of each agent's observation and action; it needs a world."""
+    env = VectorEnv(make_task(env_id), 1, num_threads=1)
+    return [
+        ", ".join(str(space.shape[0]) for space in spaces.values())
+        for spaces in (env.single_observation_spaces, env.single_action_spaces)
+    ]
 
 
 def reports_table(reports: Sequence[Report]) -> Table:

@@ -1,5 +1,7 @@
 """What the commands share: kinds of arguments, and output to the terminal."""
 
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +19,10 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from collaborative_gym.files import check_writable
+from collaborative_gym.files import check_writable, write_text
+
+_LINE_INTERVAL = 10.0
+"""Least time between two lines of progress where there is no terminal, in s."""
 
 Modules = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]],
@@ -71,6 +76,9 @@ Size = Annotated[
     ),
 ]
 
+STANDARD_OUTPUT = Path("-")
+"""Stands for standard output where a file is named."""
+
 Progress = Callable[[str], Callable[[float], None]]
 """Adds a named bar and returns what sets its share, 0 to 1."""
 
@@ -111,12 +119,27 @@ def check_files(*paths: Path | None) -> None:
     if len(set(given)) < len(given):
         raise ValueError(f"{given[0]} is named for two outputs; name two files")
     for path in given:
-        check_writable(path)
+        if path != STANDARD_OUTPUT:
+            check_writable(path)
 
 
-def tell(content: Table | str) -> None:
-    """Print a table or a text on standard output."""
-    console = Console()
+def put(path: Path | None, text: str) -> None:
+    """Write a text file, or standard output; nothing where none is named."""
+    if path == STANDARD_OUTPUT:
+        sys.stdout.write(text)
+    elif path is not None:
+        write_text(path, text)
+
+
+def tell(content: Table | str, *, besides: Sequence[Path | None] = ()) -> None:
+    """Print a table or a text on standard output.
+
+    Args:
+      content: what to print.
+      besides: where results go. If one goes to standard output, this is printed on
+        standard error, so that programs can read the result.
+    """
+    console = Console(stderr=STANDARD_OUTPUT in besides)
     if isinstance(content, str):
         console.print(content, markup=False, highlight=False, soft_wrap=True)
     else:
@@ -131,8 +154,14 @@ def warn(text: str) -> None:
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
-    """Show progress bars below one another while the context lasts."""
+    """Show progress bars below one another while the context lasts.
+
+    Where there is no terminal, lines tell the progress instead.
+    """
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda name: _lines(console, name)
+        return
     bars = Bars(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -140,7 +169,6 @@ def progress_bars() -> Iterator[Progress]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
     )
 
     def add(name: str) -> Callable[[float], None]:
@@ -149,3 +177,16 @@ def progress_bars() -> Iterator[Progress]:
 
     with bars:
         yield add
+
+
+def _lines(console: Console, name: str) -> Callable[[float], None]:
+    """Return what prints a share as a line, unless it printed one just now."""
+    printed = time.monotonic()
+
+    def show(share: float) -> None:
+        nonlocal printed
+        if time.monotonic() >= printed + _LINE_INTERVAL:
+            printed = time.monotonic()
+            console.print(f"{name}: {share:.0%}", markup=False, highlight=False)
+
+    return show

@@ -1,5 +1,6 @@
 """The command that trains."""
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -106,9 +107,13 @@ class Train(Command):
                 checkpoint_interval=self.checkpoint_interval,
                 on_row=display.show,
             )
-        update = hyperparameters.steps_per_update
-        if hyperparameters.total_steps < update:
-            tell(f"trained {update:,} steps, the least: num_envs x rollout_steps")
+        total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
+        trained = math.ceil(total / update) * update
+        if trained > 1.01 * total:
+            tell(
+                f"trained {trained:,} steps, not {total:,}: an update takes {update:,}"
+                " steps, --num-envs times --rollout-steps"
+            )
         tell(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters]:

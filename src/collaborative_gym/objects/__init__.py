@@ -1,5 +1,8 @@
 """The things in the worlds: functions that return a model of one."""
 
+from typing import Any
+
+from collaborative_gym.errors import unknown
 from collaborative_gym.objects.ball import ball
 from collaborative_gym.objects.board import board
 from collaborative_gym.objects.cube import cube
@@ -10,3 +13,7 @@ from collaborative_gym.objects.stick import stick
 from collaborative_gym.objects.table import table
 
 __all__ = ["ball", "board", "cube", "donut", "pedestal", "pot", "stick", "table"]
+
+
+def __getattr__(name: str) -> Any:
+    raise AttributeError(unknown("object", name, __all__))

@@ -171,6 +171,12 @@ def _load_file(name: str | Path) -> NetworkPolicy:
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
+        if path.suffix != ".safetensors":
+            raise ValueError(
+                f"{path} is no policy file; give the folder of a training run, or the"
+                f" {POLICY_FILE} in it. What other libraries trained can play as a"
+                " function from observations to actions"
+            )
         return NetworkPolicy.load(path)
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(f"no policy file {path}")

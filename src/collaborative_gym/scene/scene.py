@@ -127,10 +127,11 @@ class Scene:
 
         Raises:
           TypeError: if an argument is of another kind.
-          ValueError: if the name is taken, or a place or turn is none.
+          ValueError: if the name is taken, a place or turn is none, or the object is
+            in a scene already.
         """
         self._check_free("name", name)
-        check_kind("child", child, mujoco.MjSpec, "an MjSpec")
+        _check_child(name, child)
         position = check_numbers("position", position, 3)
         quat = check_numbers("quat", quat, 4)
         frame = self.spec.worldbody.add_frame(pos=position, quat=quat)
@@ -140,7 +141,7 @@ class Scene:
     def add_tool(self, agent: str, name: str, *, child: mujoco.MjSpec) -> None:
         """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
         self._check_arm(agent)
-        check_kind("child", child, mujoco.MjSpec, "an MjSpec")
+        _check_child(name, child)
         tcp = self.spec.site(f"{agent}/{self.robots[agent].tcp}")
         self.spec.attach(child, site=tcp, prefix=f"{agent}/{name}/")
         self.tools.setdefault(agent, []).append(name)
@@ -394,3 +395,13 @@ class Scene:
         else:
             return
         self.add(f"{agent}_stand", stand, position=(x, y, 0.0), quat=placement.quat)
+
+
+def _check_child(name: str, child: mujoco.MjSpec) -> None:
+    """Raise unless a model can be put into a scene."""
+    check_kind("child", child, mujoco.MjSpec, "an MjSpec")
+    if child.parent is not None:
+        raise ValueError(
+            f"the child given as {name!r} is in a scene already; make another one, by"
+            " calling the function that made it again"
+        )

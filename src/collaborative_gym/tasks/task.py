@@ -315,9 +315,9 @@ class Task(Generic[ConfigT, FactsT]):
 
         Experts compute with NumPy, and so play on NumPy's worlds only.
         """
-        raise self._missing("expert")
+        raise self._missing("expert", " or play another policy, such as random")
 
-    def _missing(self, method: str) -> NotImplementedError:
+    def _missing(self, method: str, otherwise: str = "") -> NotImplementedError:
         return NotImplementedError(
-            f"{type(self).__name__} has no {method}(); write one"
+            f"{type(self).__name__} has no {method}(); write one{otherwise}"
         )

@@ -17,7 +17,7 @@ def view(
     tell: Callable[[str], object],
     *,
     warn: Callable[[str], object],
-    policy: AnyPolicy = "random",
+    policy: AnyPolicy = "expert",
     any_env: bool = False,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
