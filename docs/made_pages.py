@@ -46,6 +46,7 @@ _LABELS = ("Agents", "Randomised", "Reward of each agent", "Success")
 """Words that begin a paragraph of a task's docstring, to stand out in its page."""
 
 _COMPLETION = """```sh
+mkdir -p ~/.local/share/bash-completion/completions ~/.zfunc
 collaborative-gym --tyro-write-completion bash \\
     ~/.local/share/bash-completion/completions/collaborative-gym
 collaborative-gym --tyro-write-completion zsh ~/.zfunc/_collaborative-gym

@@ -283,7 +283,7 @@ def test_each_robot_needs_a_policy_that_commands_it(saved, make_env):
     with pytest.raises(ValueError, match="no policy for the agent robot_2; name one"):
         load_policy({"robot_1": "expert"}, env)
     with pytest.raises(
-        KeyError, match="no agent 'robot_3' .*; agents: robot_1, robot_2"
+        KeyError, match=r"no agent 'robot_3' .*; agents: robot_1, robot_2"
     ):
         load_policy({"robot_1": "idle", "robot_2": "idle", "robot_3": "idle"}, env)
     with pytest.raises(
