@@ -218,8 +218,8 @@ def _actions(env: cg.VectorEnv) -> str:
     )
     return (
         f"An action is {listed} numbers in [-1, 1]: one for each joint, in the order"
-        f" of the arm's joints{grip}.\n\nThe reward is the sum of these terms:"
-        f"\n\n{terms}"
+        f" of the arm's joints{grip}.\n\nThe reward is the sum of these terms,"
+        f" which the top of this page explains:\n\n{terms}"
     )
 
 

@@ -2,25 +2,29 @@
 
 The board (0.8 x 1.5 m, 1 kg) is fixed in robot_1's hand and welded to robot_2's tcp, so
 both arms move with every tilt. One arm can tilt it alone, against the servos of the
-other: the task measures how well two arms cooperate, not whether they must. The ball
-rolls without slipping, and rests on slopes below 0.075. In the two-Sawyer environment a
-vertical force drawn anew at every step, up to 10 N either way, acts on a random point
-of the board.
+other. So the task measures how well two arms cooperate, not whether they must. The ball
+rolls without slipping. On slopes below 0.075 it rests. In the two-Sawyer environment a
+vertical force acts on a random point of the board; it is drawn anew at every step, up
+to 10 N up or down.
 
 Randomised: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm
-holds it. Start angles are what inverse kinematics makes of the nominal ones plus noise.
+holds it. The start angles come from the nominal ones plus noise, by inverse kinematics.
 
-Reward of each agent: minus the distance between the centres of ball and board, minus 1
-once the ball has left the board. A ball that has left it never counts as back.
+Reward of each agent:
 
-Success: that distance below 0.09 m while the ball is on the board. The centres are
+- `distance`: minus the distance between the centres of ball and board, in m.
+- `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
+  counts as back.
+
+Success: that distance is below 0.09 m while the ball is on the board. The centres are
 0.06 m apart when the ball lies in the middle, so the ball must be within 0.067 m of the
 middle along the board.
 
-The thesis starts the board 0.7 or 0.6 m above the floor. A Sawyer mounted as there has
-its handle at the end of its reach at 0.7 m, where it cannot make two in five of the
-moves and tilts wanted here, and out of reach at 0.6 m. So the board starts at 0.95 m.
+The thesis starts the board 0.7 or 0.6 m above the floor. At 0.7 m, a Sawyer that is
+mounted as in the thesis has its handle at the end of its reach, where it cannot make
+two in five of the moves and tilts that the task needs. At 0.6 m the handle is out of
+reach. So the board starts at 0.95 m.
 """
 
 from dataclasses import dataclass

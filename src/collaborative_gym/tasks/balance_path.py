@@ -1,16 +1,20 @@
 """BalancePath: two arms lead a ball along a path in space, on a board that they hold.
 
-As Balance, but the target moves: seen from above it runs along a figure of eight, twice
-as often across the board as along it, and meanwhile it rises and sinks once. The ball
-is to be where the target is, so the whole board must rise and sink with it. An arm that
-holds still keeps its end of the board where it is. The other arm can tilt the board,
-but not lift the far end: the board is a lever of 1.6 m, and an arm's wrist is weak.
+This is Balance with a target that moves. Seen from above, the target runs along a
+figure of eight: in a lap it goes to and fro twice across the board and once along it.
+Meanwhile it rises and sinks once. The ball must be where the target is, so the whole
+board must rise and sink with it. An arm that holds still keeps its end of the board
+where it is. The other arm can tilt the board, but it cannot lift the far end: the board
+is a lever of 1.6 m, and an arm's wrist is weak.
 
-Randomised: as in Balance; where the path lies (along every axis), its size (0.9 to 1),
-where on it the target starts, and which way round it runs.
+Randomised: what Balance randomises; where the path lies (along every axis), its size
+(0.9 to 1), where on it the target starts, and which way round it runs.
 
-Reward of each agent: minus the distance between the centres of ball and target, minus 1
-once the ball has left the board. A ball that has left it never counts as back.
+Reward of each agent:
+
+- `distance`: minus the distance between the centres of ball and target, in m.
+- `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
+  counts as back.
 
 Success: that distance has been below 0.06 m for a whole lap of 12 s, without a break,
 and the ball is on the board. Performance counts how long it is below that distance from

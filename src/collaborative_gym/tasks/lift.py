@@ -1,19 +1,28 @@
 """Lift: two robots lift a pot that is too heavy for one.
 
-The pot stands on a table between the robots. Each grips its handle, and together they
-lift the pot, level, to a target above.
+The pot stands on a table between the robots. Each robot grips its handle. Together they
+lift the pot to a target above the table and keep it level.
 
-Agents: `robot_1` at -y with the handle at -y, `robot_2` at +y with the other. Both
-observe everything.
+Agents: `robot_1` stands at -y and takes the handle at -y, `robot_2` stands at +y and
+takes the other. Both observe everything.
 
 Randomised: the arms' start, the pot's place and turn on the table, the target.
+
+Reward of each agent:
+
+- `reach`: minus the distance from its tool centre point to its handle, in m.
+- `lift`: -2 times the distance from the pot's middle to the target, in m.
+- `tilt`: -0.2 (|roll| + |pitch|) of the pot, in rad.
+- `effort`: minus 0.01 times the Euclidean norm of its joints' part of the action.
+- `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its
+  handle, else 0.
 
 Success: the pot's middle is within 0.15 m of the target, level within 15 degrees and
 slower than 0.3 m/s, while both arms grip it.
 
-The pot's mass follows from the arms, so that none can hold it alone; `lift_mass` says
-how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone
-would not do: an arm can swing the pot past the target by its momentum, even while the
+The pot's mass follows from the arms, so that none can hold it alone. `lift_mass` says
+how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone is
+not enough: an arm can swing the pot past the target by its momentum, even while the
 other arm only holds on. A pot that is swung is tilted or fast.
 """
 

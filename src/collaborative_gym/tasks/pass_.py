@@ -1,21 +1,39 @@
 """Pass: one robot picks a cube and hands it over to another, who brings it to a target.
 
-Two robots stand side by side, each with a table: an arm with a pedestal before it, any
-other on its near end. The cube (0.04 m, 0.05 kg) lies on robot_1's table; the target
-hangs in the air before robot_2. A grip holds the cube's centre at the tool centre point
-and leaves its turning free; for a moment both robots may hold it.
+Two robots stand side by side. Each has a table: an arm that stands on a pedestal has
+the table in front of it, any other arm stands on its near end. The cube (0.04 m, 0.05
+kg) lies on robot_1's table. The target hangs in the air in front of robot_2. A grip
+holds the cube's centre at the tool centre point and lets the cube turn. For a moment
+both robots may hold it.
 
 Agents: `robot_1` picks and hands over, `robot_2` takes over and carries.
 
 Randomised: the joints of both arms, the cube's place on the table (x and y) and its
 turn about the vertical, the target's place along each axis.
 
+Reward of each agent: robot_2 is "near" while its tool centre point is within
+`handover_threshold` (0.05 m) of the cube's centre.
+
+- `reach` of robot_1: minus the distance from its tool centre point to the cube, in m;
+  0.2 while robot_2 is near.
+- `handover` of robot_1: minus the distance from robot_2's tool centre point to the
+  cube.
+- `grip` of robot_1: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of
+  the cube; while robot_2 is near, -0.1 if it asks for a grip; else 0.
+- `reach` of robot_2: minus the distance from its tool centre point to the cube, in m.
+- `carry` of robot_2: minus the distance from the cube to the target, in m.
+- `grip` of robot_2: 0.1 while it is near and asks for a grip, else 0.
+- `effort` of both: minus 0.01 times the Euclidean norm of the joints' part of the
+  action.
+- `success` of both: 1 while the goal is reached, else 0.
+
 Success: the cube is within `success_radius` of the target and robot_2 holds it. The
-thesis asks for the distance alone. As nothing at the target could carry the cube, the
-second condition only rules out that robot_1 throws it through, which a search found its
-arm able to do. Carrying it, robot_1 stays 0.27 m or more outside the radius; robot_2
-lacks 0.18 m or more to grip the cube on robot_1's table. This holds for all that the
-default randomisation draws, for every pair of Sawyer, Panda and Jaco.
+thesis asks for the distance alone. Nothing at the target could carry the cube, so the
+second condition only rules out that robot_1 throws it through the target, which a
+search found its arm able to do. While it carries the cube, robot_1 stays 0.27 m or more
+outside the radius. robot_2 lacks 0.18 m or more to grip the cube on robot_1's table.
+This holds for all that the default randomisation draws, for every pair of Sawyer, Panda
+and Jaco.
 """
 
 from dataclasses import dataclass

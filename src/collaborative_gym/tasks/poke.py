@@ -1,23 +1,28 @@
 """Poke: one arm holds a stick, the other a square ring, and the stick goes in the hole.
 
-robot_1 holds the stick (0.2 m long), robot_2 the ring, called donut (outer side 0.24 m,
-hole 0.16 m). Both are fixed in their grippers for good, so nothing is gripped or
-released. The arms start turned aside, each object out of the other arm's reach: they
-must meet half-way, the ring presented and the stick lined up with its hole.
+robot_1 holds the stick (0.2 m long). robot_2 holds the ring, called donut (outer side
+0.24 m, hole 0.16 m). Both objects are fixed in the grippers for good, so nothing is
+gripped or released. The arms start turned aside, and each object is out of the other
+arm's reach. So the arms must meet half-way: robot_2 presents the ring, and robot_1
+lines up the stick with its hole.
 
 Randomised: where each object starts (its position along every axis, its turn about the
 vertical) and every joint angle.
 
-Reward of each agent: minus the distance from the stick's middle to the ring's centre,
-minus 0.8 times |cos| of the angle between the stick and the ring's plane, minus 0.01
-times the norm of its own action, plus 1 while the stick is inside (distance below
-0.065 m and |cos| below 0.2).
+Reward of each agent:
 
-Success: distance below 0.09 m while the stick's axis crosses the ring's plane within
-the hole. The distance alone would not do, for a stick that lies flat on the ring is as
-near. Inside implies the crossing and need not ask for it: within its bounds the axis
-crosses the plane at most 0.067 m from the ring's centre, and so from the stick's
-middle, while the hole's sides are 0.08 m away and the stick's ends 0.1 m.
+- `distance`: minus the distance from the stick's middle to the ring's centre, in m.
+- `angle`: -0.8 |cos a|, where a is the angle between the stick and the ring's plane.
+- `effort`: minus 0.01 times the Euclidean norm of the agent's own action.
+- `inside`: 1 while the stick is inside: the distance is below 0.065 m and |cos a| is
+  below 0.2; else 0.
+
+Success: the distance is below 0.09 m while the stick's axis crosses the ring's plane
+within the hole. The distance alone is not enough, because a stick that lies flat on the
+ring is as near. The term `inside` need not ask for the crossing, because it implies it:
+within its bounds the axis crosses the plane at most 0.067 m from the ring's centre, and
+so from the stick's middle. The hole's sides are 0.08 m away, and the stick's ends 0.1
+m.
 """
 
 from dataclasses import dataclass
