@@ -48,7 +48,7 @@ def test_a_rollout_has_what_was_seen_done_and_seen_last(make, mode):
     assert [each.steps for each in collected] == [WORLDS * STEPS] * 3
     for learner in learners:
         found = [each.rollouts[learner.learner.name] for each in collected]
-        rows = learner.learner.num_rows(WORLDS)
+        rows = collector._job.casting.num_rows(learner.learner, WORLDS)
         for rollout in found:
             assert rollout.observations.shape[:2] == (STEPS + 1, rows)
             assert rollout.rewards.shape == rollout.log_prob.shape == (STEPS, rows)

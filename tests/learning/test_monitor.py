@@ -15,7 +15,7 @@ from collaborative_gym.evaluation.report import Score, Statistic
 from collaborative_gym.learning import curve, monitor
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve, learning_curve
-from collaborative_gym.learning.monitor import Monitor, summarize
+from collaborative_gym.learning.monitor import Monitor, means_of, summarize
 
 
 def episode(total, **others):
@@ -88,14 +88,14 @@ def test_summary_of_a_validation():
     statistics = [Statistic.of(each) for each in ([-3.0, -5.0], [1.0, 0.0], [0.25], [])]
     score = Score(*statistics)
     alone = SimpleNamespace(sides={"side_1": score})
-    summary = summarize(1, 1.0, 1.0, Iteration([], {}), alone)
+    summary = summarize(1, 1.0, 1.0, Iteration([], {}), means_of(alone))
     assert summary["validation/return"] == -4.0
     assert summary["validation/completion"] == 0.5
     assert summary["validation/performance"] == 0.25
     assert "validation/score" not in summary
     score = replace(score, score=Statistic.of([2.0]))
     rivals = SimpleNamespace(sides={"side_1": score, "side_2": score})
-    summary = summarize(1, 1.0, 1.0, Iteration([], {}), rivals)
+    summary = summarize(1, 1.0, 1.0, Iteration([], {}), means_of(rivals))
     assert summary["validation/side_2/return"] == -4.0
     assert summary["validation/side_2/score"] == 2.0
     assert "validation/return" not in summary

@@ -5,8 +5,10 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.learning.backend import Backend
+from collaborative_gym.learning.casting import make_casting
 from collaborative_gym.learning.collector import Job, OwnCollector
 from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
 
@@ -15,7 +17,7 @@ IDLE = {"robot_2": "idle"}
 
 @pytest.mark.parametrize("mode", MODES)
 def test_only_the_others_learn(train_tiny, mode, carry):
-    result = train_tiny(mode=mode, partners=IDLE)
+    result = train_tiny(mode=mode, partner=IDLE)
     policy = result.policy()
     assert policy.agents == ("robot_1",)
     report = cg.evaluate(
@@ -26,11 +28,14 @@ def test_only_the_others_learn(train_tiny, mode, carry):
 
 def test_partners_play_their_policies(carry, tiny):
     task = carry()
-    sizes = Sizes.of(task).without(IDLE)
-    learners = make_learners("independent", sizes, task.sides)
+    sizes, given = Sizes.of(task), ["robot_2=idle"]
+    casting = make_casting(task, (), given, hyperparameters=tiny())
+    seats = casting.learned("")
+    learners = make_learners("independent", sizes, task.sides, seats=seats)
     assert [learner.agents for learner in learners] == [("robot_1",)]
-    collector = OwnCollector(Job(task, learners, sizes, 0, tiny(), 1, IDLE))
-    learner = PPOLearner(learners[0], sizes, tiny(), "cpu")
+    collector = OwnCollector(Job(task, learners, sizes, 0, tiny(), 1, casting))
+    learner = PPOLearner(learners[0], sizes, tiny(), "cpu", casting)
+    pool = Pool(casting, read_guests(task, casting, given))
     env, played = collector._collector.env, []
     step = env.step
 
@@ -39,7 +44,7 @@ def test_partners_play_their_policies(carry, tiny):
         return step(actions)
 
     env.step = spied
-    Backend([learner], collector).advance()
+    Backend([learner], collector).advance(pool.invitation(learner.weights))
     assert len(played) == tiny().rollout_steps
     for actions in played:
         assert np.array_equal(actions["robot_2"], env.idle()["robot_2"])
@@ -47,25 +52,25 @@ def test_partners_play_their_policies(carry, tiny):
 
 
 def test_a_run_goes_on_with_its_partners(train_tiny, tiny):
-    result = train_tiny(partners=IDLE)
+    result = train_tiny(partner=IDLE)
     more = {"resume": result.folder, "hyperparameters": tiny(total_steps=160)}
     again = train_tiny(**more)
-    assert again.settings.partners == IDLE
+    assert again.settings.partners == ("robot_2=idle",)
     assert again.policy().agents == ("robot_1",)
-    with pytest.raises(ValueError, match=r"partners is \{\}, not {'robot_2': 'idle'}"):
-        train_tiny(**more, partners={})
+    with pytest.raises(ValueError, match=r"partners is \(\), not \('robot_2=idle',\)"):
+        train_tiny(**more, partner={})
 
 
 @pytest.mark.parametrize(
     ("partners", "message"),
     [
-        ({"robot_3": "idle"}, "partners: no agent 'robot_3'"),
+        ({"robot_3": "idle"}, "no agent 'robot_3'"),
         ({"robot_1": "idle", "robot_2": "idle"}, "so that nobody learns; leave one"),
         ({"robot_2": 3}, "the partner robot_2 must be a policy's name, got 3"),
         ({"robot_2": "idel"}, "no policy 'idel'"),
-        ("idle", "partners must be a dictionary of policies by agent, got 'idle'"),
+        (3, "partner must be a policy's name, several, or one for each of some seats"),
     ],
 )
 def test_wrong_partners_are_refused(train_tiny, partners, message):
     with pytest.raises((KeyError, TypeError, ValueError), match=message):
-        train_tiny(partners=partners)
+        train_tiny(partner=partners)

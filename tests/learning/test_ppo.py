@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import Job, Player
 from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.ppo import PPOLearner
@@ -31,7 +32,7 @@ class Pupil(PPOLearner):
     def __init__(self, learner, sizes, numbers):
         super().__init__(learner, sizes, numbers, "cpu")
         job = Job(None, (learner,), sizes, 0, numbers)
-        self.player = Player(learner, job, numbers.num_envs)
+        self.player = Player(learner, job, Casting().worlds(learner, numbers.num_envs))
         self.rng = np.random.default_rng(0)
         self.player.start(self.rng)
         self.record = self.player.record
@@ -210,7 +211,7 @@ def test_the_last_observations_value_counts_where_time_is_up_alone(make, mode, i
     learner.update(final[-1])
     expected, advantage = np.zeros_like(value), 0.0
     for t in reversed(range(steps)):
-        over = learner.learner.per_row(ended[t])
+        over = np.resize(ended[t], len(value[t]))
         earned = learner.learner.rewards(rewards[t])
         ahead = np.where(over & is_over, 0.0, following[t])
         error = earned + discount * ahead - value[t]

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.team import Sizes, make_learners
 
@@ -45,7 +46,7 @@ def test_who_learns_what():
 def test_a_teams_rows_have_all_agents_and_their_mean_reward(mode, networks):
     (learner,) = make_learners(mode, SIZES)
     assert learner.networks(SIZES) == networks
-    assert learner.num_rows(2) == 2
+    assert Casting().num_rows(learner, 2) == 2
     rows = learner.observations(numbered(SIZES.observation))
     assert rows.tolist() == [[0, 1, 2, 10, 11], [100, 101, 102, 110, 111]]
     rewards = {"robot_1": np.float32([1, 2]), "robot_2": np.float32([3, 6])}
@@ -69,7 +70,7 @@ def test_independent_agents_have_their_own_rows_and_rewards():
 def test_shared_rows_tell_which_robot_and_stand_below_one_another():
     (learner,) = make_learners("shared", EQUAL)
     assert learner.networks(EQUAL) == {"shared": (4, 1)}
-    assert learner.num_rows(2) == 4
+    assert Casting().num_rows(learner, 2) == 4
     rows = learner.observations(numbered(EQUAL.observation))
     assert rows.tolist() == [
         [0, 1, 1, 0],
@@ -79,7 +80,6 @@ def test_shared_rows_tell_which_robot_and_stand_below_one_another():
     ]
     rewards = {"robot_1": np.float32([1, 2]), "robot_2": np.float32([3, 6])}
     assert learner.rewards(rewards).tolist() == [1, 2, 3, 6]
-    assert learner.per_row(np.array([True, False])).tolist() == [True, False] * 2
     actions = learner.actions(np.float32([[1], [2], [3], [4]]), EQUAL)
     assert actions["robot_1"].tolist() == [[1], [2]]
     assert actions["robot_2"].tolist() == [[3], [4]]

@@ -94,7 +94,7 @@ def train_rival(
         output=None if is_begun else folder,
         resume=folder if is_begun else None,
         hyperparameters=hyperparameters,
-        partners=dict([partner]),
+        partner=dict([partner]),
         resources=Resources(num_threads=num_threads),
         on_row=lambda row, best: on_step(hyperparameters.steps_per_update),
     )

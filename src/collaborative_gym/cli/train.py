@@ -50,8 +50,8 @@ class Train(Command):
         other, and write their cards; runs that are there already are continued.
       mode: who learns what. collaborative (default): a policy for each robot and one
         critic that sees all observations; independent: a policy and a critic each;
-        shared: one policy and critic for robots with equal spaces; centralized: one
-        policy for all robots.
+        shared: one policy and critic for robots with equal spaces (default for these
+        against given policies and in a league); centralized: one policy for all robots.
       seed: of the run (default: 0).
       seeds: of the runs of each baseline, with --all (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS), or of all baselines
@@ -60,6 +60,13 @@ class Train(Command):
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much starts differ: default, or paper for the thesis's fixed
         starts.
+      opponent: who plays against what is learned, in a task of several sides. self
+        (default): the latest policies on all sides; policies, as --policy of evaluate
+        takes them, of which each episode draws one, or those of a side, as in
+        side_2=expert; league, also followed by policies that it plays against, too.
+      partner: who plays with what is learned, in a task of one side (default: nobody).
+        Policies, of which each episode draws one while the learners play the other
+        robots, or those that robot_2=idle leaves; population, of which all pairs learn.
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
       checkpoint_interval: environment steps between two checkpoints.
@@ -76,6 +83,8 @@ class Train(Command):
     resume: Folder = None
     robots: Robots = ()
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
+    opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
+    partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
@@ -102,6 +111,8 @@ class Train(Command):
                 robots=self.robots or None,
                 randomization=self.randomization,
                 hyperparameters=hyperparameters,
+                opponent=self.opponent or None,
+                partner=self.partner or None,
                 backend=self.backend,
                 resources=self.resources,
                 checkpoint_interval=self.checkpoint_interval,
@@ -145,7 +156,8 @@ class Train(Command):
         from collaborative_gym.learning.baselines import train_baselines
         from collaborative_gym.learning.display import Display
 
-        for option in ("mode", "seed", "resume", "robots", "randomization", "backend"):
+        own = "mode seed resume robots randomization opponent partner backend"
+        for option in own.split():
             if getattr(self, option) not in (None, ()):
                 raise ValueError(
                     f"{option} does not go with --all: all baselines are trained alike"

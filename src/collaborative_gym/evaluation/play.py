@@ -92,7 +92,7 @@ def evaluate(
         for _ in range(delay):
             act = DelayedPolicy(act, vector_env)
         started = time.perf_counter()
-        rows, steps = _play(vector_env, act, episodes, seed, on_progress)
+        rows, steps = play_episodes(vector_env, act, episodes, seed, on_progress)
         rate = steps * num_envs / (time.perf_counter() - started)
     settings = {
         "identity": Identity.of(task).to_dict(),
@@ -125,12 +125,12 @@ def _report(
     )
 
 
-def _play(
+def play_episodes(
     env: VectorEnv,
     policy: Policy,
     episodes: int,
     seed: int,
-    on_progress: Callable[[float], object] | None,
+    on_progress: Callable[[float], object] | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
     """Return the rows of the episodes, in order, and how many steps it took."""
     rows: dict[int, dict[str, Any]] = {}

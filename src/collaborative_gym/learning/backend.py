@@ -1,13 +1,15 @@
 """What the training loop drives: collectors, and learners that learn from them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collected, Collectors
+from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.policies.network import Weights
 
@@ -20,10 +22,12 @@ class Iteration:
       episodes: a row for each episode that ended and was played in full, as
         `evaluation.episode_row` gives it.
       updates: by learner, the numbers that `update.UPDATE` names.
+      seated: who sat in each seat meanwhile, by name, for each row of `episodes`.
     """
 
     episodes: list[dict[str, Any]]
     updates: dict[str, dict[str, float]]
+    seated: list[tuple[str, ...]] = field(default_factory=list)
 
 
 class Backend:
@@ -53,18 +57,22 @@ class Backend:
         self._collectors = collectors
         self._assistance = Assistance(assistance)
 
-    def collect(self) -> list[Collected]:
+    def collect(self, invitation: Invitation = NOBODY) -> list[Collected]:
         """Return one rollout of every collector that lives; the worlds go on."""
         actors = {name: each.acting() for name, each in self._learners.items()}
-        return self._collectors.collect(actors, self._iteration, self._assistance)
+        given = actors, self._iteration, self._assistance, invitation
+        return self._collectors.collect(*given)
 
-    def advance(self) -> Iteration:
+    def advance(self, invitation: Invitation = NOBODY) -> Iteration:
         """Collect one rollout in every world, and learn from it.
+
+        Args:
+          invitation: who may sit beside those that learn.
 
         Raises:
           RuntimeError: if the task fails in a collector elsewhere, or none answers.
         """
-        collected = self.collect()
+        collected = self.collect(invitation)
         episodes = [row for each in collected for row in each.episodes]
         self._assistance.adapt(episodes)
         updates = {
@@ -73,14 +81,24 @@ class Backend:
         }
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
-        return Iteration(episodes, updates)
+        seated = [names for each in collected for names in each.seated]
+        return Iteration(episodes, updates, seated)
 
-    def weights(self) -> dict[str, Weights]:
-        """Return what the networks have learned so far, by name."""
+    def weights(self, member: str = "") -> dict[str, Weights]:
+        """Return what the networks of a member have learned so far, by name."""
         found: dict[str, Weights] = {}
-        for learner in self._learners.values():
+        for learner in self._of(member):
             found |= learner.weights()
         return found
+
+    def restart(self, member: str, like: str) -> None:
+        """Let a member go on from all that another one has learned."""
+        for learner, model in zip(self._of(member), self._of(like), strict=True):
+            learner.load_state_dict(deepcopy(model.state_dict()))
+
+    def _of(self, member: str) -> list[PPOLearner]:
+        learners = self._learners.values()
+        return [each for each in learners if each.learner.member == member]
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on: tensors, numbers and texts, nested.

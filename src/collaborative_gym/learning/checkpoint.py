@@ -1,7 +1,7 @@
 """Everything that a training run needs to go on, in one file."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -28,6 +28,7 @@ class Checkpoint:
       best: the validated return of the best policy so far, and its `steps`; empty
         before the first validation.
       seconds: time that the run has taken so far.
+      pool: the state of its pool of guests.
     """
 
     settings: Settings
@@ -35,6 +36,7 @@ class Checkpoint:
     rows: list[dict[str, float]]
     best: dict[str, float]
     seconds: float
+    pool: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write it, whole or not at all.
@@ -48,6 +50,7 @@ class Checkpoint:
             "rows": self.rows,
             "best": self.best,
             "seconds": self.seconds,
+            "pool": self.pool,
         }
         # In memory first: torch's own writing hides that a disk is full.
         whole = BytesIO()

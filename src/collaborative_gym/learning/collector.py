@@ -10,7 +10,9 @@ import torch
 
 from collaborative_gym.envs.vector_env import Observations, VectorEnv
 from collaborative_gym.learning.assistance import Assistance
+from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.guests import NOBODY, Guests, Invitation
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
 from collaborative_gym.learning.penalties import Penalties
 from collaborative_gym.learning.seeds import training_seed
@@ -22,7 +24,6 @@ from collaborative_gym.learning.worlds import (
     save_worlds,
     tensors,
 )
-from collaborative_gym.policies import as_policy
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
 
 _BLOCK, _STARTS = 1 << 28, 1 << 10
@@ -45,7 +46,7 @@ class Job:
       seed: of the run.
       hyperparameters: how it learns.
       num_threads: physics threads of a collector, 0 for one per CPU.
-      partners: policies of the agents that do not learn, as `load_policy` knows them.
+      casting: who sits where.
     """
 
     task: Any
@@ -54,7 +55,7 @@ class Job:
     seed: int
     hyperparameters: Hyperparameters
     num_threads: int = 0
-    partners: Mapping[str, str] = field(default_factory=dict)
+    casting: Casting = field(default_factory=Casting)
 
 
 @dataclass(frozen=True)
@@ -88,18 +89,24 @@ class Collected:
       steps: environment steps, over all its worlds.
       rollouts: by learner's name.
       episodes: a row for each episode that ended and was played in full.
+      seated: who sat in each seat meanwhile, by name, for each row of `episodes`.
     """
 
     steps: int
     rollouts: dict[str, Rollout]
     episodes: list[dict[str, Any]]
+    seated: list[tuple[str, ...]]
 
 
 class Collectors(Protocol):
     """One collector in this process, or many elsewhere."""
 
     def collect(
-        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+        self,
+        actors: Mapping[str, ActorState],
+        iteration: int,
+        assistance: Assistance,
+        invitation: Invitation = NOBODY,
     ) -> list[Collected]:
         """Collect one rollout in every world; see `Collector.collect`."""
         ...
@@ -123,18 +130,23 @@ class Player:
     Args:
       learner: for whom.
       job: what is done.
-      num_envs: worlds that it acts in.
+      worlds: in which it acts, by agent.
 
     Attributes:
+      worlds: in which it acts, by agent.
       noise: that of the last actions in standard deviations, (rows, a) float32.
     """
 
     noise: np.ndarray
 
-    def __init__(self, learner: Learner, job: Job, num_envs: int):
+    def __init__(self, learner: Learner, job: Job, worlds: Mapping[str, np.ndarray]):
         self.learner = learner
+        self.worlds = worlds
         self._sizes = job.sizes
-        self._shape = learner.num_rows(num_envs), learner.action_size(job.sizes)
+        counts = [len(worlds[agent]) for agent in learner.agents]
+        self._ends = np.cumsum(counts)[:-1].tolist()
+        rows = sum(counts) if learner.stacked else counts[0]
+        self._shape = rows, learner.action_size(job.sizes)
         self._actor = Actor(learner, job.sizes, job.hyperparameters)
         stays = job.hyperparameters.persistence(learner.is_grip(job.sizes))
         self._stays = stays.astype(np.float32)
@@ -158,8 +170,8 @@ class Player:
     def act(
         self, observations: Observations, rng: np.random.Generator
     ) -> dict[str, np.ndarray]:
-        """Return sampled actions by agent."""
-        rows = self.learner.observations(observations)
+        """Return sampled actions by agent, for its worlds alone."""
+        rows = self._seen(observations)
         with torch.no_grad():
             seen = (torch.from_numpy(rows) - self._mean) / self._std
             seen.clamp_(-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
@@ -169,7 +181,7 @@ class Player:
         actions = mean + self._spread * self.noise
         log_prob = (self._density - 0.5 * self.noise**2).sum(axis=1)
         self._steps.append((rows, actions, log_prob))
-        return self.learner.actions(actions, self._sizes)
+        return self.learner.actions(actions, self._sizes, self._ends)
 
     def record(
         self,
@@ -187,18 +199,20 @@ class Player:
           truncated: (num_envs,) bool each, where time was up and the last observation's
             value counts on.
         """
-        agent = self.learner.agents[0]  # A world ends for all of its agents.
-        over = self.learner.per_row(terminated[agent])
-        late = self.learner.per_row(truncated[agent]) & ~over
-        earned = self.learner.rewards(rewards).astype(np.float32)
+        over = self._per_row(terminated)
+        late = self._per_row(truncated) & ~over
+        # Who shares its reward and is not its own is a guest in its worlds.
+        first = self.worlds[self.learner.agents[0]]
+        own = {a: each[self.worlds.get(a, first)] for a, each in rewards.items()}
+        earned = self.learner.rewards(own).astype(np.float32)
         self._results.append((earned, over, late))
         if late.any():
-            self._finals.append(self.learner.observations(final_observations)[late])
+            self._finals.append(self._seen(final_observations)[late])
 
     def finish(self, observations: Observations) -> Rollout:
         """Return all that was kept, and begin anew; `observations` are the next."""
         rows, actions, log_prob = zip(*self._steps, strict=True)
-        last = self.learner.observations(observations)
+        last = self._seen(observations)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))
         finals = np.concatenate([last[:0], *self._finals])
         self._steps, self._results, self._finals = [], [], []
@@ -211,6 +225,17 @@ class Player:
             late,
             finals,
         )
+
+    def _seen(self, observations: Observations) -> np.ndarray:
+        """Return the rows of its worlds."""
+        return self.learner.observations(
+            {agent: observations[agent][rows] for agent, rows in self.worlds.items()}
+        )
+
+    def _per_row(self, ends: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return for each row what is given by agent and world."""
+        own = [ends[agent][rows] for agent, rows in self.worlds.items()]
+        return np.concatenate(own) if self.learner.stacked else own[0]
 
 
 class Collector:
@@ -237,17 +262,22 @@ class Collector:
             num_threads=job.num_threads,
             strain=job.hyperparameters.contact_penalty > 0,
         )
-        self._players = [Player(learner, job, share) for learner in job.learners]
+        self._players = [
+            Player(learner, job, job.casting.worlds(learner, share))
+            for learner in job.learners
+        ]
+        self._guests = Guests(self.env, job.casting)
         self._penalties = Penalties(self.env, job.hyperparameters)
         self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)
         self._lost_grips = job.hyperparameters.lost_grips
-        self._partners = {
-            agent: as_policy(policy, self.env) for agent, policy in job.partners.items()
-        }
         self._observations: Observations | None = None
 
     def collect(
-        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+        self,
+        actors: Mapping[str, ActorState],
+        iteration: int,
+        assistance: Assistance,
+        invitation: Invitation = NOBODY,
     ) -> Collected:
         """Collect one rollout in each of these worlds.
 
@@ -258,29 +288,32 @@ class Collector:
           actors: what to act with, by learner's name.
           iteration: how many rollouts the run has had.
           assistance: what is carried meanwhile.
+          invitation: who may sit beside those that learn.
         """
         rng = np.random.default_rng([self._job.seed, iteration, self._index])
         for player in self._players:
             player.load(actors[player.learner.name])
+        self._guests.invite(invitation)
         observations = self._observations or self._start(iteration, rng)
         steps = self._job.hyperparameters.rollout_steps
         episodes: list[dict[str, Any]] = []
+        seated: list[tuple[str, ...]] = []
         for _ in range(steps):
-            actions: dict[str, np.ndarray] = {}
-            for player in self._players:
-                actions |= player.act(observations, rng)
-            for agent, policy in self._partners.items():
-                actions[agent] = np.asarray(policy(observations)[agent])
+            actions = self._act(observations, rng)
             assistance.carry(self.env)
             observations, rewards, *ends, infos = self._step(actions, rng)
+            rewards = self._faded(rewards, infos["reward_terms"], iteration)
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
-            episodes += full_episodes(infos)
+            for world, row in full_episodes(infos).items():
+                episodes.append(row)
+                seated.append(tuple(self._guests.names[world]))
+            self._guests.draw(np.flatnonzero(infos["ended"]), rng)
         self._observations = observations
         rollouts = {
             each.learner.name: each.finish(observations) for each in self._players
         }
-        return Collected(steps * self.env.num_envs, rollouts, episodes)
+        return Collected(steps * self.env.num_envs, rollouts, episodes, seated)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the worlds, nothing before the first rollout."""
@@ -293,6 +326,7 @@ class Collector:
             **save_worlds(self.env),
             "noise": noise,
             "previous": tensors(self._previous),
+            **self._guests.state_dict(),
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -303,11 +337,23 @@ class Collector:
         for player in self._players:
             player.noise = state["noise"][player.learner.name].numpy()
         self._previous = arrays(state["previous"])
+        self._guests.load_state_dict(state)
         self._observations = load_worlds(self.env, state)
 
     def close(self) -> None:
         """Free the worlds."""
         self.env.close()
+
+    def _act(
+        self, observations: Observations, rng: np.random.Generator
+    ) -> dict[str, np.ndarray]:
+        """Return what all robots choose."""
+        actions = {a: np.empty_like(still) for a, still in self.env.idle().items()}
+        for player in self._players:
+            for agent, rows in player.act(observations, rng).items():
+                actions[agent][player.worlds[agent]] = rows
+        self._guests.act(observations, actions)
+        return actions
 
     def _step(
         self, chosen: Mapping[str, np.ndarray], rng: np.random.Generator
@@ -325,10 +371,28 @@ class Collector:
         self._previous = {a: np.where(fresh, idle[a], chosen[a]) for a in chosen}
         return observations, rewards, *ends, infos
 
+    def _faded(
+        self,
+        rewards: Mapping[str, np.ndarray],
+        terms: Mapping[str, Mapping[str, np.ndarray]],
+        iteration: int,
+    ) -> dict[str, np.ndarray]:
+        """Return rewards less what has faded of the terms that are shaping."""
+        numbers = self._job.hyperparameters
+        if not numbers.dense_share:
+            return dict(rewards)
+        fading = numbers.dense_share * numbers.total_steps
+        gone = min(1.0, iteration * numbers.steps_per_update / fading)
+        return {
+            agent: earned - gone * sum(terms[agent][n] for n in self._job.task.shaping)
+            for agent, earned in rewards.items()
+        }
+
     def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
         """Start episodes that no collector has played."""
         for player in self._players:
             player.start(rng)
+        self._guests.draw(np.arange(self.env.num_envs), rng)
         self._previous = self.env.idle()
         first = (iteration * _STARTS + self._index) * _BLOCK
         observations, _ = self.env.reset(
@@ -350,10 +414,15 @@ class OwnCollector:
         self._collector = Collector(job)
 
     def collect(
-        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+        self,
+        actors: Mapping[str, ActorState],
+        iteration: int,
+        assistance: Assistance,
+        invitation: Invitation = NOBODY,
     ) -> list[Collected]:
         """Collect one rollout in every world."""
-        return [self._collector.collect(actors, iteration, assistance)]
+        collector = self._collector
+        return [collector.collect(actors, iteration, assistance, invitation)]
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of the worlds."""

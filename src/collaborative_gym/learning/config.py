@@ -24,7 +24,8 @@ Mode = Literal["collaborative", "independent", "shared", "centralized"]
 
 Where a task has several sides, "all" in collaborative and centralized are those of one
 side: each side has a critic, and with centralized a policy, of its own. In the mode
-shared, opponents play the same policy.
+shared, opponents play the same policy. Where a robot's partners are others' policies,
+it has a critic of its own in collaborative, too, and still the mean reward.
 """
 
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -82,6 +83,10 @@ class Hyperparameters:
       lost_grips: how likely a robot loses its grip in a control step, whatever it
         asked for; 0.005 is once in an episode. So it learns to take it again. None is
         lost in validations.
+      dense_share: share of the total steps over which the task's shaping terms fade
+        out of what is learned, linearly (Bansal et al. 2017, arXiv 1710.03748, who fade
+        in what remains; here that counts from the first step); 0 keeps them.
+      population: policies for each robot, where partners are a population.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for none but at
@@ -114,6 +119,10 @@ class Hyperparameters:
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
+    dense_share: float = bounded(0.0, 0.0, 1.0)
+    population: int = bounded(3, 2, 64)
+    league_main_share: float = bounded(0.5, 0.1, 0.9)
+    league_self: float = bounded(0.35, 0.0, 0.9)
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = bounded(250_000, 0, 10**15)

@@ -31,25 +31,24 @@ def summarize(
     seconds: float,
     steps_per_second: float,
     iteration: Iteration,
-    validation: Report | None = None,
+    validation: Mapping[str, float] | None = None,
 ) -> Row:
     """Return what an iteration brought as one row of numbers.
 
     The columns are `steps`, `seconds` and `steps_per_second`; of the episodes that were
     played in full, `episodes` (how many) and the means of `return`, `completion` and
     `performance`, and by agent of `robot_1/return` and each reward term, such as
-    `robot_1/distance`; by learner what the update did, such as `team/kl`; and of a
-    validation the means `validation/return`, `validation/completion` and
-    `validation/performance`. Where there are several sides, return, completion and
-    performance are by side, as `side_1/return` and `validation/side_1/return`, and so
-    is `score`. What is not known, as where no episode ended, is left out.
+    `robot_1/distance`; by learner what the update did, such as `team/kl`; and the means
+    of a validation, such as `validation/return`. Where there are several sides, return,
+    completion and performance are by side, as `side_1/return`, and so is `score`. What
+    is not known, as where no episode ended, is left out.
 
     Args:
       steps: environment steps done so far, over all worlds.
       seconds: the time they took.
       steps_per_second: how fast they come.
       iteration: what the rollout and the update brought.
-      validation: what a validation after the update found, if there was one.
+      validation: the means of a validation after the update, if there was one.
     """
     row: Row = {
         "steps": steps,
@@ -59,14 +58,21 @@ def summarize(
     row |= _means(iteration.episodes)
     for learner, update in iteration.updates.items():
         row |= {f"{learner}/{name}": float(value) for name, value in update.items()}
-    if validation is not None:
-        for side, score in validation.sides.items():
-            own = f"validation/{side}/" if len(validation.sides) > 1 else "validation/"
-            row[f"{own}return"] = score.mean_reward.mean
-            row[f"{own}completion"] = score.completion.mean
-            row[f"{own}performance"] = score.performance.mean
-            if score.score is not None:
-                row[f"{own}score"] = score.score.mean
+    for name, mean in (validation or {}).items():
+        row[f"validation/{name}"] = mean
+    return row
+
+
+def means_of(report: Report) -> Row:
+    """Return `return`, `completion`, `performance` and `score` of a report, by side."""
+    row = {}
+    for side, score in report.sides.items():
+        own = f"{side}/" if len(report.sides) > 1 else ""
+        row[f"{own}return"] = score.mean_reward.mean
+        row[f"{own}completion"] = score.completion.mean
+        row[f"{own}performance"] = score.performance.mean
+        if score.score is not None:
+            row[f"{own}score"] = score.score.mean
     return row
 
 

@@ -13,6 +13,7 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 from torch import nn
 
+from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import ActorState, Rollout
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.networks import (
@@ -44,6 +45,7 @@ class PPOLearner:
       sizes: of the agents' spaces.
       hyperparameters: how it learns.
       device: of torch.
+      casting: who sits where; None for this learner alone.
     """
 
     def __init__(
@@ -52,11 +54,12 @@ class PPOLearner:
         sizes: Sizes,
         hyperparameters: Hyperparameters,
         device: str,
+        casting: Casting | None = None,
     ):
         self.learner = learner
         self._device = device
         self._discount = hyperparameters.discount
-        rows = learner.num_rows(hyperparameters.num_envs)
+        rows = (casting or Casting()).num_rows(learner, hyperparameters.num_envs)
         size = learner.observation_size(sizes)
         observations = Box(-np.inf, np.inf, (size,), np.float32)
         actions = Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32)

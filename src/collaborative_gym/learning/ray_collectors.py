@@ -39,6 +39,7 @@ from collaborative_gym.learning.collector import (
     Collector,
     Job,
 )
+from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.plugins import loaded_files
 
 _PATIENCE = 300.0
@@ -85,6 +86,7 @@ class RayCollectors:
         try:
             self._count = count or min(num_envs, max(1, _cpus() // threads))
             _check_room(self._count, threads)
+            job.casting.check(num_envs // self._count)
             self._job = _pickled(replace(job, num_threads=threads))
             self._process = ray.remote(num_cpus=threads)(_Process)
             for index in range(self._count):
@@ -95,21 +97,25 @@ class RayCollectors:
             raise
 
     def collect(
-        self, actors: Mapping[str, ActorState], iteration: int, assistance: Assistance
+        self,
+        actors: Mapping[str, ActorState],
+        iteration: int,
+        assistance: Assistance,
+        invitation: Invitation = NOBODY,
     ) -> list[Collected]:
         """Collect one rollout in every world of the collectors that live.
 
         Raises:
           RuntimeError: if the task fails, or no collector answers for five minutes.
         """
-        given = ray.put(actors)
+        given, invited = ray.put(actors), ray.put(invitation)
         self._welcome(0, 0.0)
         while True:
             if not self._ready:
                 self._welcome(1, _PATIENCE)
             if not self._ready:
                 raise RuntimeError(f"no collector has answered for {_PATIENCE:.0f} s")
-            found = self._ask("collect", given, iteration, assistance)
+            found = self._ask("collect", given, iteration, assistance, invited)
             if found:
                 return list(found.values())
 

@@ -6,20 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
-from collaborative_gym.evaluation import Report, evaluate
+from collaborative_gym.evaluation import evaluate
 from collaborative_gym.learning.backend import Backend, Iteration
+from collaborative_gym.learning.casting import LEAGUE, SELF, Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.collector import Job, OwnCollector
 from collaborative_gym.learning.config import Resources
 from collaborative_gym.learning.folder import BEST, LAST
-from collaborative_gym.learning.monitor import Monitor, summarize
+from collaborative_gym.learning.monitor import Monitor, means_of, summarize
+from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.seeds import validation_seed
 from collaborative_gym.learning.settings import Settings
-from collaborative_gym.learning.team import Learner, Sizes, make_learners
+from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.validation import validate
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.tasks.task import Task
 
 OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
@@ -79,16 +83,19 @@ class Run:
         self._task = task
         self._settings = settings
         self._num_threads = resources.num_threads
-        sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
-        sizes = sizes.without(settings.partners)
-        learners = make_learners(settings.mode, sizes, task.sides)
-        self._parts = [part for learner in learners for part in learner.parts]
-        self._backend = _make_backend(task, settings, resources, learners, sizes)
+        self._casting = settings.casting(task)
+        self._learners = settings.learners(task)
+        words = settings.opponents or settings.partners
+        self._pool = Pool(self._casting, read_guests(task, self._casting, words))
+        self._backend = _make_backend(
+            task, settings, resources, self._learners, self._casting
+        )
         self._best = dict(started.best) if started is not None else {}
         self._before = started.seconds if started is not None else 0.0
         try:
             if started is not None:
                 self._backend.load_state_dict(started.backend)
+                self._pool.load_state_dict(started.pool)
             rows = started.rows if started is not None else ()
             self._monitor = Monitor(folder, settings.title, rows)
             self._since = time.monotonic()
@@ -105,8 +112,9 @@ class Run:
         hyperparameters = self._settings.hyperparameters
         while self._backend.steps < hyperparameters.total_steps:
             before, began = self._backend.steps, time.monotonic()
-            iteration = self._backend.advance()
+            iteration = self._backend.advance(self._pool.invitation(self._policy))
             self._check_finite(iteration)
+            self._pool.study(iteration, self._backend, self._policy)
             steps = self._backend.steps
             rate = (steps - before) / (time.monotonic() - began)
             is_last = steps >= hyperparameters.total_steps
@@ -139,41 +147,53 @@ class Run:
     def _seconds(self) -> float:
         return self._before + time.monotonic() - self._since
 
-    def _policy(self) -> NetworkPolicy:
+    def _policy(self, member: str) -> NetworkPolicy:
+        """Return a member's policy as it is now."""
         settings, content = self._settings, self._settings.to_dict()
-        kept = ("mode", "seed", "backend", "hyperparameters")
+        kept = ("mode", "seed", "backend", "hyperparameters", "opponents", "partners")
+        learners = [each for each in self._learners if each.member == member]
         return NetworkPolicy(
-            self._parts,
-            self._backend.weights(),
+            [part for learner in learners for part in learner.parts],
+            self._backend.weights(member),
             activation=settings.hyperparameters.activation,
             identity=settings.identity,
             observation_sizes=settings.observation_sizes,
             action_sizes=settings.action_sizes,
             metadata={name: content[name] for name in kept}
-            | {"steps": self._backend.steps},
+            | {"steps": self._backend.steps, "member": member},
         )
 
-    def _validate(self) -> Report:
-        return evaluate(
-            self._task,
-            dict.fromkeys(self._task.agents, self._policy())
-            | dict(self._settings.partners),
-            episodes=self._settings.hyperparameters.validation_episodes,
-            seed=validation_seed(self._settings.seed),
-            num_threads=self._num_threads,
-        )
+    def _validate(self) -> Mapping[str, float]:
+        """Return the means of a validation beside those with whom is learned."""
+        episodes = self._settings.hyperparameters.validation_episodes
+        given: Any = {
+            "episodes": episodes,
+            "seed": validation_seed(self._settings.seed),
+            "num_threads": self._num_threads,
+        }
+        members = self._casting.members
+        if not self._casting.seats:
+            return means_of(evaluate(self._task, self._policy(members[0]), **given))
+        policies = {name: self._policy(name) for name in members} | self._pool.policies
+        pairings = self._pool.pairings(members[0])
+        return validate(self._task, self._casting, policies, pairings, **given)
 
     def _keep_best(self, row: Mapping[str, float]) -> None:
-        # Of opponents one gains what another loses: the latest policies count as best.
-        score = self._best.get("validation/return", -math.inf)
-        if row.get("validation/return", math.inf) <= score:
+        # Of opponents one gains what another loses: the latest policies count as best,
+        # unless their opponents stay as they are.
+        is_latest_best = {SELF, LEAGUE} & set(self._settings.opponents)
+        if self._best and not is_latest_best and _rank(row) <= _rank(self._best):
             return
         self._best = {
             column: value
             for column, value in row.items()
             if column == "steps" or column.startswith("validation/")
         }
-        self._policy().save(self._folder / POLICY_FILE)
+        members = self._casting.members
+        self._policy(members[0]).save(self._folder / POLICY_FILE)
+        if len(members) > 1:
+            for name in members:
+                self._policy(name).save(self._folder / player_file(name))
         self._save(BEST)
 
     def _save(self, name: str) -> None:
@@ -183,6 +203,7 @@ class Run:
             self._monitor.rows,
             self._best,
             self._seconds,
+            self._pool.state_dict(),
         ).save(self._folder / name)
 
     def _check_finite(self, iteration: Iteration) -> None:
@@ -201,9 +222,10 @@ def _make_backend(
     settings: Settings,
     resources: Resources,
     learners: Sequence[Learner],
-    sizes: Sizes,
+    casting: Casting,
 ) -> Backend:
     hyperparameters = settings.hyperparameters
+    sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
     job = Job(
         task,
         tuple(learners),
@@ -211,7 +233,7 @@ def _make_backend(
         settings.seed,
         hyperparameters,
         resources.num_threads,
-        settings.partners,
+        casting,
     )
     if settings.backend == "ray":
         from collaborative_gym.learning.ray_collectors import RayCollectors
@@ -224,12 +246,17 @@ def _make_backend(
         collectors = OwnCollector(job)
     return Backend(
         [
-            PPOLearner(each, sizes, hyperparameters, resources.device)
+            PPOLearner(each, sizes, hyperparameters, resources.device, casting)
             for each in learners
         ],
         collectors,
         assistance=hyperparameters.assistance,
     )
+
+
+def _rank(row: Mapping[str, float]) -> tuple[float, float]:
+    """Return by what the best validation is chosen: games won, then the return."""
+    return row.get("validation/points", 0.0), row["validation/return"]
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:

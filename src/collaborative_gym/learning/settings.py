@@ -1,19 +1,24 @@
 """What a training run is started with, and whether it may go on with what is asked."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from collaborative_gym.errors import UnknownName, check_kind, unknown
+from collaborative_gym.errors import check_kind, check_name, unknown
+from collaborative_gym.learning.casting import SELF, Casting, make_casting
 from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
+from collaborative_gym.learning.pool import read_guests
 from collaborative_gym.learning.seeds import training_seed
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task
 
 BACKENDS = ("skrl", "ray")
+
+Named = str | Path | Sequence[str | Path] | Mapping[str, str | Path]
+"""Names of policies, or of one for each of some seats."""
 
 _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
 """Hyperparameters that a run may go on with another value of; steps only of more."""
@@ -31,7 +36,8 @@ class Settings:
       observation_sizes: by agent.
       action_sizes: by agent.
       hyperparameters: how it learns.
-      partners: policies of the agents that do not learn.
+      opponents: who plays against what is learned, as `make_casting` knows them.
+      partners: who plays with it.
     """
 
     identity: Identity
@@ -41,7 +47,37 @@ class Settings:
     observation_sizes: Mapping[str, int]
     action_sizes: Mapping[str, int]
     hyperparameters: Hyperparameters
-    partners: Mapping[str, str] = field(default_factory=dict)
+    opponents: tuple[str, ...] = ()
+    partners: tuple[str, ...] = ()
+
+    def casting(self, task: Task) -> Casting:
+        """Return who sits where in the run's worlds."""
+        return make_casting(
+            task,
+            self.opponents,
+            self.partners,
+            hyperparameters=self.hyperparameters,
+        )
+
+    def learners(self, task: Task) -> tuple[Learner, ...]:
+        """Return the learners of all members.
+
+        Raises:
+          ValueError: if the robots do not fit the mode.
+        """
+        sizes = Sizes(self.observation_sizes, self.action_sizes, task.gripping)
+        casting = self.casting(task)
+        return tuple(
+            learner
+            for member in casting.members
+            for learner in make_learners(
+                self.mode,
+                sizes,
+                task.sides,
+                seats=casting.learned(member) or None,
+                member=member,
+            )
+        )
 
     @property
     def folder(self) -> Path:
@@ -59,6 +95,8 @@ class Settings:
         content = asdict(self)
         sizes = content["hyperparameters"]["hidden_sizes"]
         content["hyperparameters"]["hidden_sizes"] = list(sizes)
+        for name in ("opponents", "partners"):
+            content[name] = list(content[name])
         return content
 
     @classmethod
@@ -67,6 +105,8 @@ class Settings:
         identity = Identity.from_dict(content["identity"])
         hyperparameters = Hyperparameters(**content["hyperparameters"])
         own = {"identity": identity, "hyperparameters": hyperparameters}
+        for name in ("opponents", "partners"):
+            own[name] = tuple(content.get(name, ()))
         return cls(**{**content, **own})
 
 
@@ -78,7 +118,8 @@ def settle(
     seed: int | None,
     backend: str | None,
     hyperparameters: Hyperparameters | None,
-    partners: Mapping[str, str] | None = None,
+    opponent: Named | None = None,
+    partner: Named | None = None,
 ) -> Settings:
     """Return the settings of a run; what is None holds as it was, or as is usual.
 
@@ -89,10 +130,12 @@ def settle(
       seed: of the run.
       backend: what collects.
       hyperparameters: how it learns.
-      partners: policies of the agents that do not learn.
+      opponent: who plays against what is learned.
+      partner: who plays with it.
 
     Raises:
-      KeyError: if there is no such agent.
+      FileNotFoundError: if there is no such policy.
+      KeyError: if there is no such policy or seat.
       TypeError: if something is of another kind.
       ValueError: if something is unknown or out of range, the robots do not fit the
         mode, or a run cannot go on so; says what differs.
@@ -105,40 +148,78 @@ def settle(
         seed = started.seed if seed is None else seed
         backend = started.backend if backend is None else backend
         hyperparameters = hyperparameters or started.hyperparameters
-        partners = started.partners if partners is None else partners
+        opponent = started.opponents if opponent is None else opponent
+        partner = started.partners if partner is None else partner
     sizes = Sizes.of(task)
+    opponents, partners = _words("opponent", opponent), _words("partner", partner)
+    if len(task.sides) > 1:
+        opponents = opponents or (SELF,)
     settings = Settings(
         identity=Identity.of(task),
-        mode="collaborative" if mode is None else mode,
+        mode=_usual_mode(sizes, opponents) if mode is None else mode,
         seed=check_seed(0 if seed is None else seed),
         backend="skrl" if backend is None else backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
         hyperparameters=hyperparameters or recipe(task.name),
-        partners=_checked_partners(partners or {}, task),
+        opponents=opponents,
+        partners=partners,
     )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)
-    make_learners(settings.mode, sizes.without(settings.partners))
+    _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
     return settings
 
 
-def _checked_partners(partners: Any, task: Task) -> dict[str, str]:
-    """Return the partners; `load_policy` says whether there are such policies."""
-    check_kind("partners", partners, Mapping, "a dictionary of policies by agent")
-    for agent in partners:
-        if agent not in task.agents:
-            raise UnknownName(f"partners: {unknown('agent', agent, task.agents)}")
-        check_kind(f"the partner {agent}", partners[agent], str, "a policy's name")
-    if len(partners) == len(task.agents):
+def _words(name: str, given: Any) -> tuple[str, ...]:
+    """Return what names opponents or partners as a tuple of words."""
+    if given is None:
+        return ()
+    if isinstance(given, str | Path):
+        given = [given]
+    a = "a policy's name, several, or one for each of some seats"
+    check_kind(name, given, (Sequence, Mapping), a)
+    if isinstance(given, Mapping):
+        for seat, policy in given.items():
+            check_kind(f"each seat of {name}", seat, str, "a string")
+            check_kind(f"the {name} {seat}", policy, (str, Path), "a policy's name")
+        given = [f"{seat}={policy}" for seat, policy in given.items()]
+    for word in given:
+        check_kind(f"each {name}", word, (str, Path), "a policy's name")
+    words = tuple(str(word) for word in given)
+    for word in words:
+        check_name(name, word)
+        if words.count(word) > 1:
+            raise ValueError(f"{name} names {word} twice; name each policy once")
+    return words
+
+
+def _usual_mode(sizes: Sizes, opponents: Sequence[str]) -> Mode:
+    """Return the mode of who asks for none.
+
+    Robots that are alike learn from both sides of each game that a guest plays.
+    """
+    alike = all(
+        len(set(each.values())) == 1 for each in (sizes.observation, sizes.action)
+    )
+    return "shared" if alike and set(opponents) - {SELF} else "collaborative"
+
+
+def _check_seats(settings: Settings, task: Task) -> None:
+    """Raise unless somebody can learn in every seat that is to be learned in."""
+    settings.learners(task)
+    casting = settings.casting(task)
+    by_turns = len(task.sides) == 1 and len(casting.learned(casting.members[0])) > 1
+    if settings.mode == "centralized" and by_turns:
         raise ValueError(
-            f"partners has a policy for each of {', '.join(partners)}, so that nobody"
-            " learns; leave one out"
+            "in the mode centralized one network commands all robots, so that there is"
+            " no seat for a partner; choose collaborative, independent or shared"
         )
-    return dict(partners)
+    casting.check(settings.hyperparameters.num_envs)
+    read_guests(task, casting, settings.opponents or settings.partners)
 
 
 def _check_same(settings: Settings, started: Settings) -> None:
@@ -150,6 +231,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
         "backend",
         "observation_sizes",
         "action_sizes",
+        "opponents",
         "partners",
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))

@@ -1,6 +1,6 @@
 """How a mode divides the robots among learners."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,14 +27,6 @@ class Sizes:
     action: Mapping[str, int]
     gripping: bool = False
 
-    def without(self, agents: Collection[str]) -> "Sizes":
-        """Return the sizes of all other agents."""
-        observation, action = (
-            {agent: size for agent, size in sizes.items() if agent not in agents}
-            for sizes in (self.observation, self.action)
-        )
-        return Sizes(observation, action, self.gripping)
-
     @classmethod
     def of(cls, task: Task) -> "Sizes":
         """Return the sizes of a task's spaces."""
@@ -51,21 +43,25 @@ class Sizes:
 class Learner:
     """What learns by itself: parts of the policy, with one critic.
 
-    Its rows are the worlds, and a row has the observations, the actions and the mean
-    reward of all its agents. Where it is `stacked`, each of its agents has a block of
-    rows of its own instead, told by index.
+    Its rows are worlds, and a row has the observations and the actions of all its
+    agents, and the mean reward of its team. Where it is `stacked`, each of its agents
+    has a block of rows of its own instead, told by index, and its own reward.
 
     Attributes:
       name: what to call it.
       agents: whom it commands.
       parts: its networks.
       stacked: whether its agents' rows stand below one another.
+      team: the agents whose mean reward counts; none for its own.
+      member: whose policy it learns, where several do.
     """
 
     name: str
     agents: tuple[str, ...]
     parts: tuple[Part, ...]
     stacked: bool = False
+    team: tuple[str, ...] = ()
+    member: str = ""
 
     def observation_size(self, sizes: Sizes) -> int:
         """Return the width of its rows of observations."""
@@ -104,10 +100,6 @@ class Learner:
             columns += list(grip_columns(sizes.action[agent], sizes.gripping))
         return np.array(columns)
 
-    def num_rows(self, num_envs: int) -> int:
-        """Return how many rows it has."""
-        return num_envs * (len(self.agents) if self.stacked else 1)
-
     def observations(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return rows of observations."""
         if not self.stacked:
@@ -121,59 +113,85 @@ class Learner:
 
     def rewards(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the reward of each row."""
-        rewards = [by_agent[agent] for agent in self.agents]
-        return np.concatenate(rewards) if self.stacked else np.mean(rewards, axis=0)
-
-    def per_row(self, by_env: np.ndarray) -> np.ndarray:
-        """Return for each row what is given by world."""
-        return np.tile(by_env, len(self.agents)) if self.stacked else by_env
-
-    def actions(self, rows: np.ndarray, sizes: Sizes) -> dict[str, np.ndarray]:
-        """Return the actions by agent that stand in its rows."""
         if self.stacked:
-            blocks = np.split(rows, len(self.agents))
+            return np.concatenate([by_agent[agent] for agent in self.agents])
+        team = self.team or self.agents
+        return np.mean([by_agent[agent] for agent in team], axis=0)
+
+    def actions(
+        self, rows: np.ndarray, sizes: Sizes, ends: Sequence[int] | None = None
+    ) -> dict[str, np.ndarray]:
+        """Return the actions by agent that stand in its rows.
+
+        Args:
+          rows: (rows, action_size).
+          sizes: of the agents' spaces.
+          ends: of all blocks but the last, where it is stacked; None for equal ones.
+        """
+        if self.stacked:
+            blocks = np.split(rows, len(self.agents) if ends is None else ends)
         else:
-            ends = np.cumsum([sizes.action[agent] for agent in self.agents])[:-1]
-            blocks = np.split(rows, ends, axis=1)
+            widths = [sizes.action[agent] for agent in self.agents]
+            blocks = np.split(rows, np.cumsum(widths)[:-1], axis=1)
         return dict(zip(self.agents, blocks, strict=True))
 
 
 def make_learners(
-    mode: Mode, sizes: Sizes, sides: Sequence[Sequence[str]] = ()
+    mode: Mode,
+    sizes: Sizes,
+    sides: Sequence[Sequence[str]] = (),
+    *,
+    seats: Mapping[str, tuple[str, ...]] | None = None,
+    member: str = "",
 ) -> tuple[Learner, ...]:
     """Return the learners of a mode. None has a reward over agents of several sides.
 
     Args:
       mode: who learns what.
-      sizes: of the spaces of the agents that learn.
+      sizes: of all agents' spaces.
       sides: agents that share a goal, from `Task.sides`; none for all.
+      seats: the agents that are learned together, by a name for them; None for sides.
+      member: whose policy is learned; stands before the learners' names.
 
     Raises:
       ValueError: if there is no such mode, or a shared policy does not fit; names the
         sizes.
     """
-    agents = tuple(sizes.observation)
-    teams = {
-        f"side_{i + 1}" if len(sides) > 1 else "team": own
-        for i, side in enumerate(sides or (agents,))
-        if (own := tuple(agent for agent in side if agent in agents))
-    }
+    sides = [tuple(side) for side in sides] or [tuple(sizes.observation)]
+    if seats is None:
+        seats = {f"side_{i + 1}": side for i, side in enumerate(sides)}
+        if len(sides) == 1:
+            seats = {"team": sides[0]}
+    agents = [agent for own in seats.values() for agent in own]
+    before = f"{member}/" if member else ""
     if mode == "collaborative":
+        teams = {agent: side for side in sides for agent in side}
         return tuple(
-            Learner(name, own, tuple(Part((a,), a) for a in own))
-            for name, own in teams.items()
+            Learner(
+                f"{before}{seat}",
+                own,
+                tuple(Part((a,), a) for a in own),
+                team=teams[own[0]],
+                member=member,
+            )
+            for seat, own in seats.items()
         )
     if mode == "independent":
-        return tuple(Learner(a, (a,), (Part((a,), a),)) for a in agents)
+        return tuple(
+            Learner(f"{before}{a}", (a,), (Part((a,), a),), member=member)
+            for a in agents
+        )
     if mode == "centralized":
         return tuple(
-            Learner(name, own, (Part(own, name),)) for name, own in teams.items()
+            Learner(f"{before}{seat}", own, (Part(own, seat),), member=member)
+            for seat, own in seats.items()
         )
     if mode == "shared":
-        _check_equal("observations", sizes.observation)
-        _check_equal("actions", sizes.action)
+        _check_equal("observations", {a: sizes.observation[a] for a in agents})
+        _check_equal("actions", {a: sizes.action[a] for a in agents})
         parts = tuple(Part((a,), "shared", i) for i, a in enumerate(agents))
-        return (Learner("shared", agents, parts, stacked=True),)
+        name = f"{before}shared"
+        return (Learner(name, tuple(agents), parts, stacked=True, member=member),)
     raise ValueError(unknown("mode", mode, MODES))
 
 

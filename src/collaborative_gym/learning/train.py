@@ -1,7 +1,7 @@
 """The call that trains: a new run, or one that goes on."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
-from collaborative_gym.learning.settings import Settings, settle
+from collaborative_gym.learning.settings import Named, Settings, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
@@ -39,7 +39,8 @@ def train(
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
     hyperparameters: Hyperparameters | None = None,
-    partners: Mapping[str, str] | None = None,
+    opponent: Named | None = None,
+    partner: Named | None = None,
     backend: str | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
@@ -53,7 +54,8 @@ def train(
 
     Args:
       env: an environment id, a task's name, or a task.
-      mode: who learns what, see `Mode`; None for "collaborative".
+      mode: who learns what, see `Mode`; None for "collaborative", but for "shared"
+        where robots with equal spaces learn against policies or in a league.
       seed: of the run; None for 0.
       output: a new folder; None for one in `runs/` named after environment, mode and
         seed.
@@ -63,8 +65,15 @@ def train(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for `recipe(env)`.
-      partners: policies of agents that do not learn, by agent, as `load_policy` knows
-        them: `{"robot_2": "idle"}` trains robot_1 beside an arm that holds still.
+      opponent: who plays against what is learned, where there are several sides:
+        "self" (None), the latest policies on all sides; names of policies, as
+        `load_policy` knows them, of which each episode draws one, while the learners
+        play either side, or the other one of `{"side_2": "expert"}`; "league", or a
+        sequence of it and names of further policies that the league plays against.
+      partner: who plays with what is learned, where there is one side: names of
+        policies, of which each episode draws one while the learners play the other
+        robots by turns, or those that `{"robot_2": "idle"}` leaves; or "population", of
+        which all pairs learn together.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
@@ -98,7 +107,8 @@ def train(
             seed=seed,
             backend=backend,
             hyperparameters=hyperparameters,
-            partners=partners,
+            opponent=opponent,
+            partner=partner,
         )
         folder = folder or _begin(settings, output, stack)
         stack.enter_context(_torch(settings.seed, resources.torch_threads))

@@ -10,13 +10,13 @@ from collaborative_gym.envs.vector_env import EnvState, Observations, VectorEnv
 from collaborative_gym.evaluation.play import episode_row
 
 
-def full_episodes(infos: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each episode that ended and was not cut by a staggered start."""
-    return [
-        episode_row(infos, int(i))
+def full_episodes(infos: dict[str, Any]) -> dict[int, dict[str, Any]]:
+    """Return by world a row for each episode that ended, unless its start was cut."""
+    return {
+        int(i): episode_row(infos, int(i))
         for i in np.flatnonzero(infos["ended"])
         if infos["step"][i] == infos["metrics"]["length"][i]
-    ]
+    }
 
 
 def save_worlds(env: VectorEnv) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, shown, unknown
+from collaborative_gym.errors import UnknownName, look_up, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.scripted import (
@@ -32,6 +32,9 @@ BASELINES = Path(__file__).parents[1] / "baselines"
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 
+_PLAYERS = "players"
+"""Where the folder of a run with several players has a policy for each."""
+
 
 def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) -> Any:
     """Return a policy, ready to play.
@@ -41,7 +44,8 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
 
     Args:
       policy: an environment id, for its baseline, the trained policy that is shipped; a
-        path to a policy file or to the folder of a training run; "baseline", that of
+        path to a policy file or to the folder of a training run, also followed by the
+        name of one of its players, as in "runs/league/main-3"; "baseline", that of
         `env`; "expert", the task's scripted expert, which looks at the state of the
         worlds and not at the observations; "random", uniform actions, the same for an
         episode of a seed in any batch; "idle", which holds still with an open grip,
@@ -88,7 +92,7 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
       Exception: as `load_policy` does.
     """
     if not isinstance(policy, Mapping):
-        return _commanding(env.agents, policy, env, any_env)
+        return commanding(env.agents, policy, env, any_env)
     for agent in policy:
         if agent not in env.agents:
             raise UnknownName(unknown("agent", agent, env.agents))
@@ -103,7 +107,7 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
         same = Path(given) if isinstance(given, str | Path) else id(given)
         groups.setdefault(same, []).append(agent)
     leaders = [
-        (_commanding(agents, policy[agents[0]], env, any_env), agents)
+        (commanding(agents, policy[agents[0]], env, any_env), agents)
         for agents in groups.values()
     ]
     return lambda observations: {
@@ -122,14 +126,17 @@ def name_policy(policy: AnyPolicy) -> str:
     return getattr(policy, "__name__", type(policy).__name__)
 
 
-def _commanding(
+def commanding(
     agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
 ) -> Policy:
-    """Return what commands these agents, and maybe others."""
-    if isinstance(policy, str | Path):
-        if policy in _BY_ENV:
-            return _BY_ENV[str(policy)](env)
-        policy = _baseline(env) if policy == "baseline" else _load_file(policy)
+    """Return what commands these agents, and maybe others.
+
+    Raises:
+      Exception: as `load_policy` does.
+    """
+    policy = read_policy(policy, env)
+    if isinstance(policy, str):
+        return _BY_ENV[policy](env)
     if isinstance(policy, NetworkPolicy):
         policy = policy.serving(agents)
         policy.check(env, any_env=any_env)
@@ -140,6 +147,17 @@ def _commanding(
         " observations to actions, or one of these for each agent, got"
         f" {shown(policy)}"
     )
+
+
+def read_policy(policy: Any, env: VectorEnv) -> Any:
+    """Return the networks that a name or a path stands for; what is else, as it is.
+
+    Raises:
+      Exception: as `load_policy` does.
+    """
+    if not isinstance(policy, str | Path) or policy in _BY_ENV:
+        return policy
+    return _baseline(env) if policy == "baseline" else _load_file(policy)
 
 
 def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
@@ -178,9 +196,18 @@ def _load_file(name: str | Path) -> NetworkPolicy:
                 " function from observations to actions"
             )
         return NetworkPolicy.load(path)
+    players = path.parent / _PLAYERS
+    if players.is_dir():
+        names = {file.stem: file for file in players.glob("*.safetensors")}
+        return NetworkPolicy.load(look_up("player", path.name, names))
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(f"no policy file {path}")
     raise UnknownName(unknown("policy", name, [*_NAMES, *list_envs()]))
+
+
+def player_file(name: str) -> Path:
+    """Return where the policy of a player is in the folder of its run."""
+    return Path(_PLAYERS, f"{name}.safetensors")
 
 
 def _baseline(env: VectorEnv) -> NetworkPolicy:

@@ -1,0 +1,208 @@
+"""Who sits in which seat of which world: those who learn, and guests."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.team import Learner
+from collaborative_gym.tasks.task import Task
+
+SELF, LEAGUE, POPULATION = "self", "league", "population"
+"""Words that stand for other opponents and partners than given policies."""
+
+MAIN, EXPLOITERS = "main", ("main_exploiter", "league_exploiter")
+"""The members of a league that learn."""
+
+Cast = tuple[str | None, ...]
+"""Who sits in each seat of a world: a member that learns, or None for a guest."""
+
+
+@dataclass(frozen=True)
+class Casting:
+    """Seats, and the casts among which the worlds are divided for good.
+
+    A seat is what one policy commands as a whole: a side, or a robot of a team. The
+    members of a run are the policies that learn in it, each a whole one, which has
+    networks for every seat. Without seats, the only member plays all.
+
+    Attributes:
+      seats: the agents of each seat, by its name.
+      casts: who sits where.
+      shares: of the worlds that each cast has; none for equal ones.
+    """
+
+    seats: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    casts: tuple[Cast, ...] = ((),)
+    shares: tuple[float, ...] = ()
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """The members that learn, by name; an only one has an empty name."""
+        names = (name for cast in self.casts for name in cast if name is not None)
+        return tuple(dict.fromkeys(names)) or ("",)
+
+    def learned(self, member: str) -> dict[str, tuple[str, ...]]:
+        """Return the seats in which a member learns."""
+        return {
+            seat: agents
+            for i, (seat, agents) in enumerate(self.seats.items())
+            if any(cast[i] == member for cast in self.casts)
+        }
+
+    def guests(self) -> Iterator[tuple[str, str]]:
+        """Yield the members and the seats in which guests play with each of them."""
+        for cast in dict.fromkeys(self.casts):
+            for host in dict.fromkeys(name for name in cast if name is not None):
+                for seat, name in zip(self.seats, cast, strict=True):
+                    if name is None:
+                        yield host, seat
+
+    def check(self, num_worlds: int) -> None:
+        """Raise ValueError where so many worlds would leave out a cast."""
+        if set(self.spread(num_worlds)) < set(self.casts):
+            raise ValueError(
+                f"{num_worlds} worlds are too few for {len(self.casts)} casts of"
+                f" {' and '.join(self.seats)}; give more num_envs or fewer"
+                " num_collectors"
+            )
+
+    def spread(self, num_worlds: int) -> list[Cast]:
+        """Return each world's cast. Neighbours differ: worlds end one after another."""
+        shares = np.array(self.shares or [1.0] * len(self.casts))
+        shares /= shares.sum()
+        given = np.zeros(len(shares))
+        found = []
+        for world in range(num_worlds):
+            # The one that is furthest behind; rounding must not decide among equals.
+            i = int(np.argmax(np.round(shares * (world + 1) - given, 9)))
+            given[i] += 1
+            found.append(self.casts[i])
+        return found
+
+    def worlds(self, learner: Learner, num_worlds: int) -> dict[str, np.ndarray]:
+        """Return by agent in which of the worlds a learner commands it."""
+        casts = self.spread(num_worlds)
+        seats = {a: i for i, own in enumerate(self.seats.values()) for a in own}
+        return {
+            agent: np.flatnonzero(
+                [not cast or cast[seats[agent]] == learner.member for cast in casts]
+            )
+            for agent in learner.agents
+        }
+
+    def num_rows(self, learner: Learner, num_worlds: int) -> int:
+        """Return how many rows a learner has in so many worlds."""
+        rows = [len(each) for each in self.worlds(learner, num_worlds).values()]
+        return sum(rows) if learner.stacked else rows[0]
+
+
+def make_casting(
+    task: Task,
+    opponents: Sequence[str],
+    partners: Sequence[str],
+    *,
+    hyperparameters: Hyperparameters,
+) -> Casting:
+    """Return who sits where in a run.
+
+    Args:
+      task: what is learned.
+      opponents: "self", "league" and policies, or policies alone, also of one side as
+        in "side_2=FILE"; none for "self".
+      partners: "population", or policies, also of one robot as in "robot_2=FILE".
+      hyperparameters: the size of a population, and shares of a league's worlds.
+
+    Raises:
+      KeyError: if there is no such seat.
+      ValueError: if the task has nobody to oppose or to help, or words do not go
+        together.
+    """
+    seats = {agent: (agent,) for agent in task.agents}
+    if len(task.sides) > 1:
+        seats = {f"side_{i + 1}": tuple(own) for i, own in enumerate(task.sides)}
+    words = tuple(opponents or partners)
+    _check_words(task, opponents, partners)
+    if words in ((), (SELF,)):
+        return Casting()
+    if words == (POPULATION,):
+        members = [f"{i + 1}" for i in range(hyperparameters.population)]
+        return Casting(seats, tuple(product(members, repeat=len(seats))))
+    bound = {seat for seat, _ in map(split_word, words) if seat}
+    for seat in bound:
+        if seat not in seats:
+            raise UnknownName(unknown("side" if opponents else "agent", seat, seats))
+    if LEAGUE in words:
+        return _league(seats, hyperparameters)
+    if not bound:
+        return Casting(seats, tuple(_each_alone("", seats)))
+    if len(bound) == len(seats):
+        raise ValueError(
+            f"there is a policy for each of {', '.join(seats)}, so that nobody learns;"
+            " leave one out"
+        )
+    if opponents:
+        return Casting(seats, (tuple(None if s in bound else "" for s in seats),))
+    # Those of a team who learn beside a guest learn together, as one.
+    own = tuple(agent for agent in task.agents if agent not in bound)
+    guests = {agent: (agent,) for agent in task.agents if agent in bound}
+    return Casting({"team": own} | guests, (("", *[None] * len(guests)),))
+
+
+def split_word(word: str) -> tuple[str, str]:
+    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
+    seat, _, policy = word.partition("=")
+    return (seat, policy) if policy and seat.isidentifier() else ("", word)
+
+
+def _each_alone(member: str, seats: Mapping[str, Any]) -> Iterator[Cast]:
+    """Yield casts in which a member has one seat and guests have the others."""
+    for own in seats:
+        yield tuple(member if seat == own else None for seat in seats)
+
+
+def _league(
+    seats: Mapping[str, tuple[str, ...]], hyperparameters: Hyperparameters
+) -> Casting:
+    main, self_play = hyperparameters.league_main_share, hyperparameters.league_self
+    casts: list[Cast] = [(MAIN,) * len(seats)]
+    shares = [main * self_play]
+    others = (1.0 - main) / len(EXPLOITERS)
+    for member, share in (
+        (MAIN, main * (1.0 - self_play)),
+        *((name, others) for name in EXPLOITERS),
+    ):
+        casts += _each_alone(member, seats)
+        shares += [share / len(seats)] * len(seats)
+    return Casting(seats, tuple(casts), tuple(shares))
+
+
+def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) -> None:
+    """Raise ValueError where words have no place in the task or beside one another."""
+    if opponents and len(task.sides) == 1:
+        raise ValueError(
+            f"{task.name} has one side, so that nobody can be an opponent; leave out"
+            " opponent, or give a partner"
+        )
+    if partners and len(task.sides) > 1:
+        raise ValueError(
+            f"{task.name} has {len(task.sides)} sides; policies to play with are given"
+            " as opponent there, not as partner"
+        )
+    words = tuple(opponents or partners)
+    for word in (SELF,) if opponents else (POPULATION,):
+        if word in words and len(words) > 1:
+            raise ValueError(
+                f"{word} stands alone, got {' '.join(words)}; a file of that name is"
+                f" ./{word}"
+            )
+    bound = [word for word in words if split_word(word)[0]]
+    if bound and len(bound) < len(words):
+        raise ValueError(
+            f"{bound[0]} is for one seat and other policies are for any; name a seat"
+            " for each, or for none"
+        )

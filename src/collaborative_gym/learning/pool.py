@@ -1,0 +1,98 @@
+"""The guests of a run, and how often each is drawn."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from typing import Any
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.backend import Backend, Iteration
+from collaborative_gym.learning.casting import LEAGUE, Casting, split_word
+from collaborative_gym.learning.guests import Invitation
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import commanding, read_policy
+from collaborative_gym.tasks.task import Task
+
+Latest = Callable[[str], NetworkPolicy]
+"""Gives a member's policy as it is now."""
+
+
+class Pool:
+    """Policies that are given, each as likely as the others.
+
+    Args:
+      casting: who sits where.
+      policies: by name, as `read_guests` returns them.
+
+    Attributes:
+      policies: of all guests, by name.
+    """
+
+    def __init__(self, casting: Casting, policies: Mapping[str, Any]):
+        self.policies = dict(policies)
+        self._casting = casting
+
+    def invitation(self, latest: Latest) -> Invitation:
+        """Return who may be drawn in the coming rollout."""
+        odds: dict[str, dict[str, dict[str, float]]] = {}
+        for host, seat in self._casting.guests():
+            names = self._names(seat)
+            odds.setdefault(host, {})[seat] = dict.fromkeys(names, 1.0 / len(names))
+        return Invitation(self.policies, odds)
+
+    def pairings(self, member: str) -> list[tuple[tuple[str, ...], str]]:
+        """Return who may sit beside a member: names by seat, and a seat of its own."""
+        found = []
+        for cast in dict.fromkeys(self._casting.casts):
+            if member not in cast:
+                continue
+            choices = [
+                self._names(seat) if name is None else [name]
+                for seat, name in zip(self._casting.seats, cast, strict=True)
+            ]
+            own = list(self._casting.seats)[cast.index(member)]
+            for i in range(max(map(len, choices))):
+                found.append((tuple(each[i % len(each)] for each in choices), own))
+        return found
+
+    def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
+        """Take note of what a rollout and an update brought."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to go on."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+
+    def _names(self, seat: str) -> list[str]:
+        """Return who may be drawn for a seat."""
+        bound = {name: split_word(name)[0] for name in self.policies}
+        return [name for name, own in bound.items() if own in ("", seat)]
+
+
+def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str, Any]:
+    """Return by word the policy that it names, checked in all seats that it may have.
+
+    Args:
+      task: what is learned.
+      casting: who sits where.
+      words: as `make_casting` takes them.
+
+    Raises:
+      FileNotFoundError: if there is no such file.
+      KeyError: if there is no such policy.
+      ValueError: if one is damaged, or for another environment or seat.
+    """
+    free = dict.fromkeys(seat for _, seat in casting.guests())
+    given = [word for word in words if word != LEAGUE] if free else []
+    if not given:
+        return {}
+    found = {}
+    with closing(VectorEnv(task, 1, num_threads=1)) as env:
+        for word in given:
+            own, name = split_word(word)
+            found[word] = read_policy(name, env)
+            for seat in free:
+                if own in ("", seat):
+                    commanding(casting.seats[seat], found[word], env, False)
+    return found

@@ -1,0 +1,90 @@
+"""How well members do beside those with whom they learn."""
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.evaluation.play import play_episodes
+from collaborative_gym.learning.casting import Casting
+from collaborative_gym.learning.guests import Guests, Invitation
+from collaborative_gym.math import Array
+from collaborative_gym.tasks.task import Task
+
+_MOST_ENVS = 64
+"""Worlds beside one another; more run hardly faster on a CPU."""
+
+Pairing = tuple[tuple[str, ...], str]
+"""Who sits in each seat, by name, and the seat that is looked at."""
+
+
+def validate(
+    task: Task,
+    casting: Casting,
+    policies: Mapping[str, Any],
+    pairings: Sequence[Pairing],
+    *,
+    episodes: int,
+    seed: int,
+    num_threads: int,
+) -> dict[str, float]:
+    """Return means over episodes that all pairings share as evenly as they can.
+
+    They are those of the seat that is looked at: `return`, `completion`, `performance`,
+    and against opponents `points`, 1 for a game that is won and 0.5 for a draw.
+
+    Args:
+      task: what is played.
+      casting: whose seats there are.
+      policies: by name, of all who sit somewhere.
+      pairings: who plays with whom.
+      episodes: how many at least.
+      seed: which ones.
+      num_threads: physics threads, 0 for one per CPU.
+    """
+    each = math.ceil(episodes / len(pairings))
+    episodes = each * len(pairings)
+    num_envs = min(episodes, _MOST_ENVS)
+    with closing(VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)) as env:
+        guests = Guests(env, casting)
+        guests.invite(Invitation(policies))
+
+        def act(observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
+            # Which pairing an episode has, depends on the episode alone.
+            playing = env.progress["episode"] % len(pairings)
+            guests.seat([list(pairings[i][0]) for i in playing])
+            actions = env.idle()
+            guests.act(observations, actions)
+            return actions
+
+        rows, _ = play_episodes(env, act, episodes, seed)
+    views = [
+        _view(row, pairings[row["episode"] % len(pairings)][1], casting, task)
+        for row in rows
+    ]
+    return {
+        name: math.fsum(view[name] for view in views) / len(views) for name in views[0]
+    }
+
+
+def points(row: Mapping[str, Any], side: str, sides: Sequence[str]) -> float:
+    """Return 1 if a side has won an episode, 0.5 for a draw, else 0."""
+    own = row[f"{side}/score"]
+    best = max(row[f"{other}/score"] for other in sides if other != side)
+    return 0.5 * ((own > best) + (own >= best))
+
+
+def _view(
+    row: Mapping[str, Any], seat: str, casting: Casting, task: Task
+) -> dict[str, float]:
+    """Return an episode's results as who has the seat sees them."""
+    is_divided = len(task.sides) > 1
+    prefix = f"{seat}/" if is_divided else ""
+    names = ("return", "completion", "performance")
+    view = {name: float(row[f"{prefix}{name}"]) for name in names}
+    if is_divided:
+        view["points"] = points(row, seat, list(casting.seats))
+    return view
