@@ -31,7 +31,9 @@ def collect(duel, tiny):
     made = []
 
     def make(words, mode="shared", seed=0):
-        numbers = tiny(num_envs=WORLDS, rollout_steps=STEPS, delayed=0.0)
+        numbers = tiny(
+            num_envs=WORLDS, rollout_steps=STEPS, delayed=0.0, lost_grips=0.0
+        )
         casting = make_casting(duel, words, (), hyperparameters=numbers)
         sizes = Sizes.of(duel)
         learners = make_learners(
