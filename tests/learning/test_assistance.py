@@ -45,8 +45,9 @@ def test_the_share_falls_to_nothing_where_half_is_completed():
     assistance = Assistance(0.015)
     assistance.adapt([])
     assistance.adapt([{"completion": 0.0}, {"completion": 0.0}, {"completion": 1.0}])
-    assert assistance.share == 0.015
+    assert (assistance.share, assistance.demand) == (0.015, 0.0)
     assistance.adapt([{"completion": 0.0}, {"completion": 1.0}])
     assert assistance.share == pytest.approx(0.005)
+    assert assistance.demand == pytest.approx(0.02)
     assistance.adapt([{"completion": 1.0}])
     assert assistance.share == 0.0

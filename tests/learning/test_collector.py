@@ -11,7 +11,8 @@ from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
 
 LENGTH, WORLDS, STEPS = 12, 4, 8
-NOTHING = Assistance(0.0)
+NOTHING, ALL = Assistance(0.0), Assistance(0.0)
+ALL.demand = 1.0
 PENALTIES = "torque_penalty", "change_penalty", "contact_penalty"
 
 
@@ -149,7 +150,7 @@ def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
     done = []
     step = collector.env.step
     monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
-    rollout = collector.collect(acting(learners), 0, NOTHING).rollouts["team"]
+    rollout = collector.collect(acting(learners), 0, ALL).rollouts["team"]
     done = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
     chosen = np.clip(rollout.actions, -1.0, 1.0)
     late = round(delayed * WORLDS)
@@ -169,7 +170,7 @@ def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
     for weight in (0.0, 5.0):
         penalties = dict.fromkeys(PENALTIES, weight)
         collector, learners = make(rollout_steps=2 * LENGTH, **penalties)
-        found.append(collector.collect(acting(learners), 0, NOTHING))
+        found.append(collector.collect(acting(learners), 0, ALL))
     free, charged = found
     assert (free.rollouts["team"].rewards > charged.rollouts["team"].rewards).all()
     earned = [[row["return"] for row in each.episodes] for each in found]
@@ -192,7 +193,7 @@ def test_grips_are_lost_now_and_then(make, monkeypatch, share, least, most):
     done = []
     step = collector.env.step
     monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
-    chosen = collector.collect(acting(learners), 0, NOTHING).rollouts["team"].actions
+    chosen = collector.collect(acting(learners), 0, ALL).rollouts["team"].actions
     asked = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
     is_lost = asked != np.clip(chosen, -1.0, 1.0)
     grips = learners[0].learner.is_grip(Sizes.of(collector.env.task))

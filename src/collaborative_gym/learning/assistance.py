@@ -1,4 +1,4 @@
-"""Help with heavy things while they are hard to lift."""
+"""Help while little succeeds, and demands once much does."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,23 +9,30 @@ import numpy as np
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.curve import sides_of
 
-_EASE = 0.01
-"""How much less is carried after a rollout that went well."""
+_EASE, _RISE = 0.01, 0.02
+"""How much less is carried, and more demanded, after a rollout that went well."""
 
 
 class Assistance:
-    """Carries a share of the weight of what moves freely, and less as more succeed.
+    """Makes a task easier until it succeeds, and then harder.
 
-    A pot that takes all the strength of two arms is not lifted by chance. What is
-    learned on a lighter one carries over as its weight comes back. What a task itself
-    pushes by `disturb` is not carried.
+    At first it carries a share of the weight of what moves freely. A pot that takes all
+    the strength of two arms is not lifted by chance. What is learned on a lighter one
+    carries over as its weight comes back. What a task itself pushes by `disturb` is not
+    carried.
+
+    What training demands beyond the task's reward (penalties, late actions, lost grips)
+    begins with nothing: who pays for torque before a lift was ever paid for never tries
+    one.
 
     Attributes:
       share: of the weight, from 0 to 1.
+      demand: share of the demands, from 0 to 1.
     """
 
     def __init__(self, share: float):
         self.share = share
+        self.demand = 0.0
         self._is_given = share > 0.0
 
     def carry(self, env: VectorEnv) -> None:
@@ -35,7 +42,7 @@ class Assistance:
             env.sim.xfrc_applied[:, bodies, 2] = self.share * weights
 
     def adapt(self, episodes: Sequence[Mapping[str, Any]]) -> None:
-        """Carry less from now on if at least half of these episodes were completed.
+        """Carry less, and demand more, if at least half of these were completed.
 
         Where there are several sides, it is enough that one of them did.
         """
@@ -45,6 +52,15 @@ class Assistance:
         ]
         if completed and np.mean(completed) >= 0.5:
             self.share = max(0.0, self.share - _EASE)
+            self.demand = min(1.0, self.demand + _RISE)
+
+    def state_dict(self) -> dict[str, float]:
+        """Return what changes."""
+        return {"share": self.share, "demand": self.demand}
+
+    def load_state_dict(self, state: Mapping[str, float]) -> None:
+        """Go on from what `state_dict` returned."""
+        self.share, self.demand = state["share"], state["demand"]
 
 
 def _loose(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

@@ -110,7 +110,7 @@ class Backend:
         return {
             "steps": self.steps,
             "iteration": self._iteration,
-            "assistance": self._assistance.share,
+            "assistance": self._assistance.state_dict(),
             "learners": {name: each.state_dict() for name, each in learners},
             "generator": torch.get_rng_state(),
             "cuda_generators": torch.cuda.get_rng_state_all() if cuda else [],
@@ -126,7 +126,7 @@ class Backend:
             learner.load_state_dict(state["learners"][name])
         self._collectors.load_state_dict(state["worlds"])
         self.steps, self._iteration = state["steps"], state["iteration"]
-        self._assistance.share = state["assistance"]
+        self._assistance.load_state_dict(state["assistance"])
         torch.set_rng_state(state["generator"])
         if torch.cuda.is_initialized() and state["cuda_generators"]:
             torch.cuda.set_rng_state_all(state["cuda_generators"])

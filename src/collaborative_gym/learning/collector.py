@@ -268,8 +268,6 @@ class Collector:
         ]
         self._guests = Guests(self.env, job.casting)
         self._penalties = Penalties(self.env, job.hyperparameters)
-        self._is_late = np.arange(share) < round(share * job.hyperparameters.delayed)
-        self._lost_grips = job.hyperparameters.lost_grips
         self._observations: Observations | None = None
 
     def collect(
@@ -301,7 +299,9 @@ class Collector:
         for _ in range(steps):
             actions = self._act(observations, rng)
             assistance.carry(self.env)
-            observations, rewards, *ends, infos = self._step(actions, rng)
+            observations, rewards, *ends, infos = self._step(
+                actions, rng, assistance.demand
+            )
             rewards = self._faded(rewards, infos["reward_terms"], iteration)
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
@@ -356,17 +356,24 @@ class Collector:
         return actions
 
     def _step(
-        self, chosen: Mapping[str, np.ndarray], rng: np.random.Generator
+        self,
+        chosen: Mapping[str, np.ndarray],
+        rng: np.random.Generator,
+        demand: float,
     ) -> tuple[Any, ...]:
         """Do what robots chose, late or with a grip lost, and charge them for it."""
+        hyperparameters, count = self._job.hyperparameters, self.env.num_envs
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
-        late = self._is_late[:, None]
+        late = np.arange(count) < round(count * hyperparameters.delayed * demand)
+        late = late[:, None]
         done = {a: np.where(late, self._previous[a], chosen[a]) for a in chosen}
-        if self.env.task.gripping and self._lost_grips:
-            for action in done.values():
-                action[rng.random(len(action)) < self._lost_grips, -1] = -1.0
+        lost = hyperparameters.lost_grips * demand
+        for action in done.values() if self.env.task.gripping and lost else ():
+            action[rng.random(count) < lost, -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
-        rewards = self._penalties.charge(rewards, chosen, previous=self._previous)
+        rewards = self._penalties.charge(
+            rewards, chosen, previous=self._previous, share=demand
+        )
         fresh, idle = infos["ended"][:, None], self.env.idle()
         self._previous = {a: np.where(fresh, idle[a], chosen[a]) for a in chosen}
         return observations, rewards, *ends, infos

@@ -40,6 +40,7 @@ class Penalties:
         actions: Mapping[str, np.ndarray],
         *,
         previous: Mapping[str, np.ndarray],
+        share: float = 1.0,
     ) -> dict[str, np.ndarray]:
         """Return rewards less what the control step that was just done costs.
 
@@ -47,17 +48,23 @@ class Penalties:
           rewards: of the task, (num_envs,) by agent.
           actions: what each robot chose, (num_envs, k) in [-1, 1] by agent.
           previous: what it chose one control step earlier, in the same form.
+          share: of the costs that is charged.
         """
         charged = dict(rewards)
+        if not share:
+            return charged
         for agent in charged:
             if self._torque:
                 asked = np.minimum(self._asked(agent), _MOST_TORQUE)
-                charged[agent] = charged[agent] - self._torque * _mean_square(asked)
+                cost = share * self._torque * _mean_square(asked)
+                charged[agent] = charged[agent] - cost
             if self._change:
                 change = actions[agent] - previous[agent]
-                charged[agent] = charged[agent] - self._change * _mean_square(change)
+                cost = share * self._change * _mean_square(change)
+                charged[agent] = charged[agent] - cost
             if self._contact:
-                charged[agent] = charged[agent] - self._contact * self._depth()
+                cost = share * self._contact * self._depth()
+                charged[agent] = charged[agent] - cost
         return charged
 
     def _depth(self) -> np.ndarray:
