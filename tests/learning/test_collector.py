@@ -177,16 +177,6 @@ def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
     assert earned[0] == earned[1] != []
 
 
-def test_contacts_are_charged_by_the_deepest(make):
-    collector, _ = make(contact_penalty=0.5, torque_penalty=0.0, change_penalty=0.0)
-    depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
-    collector.env.strain.depths = {k: np.array(each) for k, each in depths.items()}
-    rewards = {agent: np.ones(WORLDS) for agent in collector.env.agents}
-    charged = collector._penalties.charge(rewards, {}, previous={})
-    for earned in charged.values():
-        np.testing.assert_allclose(earned, 1.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
-
-
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.2, 0.1, 0.3)])
 def test_grips_are_lost_now_and_then(make, monkeypatch, share, least, most):
     collector, learners = make(lost_grips=share, delayed=0.0, rollout_steps=100)

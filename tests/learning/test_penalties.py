@@ -32,7 +32,7 @@ def charged(env, numbers, actions, previous):
 
 
 def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
-    numbers = tiny(torque_penalty=0.7, change_penalty=0.0)
+    numbers = tiny(torque_penalty=0.7, change_penalty=0.0, contact_penalty=0.0)
     actions = moving(env, 0.3)
     found = charged(env, numbers, actions, actions)
     for agent, arm in env.scene.arms.items():
@@ -45,7 +45,7 @@ def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
 
 
 def test_what_a_servo_asks_for_beyond_its_motor_costs_more_up_to_a_bound(env, tiny):
-    numbers = tiny(torque_penalty=1.0, change_penalty=0.0)
+    numbers = tiny(torque_penalty=1.0, change_penalty=0.0, contact_penalty=0.0)
     actions = moving(env, 0.0)
     costs = []
     for share in (0.0, 1.0, 2.0, 3.0, 30.0):
@@ -61,9 +61,19 @@ def test_what_a_servo_asks_for_beyond_its_motor_costs_more_up_to_a_bound(env, ti
 def test_a_change_of_action_costs_its_mean_square(env, tiny):
     actions = moving(env, 0.3)
     previous = {agent: each - 0.5 for agent, each in actions.items()}
-    numbers = tiny(torque_penalty=0.0, change_penalty=2.0)
+    numbers = tiny(torque_penalty=0.0, change_penalty=2.0, contact_penalty=0.0)
     for agent, found in charged(env, numbers, actions, previous).items():
         assert found == pytest.approx(2.0 - 2.0 * 0.25), agent
-    numbers = tiny(torque_penalty=0.0, change_penalty=0.0)
+    numbers = tiny(torque_penalty=0.0, change_penalty=0.0, contact_penalty=0.0)
     for found in charged(env, numbers, actions, previous).values():
         assert (found == 2.0).all()
+
+
+def test_contacts_cost_by_the_deepest(carry, tiny):
+    env = VectorEnv(carry(), 4, num_threads=1, strain=True)
+    numbers = tiny(torque_penalty=0.0, change_penalty=0.0, contact_penalty=0.5)
+    depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
+    env.strain.depths = {kind: np.array(each) for kind, each in depths.items()}
+    for earned in charged(env, numbers, {}, {}).values():
+        np.testing.assert_allclose(earned, 2.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
+    env.close()
