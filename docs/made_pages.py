@@ -70,9 +70,10 @@ def made_pages() -> dict[str, str]:
 def expanded(markdown: str, path: str = "index.md") -> str:
     """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
 
-    That is `arms`, `certificates` or `environments`; a file of the repository, such as
-    `CHANGELOG.md`; a section of one, such as `README.md, Licence`; or lines of Python,
-    such as `examples/it.py:1:11`. Links in it are made to be from the page.
+    That is `arms`, `certificates`, `environments` or `examples`; a file of the
+    repository, such as `CHANGELOG.md`; a section of one, such as `README.md, Licence`;
+    or lines of Python, such as `examples/it.py:1:11`. Links in it are made to be from
+    the page.
 
     Args:
       markdown: the page.
@@ -104,6 +105,8 @@ def _put(what: str) -> str:
         return _certificates()
     if what == "environments":
         return _environments()
+    if what == "examples":
+        return _examples()
     if ":" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -277,6 +280,12 @@ def _certificates() -> str:
     """Return the table of the certificates that are shipped."""
     paths = sorted((ROOT / "docs" / "certificates").glob("*.json"))
     return certificates_to_markdown([Certificate.load(path) for path in paths])
+
+
+def _examples() -> str:
+    """Return the examples' files, each under a title that opens it."""
+    paths = sorted((ROOT / "examples").glob("*.py"))
+    return "\n\n".join(_folded(path.name, path.read_text()) for path in paths)
 
 
 def _arm(robot: cg.Robot) -> str:

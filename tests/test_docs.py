@@ -275,6 +275,10 @@ def test_made_pages_say_what_the_code_is():
     arms = made_pages.expanded("<!-- put: arms -->")
     assert "| 1 | -3.05 to 3.05 | 0 | 1.74 | 80 |" in arms
     assert "franka_ros c11f000" in arms
+    files = made_pages.expanded("<!-- put: examples -->")
+    for path in (ROOT / "examples").glob("*.py"):
+        assert f'"{path.name}"' in files
+        assert textwrap.indent(path.read_text().splitlines()[0], "    ") in files
     help_page = pages["reference/command_line.md"]
     for command in made_pages.COMMANDS:
         assert f"usage: collaborative-gym {command} " in help_page
