@@ -59,15 +59,16 @@ class _World(Command):
     """What is played.
 
     Attributes:
-      policy: who commands the robots: expert, random, idle, gripping or frozen (hold
-        still: with an open grip, a closed one, or as it is), baseline (the trained
-        policy that is shipped), or a path to a policy file or a training
-        folder; or one for each robot, such as robot_1=baseline robot_2=idle.
-      any_env: let a trained policy play another environment than its own.
+      policy: who commands the robots: expert, random, baseline (the trained policy that
+        is shipped), a path to a policy file or to a training folder, or one of idle,
+        gripping and frozen, which hold still (with an open grip, with a closed grip,
+        with the grip as it is). Or one for each robot, such as robot_1=baseline
+        robot_2=idle.
+      any_env: let a trained policy play an environment that it was not trained for.
       robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much starts differ: default, or paper for the thesis's fixed
-        starts.
-      seed: starts another series of episodes.
+      randomization: how much the starts of episodes differ: default, or paper for the
+        thesis's fixed starts.
+      seed: number of a series of episodes; another seed gives other episodes.
     """
 
     policy: Policies = ("expert",)
@@ -84,9 +85,9 @@ class Record(_World):
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif.
-      beside: other policies to show beside it, at the same episodes, each as for
+      beside: other policies to show beside it, in the same episodes, each given as for
         --policy.
-      episodes: how many, one after the other.
+      episodes: number of episodes, one after the other.
       size: width and height in pixels, of each policy's picture.
     """
 
@@ -124,12 +125,12 @@ class Evaluate(_World):
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: evaluate every environment; name none then.
-      episodes: how many per environment.
-      delay: how many control steps late each action is done.
-      num_envs: worlds to play in beside one another; the numbers do not depend on it.
-      num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
-      json: file for all statistics, interquartile means and each robot's return too,
+      all: evaluate every environment; then name none.
+      episodes: number of episodes in each environment.
+      delay: number of control steps by which each action comes late.
+      num_envs: worlds that play at the same time; the results do not depend on it.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
+      json: file for all statistics (also interquartile means and each robot's return)
         and all episodes; - for standard output.
       csv: file with one row per episode; - for standard output.
     """
@@ -204,10 +205,10 @@ class Reproduce:
     """Compare the shipped baselines with the thesis, number by number.
 
     Attributes:
-      table: which of its tables: table11, the results.
-      episodes: how many per environment and policy.
-      seed: starts another series of episodes.
-      num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
+      table: which table of the thesis: table11, its results.
+      episodes: number of episodes for each environment and policy.
+      seed: number of a series of episodes; another seed gives other episodes.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: where table11.md and table11.json go.
     """
 
@@ -246,18 +247,19 @@ class Certify(Command):
     """Try to do tasks while one arm is still, to show that all arms are needed.
 
     Each arm in turn is idle, idle with a closed grip, or frozen on the expert's way to
-    the goal; the others play the expert, motions that a search finds, and policies that
-    are trained for it. It takes hours; stop at any time, and the same command goes on.
+    the goal. The other arms play the expert, motions that a search finds, and policies
+    that are trained for this. It takes hours. You can stop it at any time; the same
+    command then continues.
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: certify every environment; name none then.
-      quick: take seconds instead, which shows that it works and proves nothing.
+      all: certify every environment; then name none.
+      quick: take only seconds. This shows that certify works, and proves nothing.
       robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much starts differ: default, or paper for the thesis's fixed
-        starts.
-      seed: starts another series of episodes.
-      num_threads: physics threads, 0 for one per CPU; the numbers do not depend on it.
+      randomization: how much the starts of episodes differ: default, or paper for the
+        thesis's fixed starts.
+      seed: number of a series of episodes; another seed gives other episodes.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: where certificates.md goes, and a folder for each environment, with its
         certificate.json and its trainings.
       budget: how hard it tries.
@@ -309,7 +311,7 @@ class Certify(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark(Command):
-    """Measure the environments' speed beside that of the bare physics, in one run.
+    """Measure how fast the environments are, and how fast the physics alone is.
 
     Attributes:
       envs: environment ids, or tasks' names. (default: all ids)
@@ -345,15 +347,15 @@ class Benchmark(Command):
 class View(_World):
     """Watch a policy in real time, and pull at things to disturb it.
 
-    The same as `python -m collaborative_gym --env ENV`. It shows in a window, or in the
-    browser where none can be opened.
+    It opens a window, or serves a page for the browser where it cannot open one.
+    `python -m collaborative_gym --env ENV` does the same.
 
     Attributes:
       env: environment id, or a task's name.
-      web: show it in the browser.
-      host: address that the browser's page is served at. Whoever reaches it can watch
-        and control the robots.
-      port: of the page; the next free one is taken if it is in use.
+      web: serve a page for the browser.
+      host: address at which the page is served. Whoever can reach it can watch and
+        control the robots.
+      port: port of the page; if it is in use, the next free one is taken.
     """
 
     env: Env
@@ -388,7 +390,7 @@ class Demo:
 
     Attributes:
       output: where the files go.
-      episodes: how many per environment and policy.
+      episodes: number of episodes for each environment and policy.
     """
 
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out")

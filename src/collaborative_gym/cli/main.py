@@ -113,7 +113,8 @@ def _run(arguments: list[str]) -> None:
         _Command,
         prog="collaborative-gym",
         description="Robot arms that must work together: watch, train, measure.\n\n"
-        "With --version, say which version this is.",
+        "COMMAND --help tells the options of a command; --version tells which version"
+        " this is.",
         args=arguments,
     )
     if isinstance(command, Command):

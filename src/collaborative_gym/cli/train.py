@@ -37,17 +37,18 @@ def _not_given() -> Hyperparameters:
 
 @dataclass(frozen=True, kw_only=True)
 class Train(Command):
-    """Train policies by PPO; stop at any time and go on with --resume.
+    """Train policies by PPO; stop at any time and continue with --resume.
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
-    TensorBoard's events, and checkpoints. Hyperparameters that are not given are those
-    with which the environment's baseline was trained, or else the defaults below.
+    TensorBoard's events, and checkpoints. Hyperparameters that you do not give have
+    the values with which the environment's baseline was trained, or else the defaults
+    below.
 
     Attributes:
       envs: environment id, or a task's name; with --resume that of the run.
       all: train the baselines of all environments, or of those named, one after the
-        other, and write their cards; runs that are there already are continued.
+        other, and write their cards; continues the runs that exist already.
       mode: who learns what. collaborative (default): a policy for each robot and one
         critic that sees all observations; independent: a policy and a critic each;
         shared: one policy and critic for robots with equal spaces (default for these
@@ -58,8 +59,8 @@ class Train(Command):
         (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much starts differ: default, or paper for the thesis's fixed
-        starts.
+      randomization: how much the starts of episodes differ: default, or paper for the
+        thesis's fixed starts.
       opponent: who plays against what is learned, in a task of several sides. self
         (default): the latest policies on all sides; policies, as --policy of evaluate
         takes them, of which each episode draws one, or those of a side, as in

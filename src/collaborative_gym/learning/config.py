@@ -44,22 +44,22 @@ class Hyperparameters:
       num_envs: worlds to collect from beside one another.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
-      minibatch_size: rows of a gradient step; a row is one robot's, or in the modes
-        collaborative and centralized all robots', control step.
+      minibatch_size: rows of a gradient step. A row is a control step of one robot, or
+        in the modes collaborative and centralized of all robots.
       discount: what a reward is worth one control step earlier.
       gae_lambda: trace decay of generalized advantage estimation.
       clip: how far an action's probability may move in an update, as a share.
       entropy: weight of the policy's entropy in the loss.
       value_weight: weight of the critic's loss.
-      max_grad_norm: largest norm of a gradient; 0 for any.
+      max_grad_norm: largest norm of a gradient; 0 for no limit.
       learning_rate: of Adam, at first.
       target_kl: the learning rate falls where an epoch moves the policy more than twice
         as far as this Kullback-Leibler divergence, and rises below half of it; 0 keeps
         it.
-      min_learning_rate: it never falls below.
-      max_learning_rate: it never rises above.
+      min_learning_rate: the learning rate never falls below this.
+      max_learning_rate: the learning rate never rises above this.
       initial_std: standard deviation of the first actions.
-      initial_grip_std: that of their grip component.
+      initial_grip_std: standard deviation of their grip component.
       grip_limit: greatest mean of a grip's command, 0 for any. Its noise then reaches
         both sides of zero for as long as it is about half as large: a robot that holds
         on can still find out what it gains by letting go.
@@ -67,9 +67,9 @@ class Hyperparameters:
         to below 1. A grip that noise opens now and then loses what it carries, and
         carrying would not be learned; noise that lasts tries long holds and long
         releases.
-      assistance: share of the weight of what moves freely that is carried at first; it
-        falls by 0.01 after each rollout in which half of the episodes are completed.
-        Nothing is carried in validations.
+      assistance: share of the weight of loose things that is carried at first. It falls
+        by 0.01 after each rollout in which half of the episodes are completed. In
+        validations nothing is carried.
       torque_penalty: what a control step costs a robot while its servos ask for their
         torque limits: this times the mean square of asked torque over limit.
       change_penalty: what a change of action costs it: this times its mean square.
@@ -91,7 +91,7 @@ class Hyperparameters:
       population: policies for each robot, where partners are a population.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
-      validation_interval: environment steps between two validations; 0 for none but at
+      validation_interval: environment steps between two validations; 0 for only one, at
         the end.
       validation_episodes: episodes of a validation, with the deterministic policy.
     """
