@@ -123,7 +123,7 @@ def test_ctrl_c_ends_a_run_and_resume_goes_on(curve, carry_id, tmp_path, capsys)
     assert main([*arguments, str(whole)]) == 0
     with ctrl_c_after(96):
         assert main([*arguments, str(cut)]) == 130
-    stopped = f"stopped after 96 steps; go on with --resume {cut}\n"
+    stopped = f"stopped after 96 steps; continue with --resume {cut}\n"
     assert capsys.readouterr().err.endswith(stopped)
     # What it was started with need not be given again, not even the environment.
     assert main(["train", "--resume", str(cut), *THREADS]) == 0
@@ -249,7 +249,7 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
     assert main([*arguments, *TINY]) == 0
     before = (tmp_path / LAST).read_bytes()
     assert main([*arguments, *TINY]) == 2
-    assert "go on with it (--resume)" in capsys.readouterr().err
+    assert "continue it (--resume)" in capsys.readouterr().err
     assert (tmp_path / LAST).read_bytes() == before
 
 

@@ -158,7 +158,9 @@ def test_ctrl_c_is_heeded_after_the_update_and_the_second_one_at_once(
         return interrupt
 
     options = {"checkpoint_interval": 64}
-    with pytest.raises(KeyboardInterrupt, match="after 96 steps; go on with --resume"):
+    with pytest.raises(
+        KeyboardInterrupt, match="after 96 steps; continue with --resume"
+    ):
         train_tiny(tmp_path / "once", on_row=press(1), **options)
     assert Checkpoint.load(tmp_path / "once" / LAST).backend["steps"] == 96
     with pytest.raises(KeyboardInterrupt) as caught:
@@ -255,7 +257,7 @@ def test_a_damaged_or_missing_checkpoint_changes_nothing(train_tiny, hashes, tmp
 def test_a_folder_with_a_run_is_not_overwritten(train_tiny, hashes, tmp_path):
     train_tiny()
     before = hashes(tmp_path)
-    with pytest.raises(FileExistsError, match=r"go on with it \(--resume\), or choose"):
+    with pytest.raises(FileExistsError, match=r"continue it \(--resume\), or choose"):
         train_tiny()
     with pytest.raises(ValueError, match="either output, for a new run, or resume"):
         train_tiny(output=tmp_path / "a", resume=tmp_path / "run")

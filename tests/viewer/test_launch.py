@@ -88,7 +88,7 @@ def test_without_a_display_no_window_opens(make_session, monkeypatch):
     with pytest.raises(RuntimeError, match="no display to open a window on"):
         window.Window(make_session())
     monkeypatch.setenv("DISPLAY", ":9999")
-    with pytest.raises(RuntimeError, match="the display lets no window be opened"):
+    with pytest.raises(RuntimeError, match="no window can be opened on the display"):
         window.Window(make_session())
 
 

@@ -276,7 +276,7 @@ class _Work:
             if not len(states.physics):
                 raise ValueError(
                     f"{self._task.name}: in no episode is its expert at {fraction:.0%}"
-                    " of its way to the goal, and the goal not met; mend the expert, or"
+                    " of its way while the goal is not met; mend the expert, or"
                     " give other fractions"
                 )
         return found

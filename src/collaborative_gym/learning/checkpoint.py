@@ -79,7 +79,7 @@ class Checkpoint:
             raise _unusable(path, "no checkpoint of this version, or damaged")
         rest = memoryview(whole)[start:]
         if sha256(rest).digest() != whole[len(_FORMAT) : start]:
-            raise _unusable(path, "damaged: its digest is of another content")
+            raise _unusable(path, "damaged: its content does not match its digest")
         try:
             # Only data: a file from elsewhere cannot run code.
             content = torch.load(BytesIO(rest), "cpu", weights_only=True)

@@ -131,7 +131,8 @@ class Run:
             if pressed.is_set():
                 self._save(LAST)
                 raise KeyboardInterrupt(
-                    f"stopped after {steps:,} steps; go on with --resume {self._folder}"
+                    f"stopped after {steps:,} steps; continue with --resume"
+                    f" {self._folder}"
                 )
         steps, seconds = self._backend.steps, self._seconds
         return Result(self._folder, self._settings, steps, seconds, self._best)

@@ -1,4 +1,4 @@
-"""What a training run is started with, and whether it may go on with what is asked."""
+"""What a run is started with, and whether it may continue with what is asked."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -21,7 +21,7 @@ Named = str | Path | Sequence[str | Path] | Mapping[str, str | Path]
 """Names of policies, or of one for each of some seats."""
 
 _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
-"""Hyperparameters that a run may go on with another value of; steps only of more."""
+"""Hyperparameters that a run may change when it continues; steps may only grow."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def settle(
 
     Args:
       task: what to learn.
-      started: settings of a run to go on with, None for a new one.
+      started: settings of a run to continue, None for a new one.
       mode: who learns what.
       seed: of the run.
       backend: what collects.
@@ -223,7 +223,7 @@ def _check_seats(settings: Settings, task: Task) -> None:
 
 
 def _check_same(settings: Settings, started: Settings) -> None:
-    """Raise unless a run that was started otherwise may go on with these settings."""
+    """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
     for name in (
         "mode",
@@ -242,8 +242,8 @@ def _check_same(settings: Settings, started: Settings) -> None:
             found += _differing(name, value, own[name])
     if found:
         raise ValueError(
-            f"this run cannot go on so: {'; '.join(found)}; leave out what differs to"
-            " go on with it, or start another run"
+            f"this run cannot continue so: {'; '.join(found)}; leave out what differs,"
+            " or start another run"
         )
 
 

@@ -59,7 +59,7 @@ def train(
       seed: of the run; None for 0.
       output: a new folder; None for one in `runs/` named after environment, mode and
         seed.
-      resume: the folder of a run to go on with, in place of `output`. What it was
+      resume: the folder of a run to continue, in place of `output`. What it was
         started with holds, and need not be given again; `total_steps` may be raised,
         and validations changed.
       robots: other arms than the environment's own, in the order of the agents.
@@ -173,7 +173,7 @@ def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> P
     stack.enter_context(claimed(folder))
     if (folder / LAST).exists():
         raise FileExistsError(
-            f"there is a run in {folder} already; go on with it (--resume), or choose"
+            f"there is a run in {folder} already; continue it (--resume), or choose"
             " another output"
         )
     write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")

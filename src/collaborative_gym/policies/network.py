@@ -216,8 +216,8 @@ class NetworkPolicy:
                 )
         if differences and not any_env:
             raise ValueError(
-                f"{title}; here {'; '.join(differences)}. Train one for here, or play"
-                " this one all the same with any_env=True (--any-env)"
+                f"{title}; here {'; '.join(differences)}. Train one for this"
+                " environment, or play this one here with any_env=True (--any-env)"
             )
 
     def save(self, path: str | Path) -> None:
@@ -279,7 +279,7 @@ class NetworkPolicy:
                 f" {_FORMAT}"
             )
         if digest != _digest(text, tensors):
-            raise ValueError("its content is not what its digest says")
+            raise ValueError("its content does not match its digest")
         parts = [
             Part(tuple(part["agents"]), part["weights"], part["index"])
             for part in description["parts"]

@@ -194,7 +194,7 @@ def _check_fingers(robot: RobotData, model: mujoco.MjModel) -> None:
     if moved[0] > moved[1]:
         raise robot_error(
             robot,
-            f"its fingers close along x of its tcp {robot.tcp!r}, and must along"
+            f"its fingers close along x of its tcp {robot.tcp!r}, but must close along"
             " y; turn that frame about z by 90 degrees in the model file, or add one",
         )
     spread = [np.ptp(place[:, 1]) for place in places]

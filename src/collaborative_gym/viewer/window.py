@@ -135,4 +135,4 @@ def _check_display() -> None:
             window = glfw.create_window(64, 64, "", None, None)
             glfw.terminate()
     if not window:
-        raise RuntimeError("the display lets no window be opened")
+        raise RuntimeError("no window can be opened on the display")
