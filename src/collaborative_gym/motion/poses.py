@@ -114,8 +114,8 @@ def hold(
 
     Args:
       chains: the arms' kinematics.
-      goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or one for
-        all.
+      goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or directions
+        (n, 3) of its approach in the goals of all arms, or one for all n.
       near: for each arm, angles (n, joints) to begin with, in rad.
 
     Returns:
@@ -124,15 +124,17 @@ def hold(
     count, most = len(near[0]), chains.low.shape[1]
     arm = np.repeat(np.arange(len(near)), count)
     start = np.zeros((len(near), count, most))
-    positions, quats = np.zeros((*start.shape[:2], 3)), np.zeros((*start.shape[:2], 4))
+    positions, turns = (
+        np.zeros((*start.shape[:2], np.shape(part)[-1])) for part in goals[0]
+    )
     for i, (goal, angles) in enumerate(zip(goals, near, strict=True)):
         start[i, :, : angles.shape[1]] = angles
-        positions[i], quats[i] = goal
+        positions[i], turns[i] = goal
     limits = chains.low[arm], chains.high[arm]
     angles, misses = descend(
         chains.of(arm),
         np.clip(start.reshape(-1, most), *limits),
-        goal=(positions.reshape(-1, 3), quats.reshape(-1, 4)),
+        goal=(positions.reshape(-1, 3), turns.reshape(start[..., 0].size, -1)),
         limits=limits,
         steps=20,
         enough=1e-6,
@@ -155,7 +157,8 @@ def central_pose(
     Args:
       model: the compiled world.
       arm: whose tcp.
-      poses: positions (3,) in m and quaternions (4,) in the world frame.
+      poses: positions (3,) in m and quaternions (4,) in the world frame, or directions
+        (3,) of the approach.
 
     Raises:
       ValueError: if the first pose is out of reach.

@@ -7,12 +7,27 @@ from collaborative_gym.objects.ball import ball
 from collaborative_gym.objects.board import board
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.donut import donut
+from collaborative_gym.objects.mallet import mallet
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.pot import pot
+from collaborative_gym.objects.puck import puck
+from collaborative_gym.objects.rink import rink
 from collaborative_gym.objects.stick import stick
 from collaborative_gym.objects.table import table
 
-__all__ = ["ball", "board", "cube", "donut", "pedestal", "pot", "stick", "table"]
+__all__ = [
+    "ball",
+    "board",
+    "cube",
+    "donut",
+    "mallet",
+    "pedestal",
+    "pot",
+    "puck",
+    "rink",
+    "stick",
+    "table",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -17,6 +17,8 @@ _SOLIMP = 0.95, 0.99, 0.001, 0.5, 2.0
 """How contacts and stops give way, in MuJoCo's words: they are as stiff as the time
 step resolves without a bounce (docs/performance.md has what else was tried)."""
 
+_USUAL = tuple(mujoco.MjSpec().default.geom.solref)
+
 STOP = 0.015
 """How far before the ends of a joint's range its stops are, in rad. A fast joint turns
 by 0.03 rad in a physics step before its stop acts."""
@@ -25,7 +27,9 @@ by 0.03 rad in a physics step before its stop acts."""
 def set_collisions(
     spec: mujoco.MjSpec, agents: Collection[str], finger_bodies: Collection[str]
 ) -> None:
-    """Let arms and objects collide with one another and with what is fixed, all alike.
+    """Let arms and objects collide with one another and with what is fixed.
+
+    All contacts are alike but those of geoms with a `solref` of their own.
 
     Args:
       spec: the world.
@@ -35,7 +39,8 @@ def set_collisions(
     for geom in spec.geoms:
         if not geom.contype and not geom.conaffinity:
             continue
-        geom.solref, geom.solimp = _SOLREF, _SOLIMP
+        if tuple(geom.solref) == _USUAL:
+            geom.solref, geom.solimp = _SOLREF, _SOLIMP
         if geom.parent.name.split("/")[0] in agents:
             geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
             # Fingers close around what they grip; the grip itself is a constraint.

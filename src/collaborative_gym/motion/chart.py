@@ -1,0 +1,89 @@
+"""Joint angles for all places of a plane area, solved once and read off afterwards."""
+
+from collections.abc import Sequence
+from itertools import product
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from collaborative_gym.math import Array
+from collaborative_gym.motion.poses import central_pose
+from collaborative_gym.motion.solver import Chains, descend
+from collaborative_gym.scene import Arm
+
+_STEPS = 150
+_NEAR = 3e-4  # m and rad within which a place counts as reached
+
+
+class Chart:
+    """Angles that hold an arm's tcp over an area, its approach always the same.
+
+    All are near those of the area's middle, and change evenly from place to place, so
+    an arm that goes by the chart never comes to another posture.
+
+    Args:
+      model: the compiled world.
+      arm: whose tcp.
+      middle: of the area in the world frame, (3,), in m.
+      along: edges of the area in the world frame, (2, 3): from its middle to the ends
+        along its first and second axis, in m.
+      approach: (3,) direction of the tcp's z axis.
+      shape: how many places are solved along each axis.
+
+    Raises:
+      ValueError: if the arm cannot reach all of the area.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        arm: Arm,
+        *,
+        middle: ArrayLike,
+        along: ArrayLike,
+        approach: Array,
+        shape: tuple[int, int] = (9, 9),
+    ):
+        middle, along = np.asarray(middle, float), np.asarray(along, float)
+
+        def places(*shares: Sequence[float]) -> np.ndarray:
+            return np.array([middle + np.dot(at, along) for at in product(*shares)])
+
+        poses = [(place, approach) for place in places((-1, 1), (-1, 0, 1))]
+        centre = central_pose(model, arm, poses=[(middle, approach), *poses])
+        goals = places(*(np.linspace(-1.0, 1.0, count) for count in shape))
+        chains, rows = Chains(model, [arm]), np.zeros(len(goals), int)
+        angles, misses = descend(
+            chains.of(rows),
+            np.tile(centre, (len(goals), 1)),
+            goal=(goals, np.tile(approach, (len(goals), 1))),
+            limits=(chains.low[rows], chains.high[rows]),
+            steps=_STEPS,
+            enough=_NEAR,
+            # What keeps the free motion near the middle's, and fades out.
+            lean=lambda step, angle, *_: 0.03 * 0.97**step * (centre - angle),
+        )
+        if misses.max() > 10 * _NEAR:
+            worst = np.round(goals[misses.argmax()], 2).tolist()
+            raise ValueError(
+                f"{arm.robot.name} cannot bring its tcp to {worst} as it is mounted;"
+                " mount it nearer, or choose an arm with a longer reach"
+            )
+        self._angles = angles.reshape(*shape, -1)
+
+    def at(self, share: Array) -> np.ndarray:
+        """Return the angles at places, (n, joints), in rad.
+
+        Args:
+          share: (n, 2) of the way from the middle to the ends along both axes; beyond
+            1 it counts as 1.
+        """
+        last = np.array(self._angles.shape[:2]) - 1
+        place = (np.clip(share, -1.0, 1.0) + 1.0) / 2 * last
+        low = np.minimum(place.astype(int), last - 1)
+        (x, y), (u, v) = low.T, (place - low).T[..., None]
+        table = self._angles
+        return (1 - u) * ((1 - v) * table[x, y] + v * table[x, y + 1]) + u * (
+            (1 - v) * table[x + 1, y] + v * table[x + 1, y + 1]
+        )

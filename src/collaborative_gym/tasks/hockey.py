@@ -1,0 +1,378 @@
+"""Hockey: air hockey between two arms, or between two pairs.
+
+Each side stands behind its goal and has mallets; the puck glides without friction. It
+counts as a goal once all of it has crossed a goal's line, whoever hit it last. Then it
+is served from the centre line towards the side that conceded. A puck that has been on
+one half for 15 s is a foul, also where nobody reaches it, and is served to the other
+side. It is served where no mallet is in its way.
+
+Agents: one or two arms for each side; `side_1` is at negative x. With two for each, the
+table is twice as wide, and each arm reaches its half of it.
+
+Randomised: which side is served to first; of every serve, where on the centre line, how
+fast (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across); where each mallet starts
+along x and y, and in which posture its arm holds it. Start angles are what inverse
+kinematics makes of the nominal ones plus noise.
+
+Observations are in each side's own frame, in which it plays towards +x; the other
+side's is turned by half a turn. So both seats are alike, and one policy plays in both.
+
+Reward of each agent: 10 for a goal and minus 10 for one conceded, in the term `goal`,
+which adds up to zero over the sides. All other terms are `shaping`.
+
+Success of a side: it scores. So its completion says whether it scored in the episode,
+and its performance for which share of the episode it was in the lead. The metric
+`score` counts its goals; who has more at the end has won.
+
+An episode lasts 40 s: two and a half fouls, and long enough that MEASURED.
+
+What bounces turns round within one physics step, to 0.8 times its speed; until then it
+may be as deep in what it hits as it moves in 0.01 s (`benchmarks/hockey.py` measures
+speeds and depths). Servos and contacts are therefore integrated as MuJoCo's
+`implicitfast` does, unlike in the other tasks.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym import math
+from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.math import Array
+from collaborative_gym.motion import Chains, Chart, hold, shortened
+from collaborative_gym.objects.mallet import GRIP, mallet
+from collaborative_gym.objects.mallet import HEIGHT as MALLET_HEIGHT
+from collaborative_gym.objects.mallet import RADIUS as MALLET
+from collaborative_gym.objects.puck import RADIUS as PUCK
+from collaborative_gym.objects.puck import puck
+from collaborative_gym.objects.rink import HALF_LENGTH, HEIGHT, MOUNT, rink
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.hockey_player import Field, play
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.timing import SIM_DT
+
+_LANE = 0.64  # m, width of the table for each arm of a side
+_HALF_GOAL = 0.12  # m, likewise
+_BEHIND_GOAL = 0.2  # m, from a goal's line to the arms
+_HOVER = 0.015  # m, from the ice to a mallet at rest
+_AREA_MIDDLE = np.array([-0.29, 0.0])  # m, of what a mallet uses of its lane, and
+_AREA_SIZE = np.array([0.19, 0.27])  # m, how far that reaches to either end
+_START = np.array([-0.38, 0.0])  # m, where a mallet starts in its lane
+_FIRMNESS = 0.8  # share of its way that the player's mallet goes at once
+_STRIDE = 0.12  # m, longest way of a mallet that is planned at a time
+_SERVES = 64  # drawn for an episode; then they begin anew
+_SLOWEST, _QUICKEST, _ACROSS = 0.3, 0.7, 0.3  # m/s
+_PLACES = 3  # on the centre line, from which a serve takes the first that is free
+_CLEAR = PUCK + MALLET + 0.02  # m from a mallet, where a place is free
+_DOWN = np.array([0.0, 0.0, -1.0])
+_COLOURS = ((0.85, 0.18, 0.16, 1.0), (0.15, 0.35, 0.85, 1.0))
+
+
+@dataclass(frozen=True)
+class HockeyConfig(TaskConfig):
+    """Settings of Hockey.
+
+    Attributes:
+      max_episode_steps: control steps of an episode.
+      restitution: speed of the puck after a bounce over that before it.
+      foul_after: how long the puck may be on one half, in s.
+    """
+
+    max_episode_steps: int = 400
+    restitution: float = bounded(0.8, 0.0, 1.0)
+    foul_after: float = bounded(15.0, 0.1, 1e6)
+
+
+@dataclass(frozen=True)
+class HockeyFacts:
+    """What Hockey looks at, in the frame of the table, whose origin is on the ice.
+
+    Attributes:
+      joints: arm joint angles by agent, (num_envs, joints), in rad.
+      joint_speeds: likewise, in rad/s.
+      mallet: by agent, place of its lower face, (num_envs, 3), and its quaternion.
+      puck: (num_envs, 2) in m.
+      puck_velocity: (num_envs, 2) in m/s.
+      goal: (num_envs,) 1 where side_1 has just scored, -1 where side_2 has, else 0.
+      half: (num_envs,) -1 where the puck is on the half of side_1, else 1.
+      clock: (num_envs,) how long it has been there, in s.
+      lead: (num_envs,) goals of side_1 less those of side_2.
+    """
+
+    joints: dict[str, Array]
+    joint_speeds: dict[str, Array]
+    mallet: dict[str, tuple[Array, Array]]
+    puck: Array
+    puck_velocity: Array
+    goal: Array
+    half: Array
+    clock: Array
+    lead: Array
+
+
+class Hockey(Task[HockeyConfig, HockeyFacts]):
+    """Score more goals than the other side."""
+
+    robot_counts = (2, 4)
+    config_class = HockeyConfig
+    performance_from_start = True
+    shaping = ("drive", "near", "height", "upright", "effort")
+
+    @property
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        half = len(self.agents) // 2
+        return self.agents[:half], self.agents[half:]
+
+    @property
+    def _turns(self) -> dict[str, float]:
+        """1 where an agent's frame is the table's, -1 where it is turned round."""
+        ways = zip((1.0, -1.0), self.sides, strict=True)
+        return {agent: way for way, side in ways for agent in side}
+
+    @property
+    def _lanes(self) -> np.ndarray:
+        """The y of each place of a side, in its own frame, in m."""
+        count = len(self.sides[0])
+        return _LANE * (np.arange(count) - (count - 1) / 2)
+
+    @property
+    def field(self) -> Field:
+        """The table, as a player knows it."""
+        count = len(self.sides[0])
+        half_width, half_goal = count * _LANE / 2, count * _HALF_GOAL
+        return Field(half_width, half_goal, self.config.restitution)
+
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return blocks behind the goals, facing each other."""
+        x, z, placements = HALF_LENGTH + _BEHIND_GOAL, HEIGHT + MOUNT, []
+        for way, yaw in ((1.0, 0.0), (-1.0, np.pi)):
+            places = [(-way * x, way * lane, z) for lane in self._lanes]
+            placements += [Placement(place, yaw) for place in places]
+        return tuple(placements)
+
+    def build(self, scene: Scene) -> None:
+        for agent, placement in self.placements.items():
+            robot = self.robots[agent]
+            scene.add_robot(agent, robot, placement=placement, holds=GRIP, stand=False)
+            colour = _COLOURS[self._turns[agent] < 0]
+            scene.add_tool(agent, "mallet", child=mallet(colour))
+            scene.add_pose_sensor(f"{agent} mallet", f"{agent}/mallet/mallet")
+        ice, field = (0.0, 0.0, HEIGHT), self.field
+        blocks = [placement.position[:2] for placement in self.placements.values()]
+        table = rink(field.half_width, field.half_goal, blocks)
+        scene.add("rink", table, position=ice)
+        scene.add("puck", puck(self.config.restitution), position=ice)
+        scene.spec.add_exclude(bodyname1="puck/puck", bodyname2="rink/lintels")
+        scene.add_pose_sensor("puck", "puck/puck")
+        scene.add_velocity_sensor("puck", "puck/puck")
+        # Its contacts turn the puck round within a step; `discrete` would stop it.
+        scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        far = 1.6 + 0.8 * field.half_width
+        scene.add_camera((0, -far, HEIGHT + 0.85 * far), (1, 0, 0, 0, 0.65, 0.76))
+
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
+        model = sim.model
+        self._lane = dict(zip(self.agents, np.tile(self._lanes, 2), strict=True))
+        self._chains = Chains(model, list(scene.arms.values()))
+        self._charts = {}
+        for agent, arm in scene.arms.items():
+            edges = np.diag(self._turns[agent] * _AREA_SIZE)
+            self._charts[agent] = Chart(
+                model,
+                arm,
+                middle=self._hand(agent, _AREA_MIDDLE),
+                along=np.pad(edges, ((0, 0), (0, 1))),
+                approach=_DOWN,
+            )
+        joints = [model.joint(f"puck/{axis}") for axis in "xy"]
+        self._place = [int(joint.qposadr[0]) for joint in joints]
+        self._speed = [int(joint.dofadr[0]) for joint in joints]
+
+    def _hand(self, agent: str, place: np.ndarray) -> np.ndarray:
+        """Return where a tcp is whose mallet hovers at places (..., 2) of its lane."""
+        flat = self._turns[agent] * (place + np.array([0.0, self._lane[agent]]))
+        height = np.full((*flat.shape[:-1], 1), HEIGHT + _HOVER + MALLET_HEIGHT)
+        return np.concatenate([flat, height], axis=-1)
+
+    def remember(self, num_envs: int) -> dict[str, Array]:
+        xp = self.xp
+        # Serves: places in the frame of the side that receives, speeds along and
+        # across. The half on which the puck is, and since when. What the referee has
+        # seen: a goal of either side, and to whom to serve (1 towards +x), if at all.
+        zero = xp.zeros(num_envs, dtype=xp.float64)
+        names = ("served", "half", "since", "lead", "goal", "call")
+        serves = xp.zeros((num_envs, _SERVES, _PLACES + 2), dtype=xp.float64)
+        return {"serves": serves, **{name: zero + 0.0 for name in names}}
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        bounds, memory, xp = self.config.randomization, self.memory, sim.xp
+        goals, near = [], []
+        for agent, arm in self.scene.arms.items():
+            place = _START + rng.within(bounds.object_position, 2)
+            angles = self._charts[agent].at((place - _AREA_MIDDLE) / _AREA_SIZE)
+            near.append(angles + rng.within(bounds.joint_noise, arm.num_joints))
+            goals.append((self._hand(agent, place), _DOWN))
+        found, _ = hold(self._chains, goals, near=near)
+        for agent, angles in zip(self.agents, found, strict=True):
+            self.scene.bend(sim, env_ids, agent=agent, angles=angles)
+        wide = self.field.half_width - 2 * PUCK
+        low = [-wide] * _PLACES + [_SLOWEST, -_ACROSS]
+        high = [wide] * _PLACES + [_QUICKEST, _ACROSS]
+        serves = rng.uniform(low, high, (_SERVES, _PLACES + 2))
+        first = np.where(rng.uniform(-1.0, 1.0) < 0.0, -1.0, 1.0)
+        memory["serves"][env_ids] = xp.asarray(serves)
+        memory["served"][env_ids] = 1.0
+        memory["half"][env_ids] = xp.asarray(first)
+        start = first[:, None] * serves[:, 0]
+        sim.qpos[env_ids, self._place[1]] = xp.asarray(start[:, 0])
+        for column, speed in zip((_PLACES, _PLACES + 1), self._speed, strict=True):
+            sim.qvel[env_ids, speed] = xp.asarray(start[:, column])
+
+    def disturb(self, sim: Sim, steps: np.ndarray) -> None:
+        xp, memory, to = sim.xp, self.memory, self.memory["call"]
+        is_called = to != 0
+        if not xp.any(is_called):
+            return
+        worlds = xp.arange(sim.num_envs)
+        number = xp.astype(memory["served"], xp.int64) % _SERVES
+        serve = to[:, None] * memory["serves"][worlds, number]
+        places = serve[:, :_PLACES]
+        is_free = places == places
+        for agent in self.agents:
+            mallet = sim.pose(f"{agent} mallet")[0]
+            away = mallet[:, :1] ** 2 + (places - mallet[:, 1:2]) ** 2
+            is_free = is_free & (away > _CLEAR**2)
+        chosen = xp.argmax(xp.astype(is_free, xp.int64), axis=1)
+        x, y = self._place
+        sim.qpos[:, x] = xp.where(is_called, 0.0, sim.qpos[:, x])
+        sim.qpos[:, y] = xp.where(is_called, places[worlds, chosen], sim.qpos[:, y])
+        for column, speed in zip((_PLACES, _PLACES + 1), self._speed, strict=True):
+            sim.qvel[:, speed] = xp.where(
+                is_called, serve[:, column], sim.qvel[:, speed]
+            )
+        memory["served"] = memory["served"] + is_called
+        memory["half"] = xp.where(is_called, to, memory["half"])
+        memory["since"] = xp.where(is_called, sim.time, memory["since"])
+        memory["lead"] = memory["lead"] + xp.where(is_called, memory["goal"], 0.0)
+
+    def measure(self, sim: Sim) -> HockeyFacts:
+        xp, memory, ice = sim.xp, self.memory, sim.xp.asarray([0.0, 0.0, HEIGHT])
+        puck = sim.pose("puck")[0][:, :2]
+        x, before = puck[:, 0], memory["half"]
+        half = xp.where(x == 0.0, before, xp.sign(x))
+        since = xp.where(half == before, memory["since"], sim.time)
+        clock = sim.time - since
+        goal = xp.where(xp.abs(x) > HALF_LENGTH + PUCK, half, 0.0)
+        # Times are sums of physics steps, and so are rounded.
+        is_foul = clock > self.config.foul_after - SIM_DT / 2
+        call = xp.where(goal == 0.0, xp.where(is_foul, -half, 0.0), goal)
+        memory |= {"half": half, "since": since, "goal": goal, "call": call}
+        mallets, speeds = {}, {}
+        for agent, arm in self.scene.arms.items():
+            place, quat = sim.pose(f"{agent} mallet")
+            mallets[agent] = place - ice, quat
+            speeds[agent] = xp.asarray(sim.qvel[:, arm.dof], copy=True)
+        return HockeyFacts(
+            joints=self.joints(sim),
+            joint_speeds=speeds,
+            mallet=mallets,
+            puck=puck,
+            puck_velocity=sim.velocity("puck")[0][:, :2],
+            goal=goal + 0.0,
+            half=half + 0.0,
+            clock=clock,
+            lead=memory["lead"] + goal,
+        )
+
+    def observe(self, facts: HockeyFacts) -> dict[str, Blocks]:
+        xp, seen = array_namespace(facts.puck), {}
+        for agent, way in self._turns.items():
+            turn = xp.asarray([way, way, 1.0])
+            place, quat = facts.mallet[agent]
+            others = {a: way * facts.mallet[a][0][:, :2] for a in self._others(agent)}
+            seen[agent] = {
+                "joints": facts.joints[agent],
+                "joint speeds": facts.joint_speeds[agent],
+                "mallet": turn * place,
+                "mallet axis": turn * math.axis_z(quat),
+                "puck": way * facts.puck,
+                "puck velocity": way * facts.puck_velocity,
+                **{f"mallet {i + 1}": each for i, each in enumerate(others.values())},
+                # How near a foul is: below 0 where it would be one's own.
+                "clock": (way * facts.half * facts.clock)[:, None]
+                / self.config.foul_after,
+            }
+        return seen
+
+    def _others(self, agent: str) -> tuple[str, ...]:
+        """Return the other agents, those of the agent's own side first."""
+        own, other = self.sides if self._turns[agent] > 0 else self.sides[::-1]
+        return tuple(each for each in (*own, *other) if each != agent)
+
+    def reward(self, facts: HockeyFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+        xp, terms = array_namespace(facts.puck), {}
+        for agent, way in self._turns.items():
+            place, quat = facts.mallet[agent]
+            far = math.distance(place[:, :2], facts.puck)
+            speed = way * facts.puck_velocity[:, 0]
+            height = xp.abs(place[:, 2] - _HOVER)
+            terms[agent] = {
+                "goal": 10.0 * way * facts.goal,
+                "drive": 0.2
+                * xp.minimum(xp.maximum(speed, -2.0 + 0 * speed), 2.0 + 0 * speed),
+                "near": xp.where(way * facts.half < 0.0, -0.3 * far, 0.0),
+                "height": -2.0 * xp.where(height < 0.3, height, 0.3),
+                "upright": -0.3 * (1.0 + math.axis_z(quat)[:, 2]),
+                "effort": -0.01 * math.norm(actions[agent]),
+            }
+        return terms
+
+    def score(self, facts: HockeyFacts) -> tuple[Array, ...]:
+        xp = array_namespace(facts.goal)
+        return tuple(xp.where(scored, 1.0, 0.0) for scored in self.success(facts))
+
+    def success(self, facts: HockeyFacts) -> tuple[Array, ...]:
+        return facts.goal > 0.0, facts.goal < 0.0
+
+    def performing(self, facts: HockeyFacts) -> tuple[Array, ...]:
+        return facts.lead > 0.0, facts.lead < 0.0
+
+    def expert(self, sim: Sim, facts: HockeyFacts) -> dict[str, Motion]:
+        """Play both sides as `hockey_player` says, along the charts of the arms."""
+        motions, sides = {}, self.sides
+        for side, other in (sides, sides[::-1]):
+            way = self._turns[side[0]]
+            own, others = (
+                np.stack([way * facts.mallet[a][0][:, :2] for a in each], axis=1)
+                for each in (side, other)
+            )
+            puck = way * facts.puck, way * facts.puck_velocity
+            goals, hits = play(self.field, own, self._lanes, others, puck)
+            for i, agent in enumerate(side):
+                lane = np.array([0.0, self._lane[agent]])
+                low, high = _AREA_MIDDLE - _AREA_SIZE, _AREA_MIDDLE + _AREA_SIZE
+                goal = np.clip(goals[:, i] - lane, low, high)
+                here = own[:, i] - lane
+                step = shortened(goal - here, _STRIDE)
+                step = np.where(hits[:, i, None], 1.0, _FIRMNESS) * step
+                share = (here + step - _AREA_MIDDLE) / _AREA_SIZE
+                change = self._charts[agent].at(share) - facts.joints[agent]
+                motions[agent] = Motion(change)
+        return motions
+
+
+register_task("Hockey", Hockey)
+for _name, _robots in (
+    ("HockeyPandas", ("panda", "panda")),
+    ("HockeySawyers", ("sawyer", "sawyer")),
+    ("HockeyPandaSawyer", ("panda", "sawyer")),
+    ("HockeyDoubles", ("panda",) * 4),
+):
+    register_env(EnvSpec(f"{_name}-v0", Hockey, _robots))
