@@ -10,6 +10,7 @@ RADIUS = 0.05  # m
 _MASS = 0.1  # kg
 _MIDDLE = 0.052  # m above the ice
 _DRAG = 0.015  # N s/m: it loses half of its speed in 4.6 s
+_WILD_DRAG = 0.004  # N s3/m3
 _STIFFNESS = 100.0  # 1/s2; at rest a puck comes out of what it is in, slowly
 _RGBA = (0.95, 0.35, 0.10, 1.0)
 
@@ -41,7 +42,9 @@ def puck(restitution: float = 0.8) -> mujoco.MjSpec:
     body = spec.worldbody.add_body(name="puck")
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
         kind = mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(name=name, type=kind, axis=axis, damping=_DRAG)
+        body.add_joint(
+            name=name, type=kind, axis=axis, damping=[_DRAG, 0.0, _WILD_DRAG]
+        )
     body.add_geom(
         name="puck",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,

@@ -173,6 +173,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         scene.add_velocity_sensor("puck", "puck/puck")
         # Its contacts turn the puck round within a step; `discrete` would stop it.
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
         far = 1.6 + 0.8 * field.half_width
         scene.add_camera((0, -far, HEIGHT + 0.85 * far), (1, 0, 0, 0, 0.65, 0.76))
 
