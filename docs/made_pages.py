@@ -41,8 +41,15 @@ COMMANDS = (
 )
 """The verbs of the command line, in the order of its own help."""
 
-_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath")
-_LABELS = ("Agents", "Randomised", "Reward of each agent", "Success")
+_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey")
+_LABELS = (
+    "Agents",
+    "Randomised",
+    "Observations",
+    "Reward of each agent",
+    "Success",
+    "Success of a side",
+)
 """Words that begin a paragraph of a task's docstring, to stand out in its page."""
 
 _COMPLETION = """```sh

@@ -287,11 +287,21 @@ def check_goal(trial: Trial) -> None:
 
 
 def check_expert(trial: Trial) -> None:
-    """The expert, where there is one, reaches a goal from every start."""
+    """The expert, where there is one, reaches a goal from every start.
+
+    Where there are several sides, each of them from some start, while the others hold
+    still: even so, opponents are in the way.
+    """
     if type(trial.task).expert is Task.expert:
         return
+    for i, side in enumerate(trial.task.sides):
+        _check_side(trial, i, side)
+
+
+def _check_side(trial: Trial, i: int, side: Sequence[str]) -> None:
+    """Check that the expert reaches a side's goal."""
     small, large = trial.worlds(1), trial.worlds(trial.episodes)
-    reached = np.zeros(large.num_envs, bool)
+    reached, is_divided = np.zeros(large.num_envs, bool), len(trial.task.sides) > 1
     for _ in range(trial.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = small.progress["episode"][0] == large.progress["episode"][0]
@@ -299,12 +309,18 @@ def check_expert(trial: Trial) -> None:
             "the expert does something else in another batch; treat rows alike, and"
             " keep nothing on the task"
         )
-        small.step(one)
-        *_, infos = large.step(many)
+        small.step(small.idle() | {agent: one[agent] for agent in side})
+        *_, infos = large.step(large.idle() | {agent: many[agent] for agent in side})
         _check_shortfall(large)
         is_first = infos["episode"] == np.arange(large.num_envs)
-        reached |= np.logical_or.reduce(_met(infos)) & is_first
+        reached |= _met(infos)[i] & is_first
+        if is_divided and reached.any():
+            return
     failed = np.flatnonzero(~reached).tolist()
+    assert not is_divided, (
+        f"the expert never reaches the goal of {', '.join(side)}, though the others"
+        " hold still; mend the expert"
+    )
     assert not failed, (
         f"the expert does not reach the goal in the episodes {failed} of seed 0;"
         " watch one by `collaborative-gym record`, and mend the expert, or narrow what"

@@ -117,6 +117,8 @@ NUMBERS = [
     ("BalancePath", "path_y", [2]),
     ("BalancePath", "path_z", [2]),
     ("BalancePath", "lap", [0]),
+    ("Hockey", "restitution", [2]),
+    ("Hockey", "foul_after", [0]),
 ]
 
 SETTINGS = [

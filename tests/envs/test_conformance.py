@@ -223,6 +223,10 @@ def test_gravity_acts(case):
 @pytest.mark.parametrize("env_id", cg.list_envs())
 def test_contracts_of_other_libraries(env_id):
     parallel_api_test(cg.make(env_id, max_episode_steps=3), num_cycles=5)
+    if len(make_task(env_id).sides) > 1:
+        with pytest.raises(ValueError, match="one agent cannot command the 2 sides"):
+            gymnasium.make(env_id)
+        return
     check_env(gymnasium.make(env_id).unwrapped, skip_render_check=True)
     envs = gymnasium.make_vec(env_id, num_envs=2, max_episode_steps=2, num_threads=1)
     observations, _ = envs.reset(seed=0)

@@ -1,6 +1,5 @@
 """Joint angles for all places of a plane area, solved once and read off afterwards."""
 
-from collections.abc import Sequence
 from itertools import product
 
 import mujoco
@@ -47,8 +46,10 @@ class Chart:
     ):
         middle, along = np.asarray(middle, float), np.asarray(along, float)
 
-        def places(*shares: Sequence[float]) -> np.ndarray:
-            return np.array([middle + np.dot(at, along) for at in product(*shares)])
+        def places(*shares: ArrayLike) -> np.ndarray:
+            return np.array(
+                [middle + np.dot(at, along) for at in product(*map(np.asarray, shares))]
+            )
 
         poses = [(place, approach) for place in places((-1, 1), (-1, 0, 1))]
         centre = central_pose(model, arm, poses=[(middle, approach), *poses])

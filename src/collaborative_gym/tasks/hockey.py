@@ -24,7 +24,7 @@ Success of a side: it scores. So its completion says whether it scored in the ep
 and its performance for which share of the episode it was in the lead. The metric
 `score` counts its goals; who has more at the end has won.
 
-An episode lasts 40 s: two and a half fouls, and long enough that MEASURED.
+An episode lasts 40 s: long enough for goals, and for two fouls if nobody plays.
 
 What bounces turns round within one physics step, to 0.8 times its speed; until then it
 may be as deep in what it hits as it moves in 0.01 s (`benchmarks/hockey.py` measures
@@ -58,7 +58,7 @@ from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 from collaborative_gym.timing import SIM_DT
 
 _LANE = 0.64  # m, width of the table for each arm of a side
-_HALF_GOAL = 0.12  # m, likewise
+_HALF_GOAL = 0.14  # m, likewise
 _BEHIND_GOAL = 0.2  # m, from a goal's line to the arms
 _HOVER = 0.015  # m, from the ice to a mallet at rest
 _AREA_MIDDLE = np.array([-0.29, 0.0])  # m, of what a mallet uses of its lane, and

@@ -29,6 +29,8 @@ _THROUGH = 0.10  # m by which a hit goes on
 _LINED_UP = 0.025  # m, greatest miss of the line along which it hits
 _FREE = 0.16  # m from a mallet, from where on a way counts as free
 _BANK_COST = 0.05  # m of that which a way by a cushion has to be freer
+_STEEP_COST = 0.1  # m, likewise, for each unit of its slope
+_TARGETS = (-0.6, 0.0, 0.6)  # of half of the goal's width, where it aims
 _SHOT = 1.1  # m/s, what a hit puck does about
 
 
@@ -158,31 +160,34 @@ def _normal(field: Field, place: Array, velocity: Array, others: Array) -> np.nd
 def _aim(field: Field, place: Array, others: Array) -> np.ndarray:
     """Return the direction of the freest way to the goal, (num_envs, 2)."""
     side, e = field.half_width - PUCK, field.restitution
-    best, chosen = np.full(len(place), -np.inf), np.zeros(place.shape)
-    length = HALF_LENGTH - place[:, 0]
-    for target in np.array([-0.6, 0.0, 0.6]) * (field.half_goal - PUCK):
-        ways = [(target - place[:, 1]) / length]
-        for wall in (-side, side):
-            ways.append((wall - target + e * (wall - place[:, 1])) / (e * length))
-        for by, slope in enumerate(ways):
-            free = _freedom(field, place, slope, others) - _BANK_COST * (by > 0)
-            # Steep ways lose their speed, and are hit with little care.
-            free = free - 0.1 * np.abs(slope)
-            is_best = free > best
-            best = np.where(is_best, free, best)
-            way = np.stack([np.ones(len(place)), slope], axis=1)
-            chosen = np.where(is_best[:, None], way, chosen)
-    return chosen / math.norm(chosen)[:, None]
+    targets = np.array(_TARGETS)[:, None] * (field.half_goal - PUCK)
+    length, y = HALF_LENGTH - place[:, 0], place[:, 1]
+    ways = [(targets - y) / length]
+    for wall in (-side, side):
+        ways.append((wall - targets + e * (wall - y)) / (e * length))
+    slopes = np.concatenate(ways)
+    costs = np.repeat([0.0, _BANK_COST, _BANK_COST], len(targets))[:, None]
+    # Steep ways lose their speed, and are hit with little care.
+    free = _freedom(field, place, slopes, others) - costs - _STEEP_COST * abs(slopes)
+    slope = np.take_along_axis(slopes, free.argmax(axis=0)[None], axis=0)[0]
+    way = np.stack([np.ones(len(place)), slope], axis=1)
+    return way / math.norm(way)[:, None]
 
 
-def _freedom(field: Field, place: Array, slope: Array, others: Array) -> np.ndarray:
-    """Return how far a way stays from the others' mallets, in m, at most `_FREE`."""
-    side, e, free = field.half_width - PUCK, field.restitution, _FREE
-    for share in np.linspace(0.1, 1.0, 10):
-        ahead = share * (HALF_LENGTH - place[:, 0])
-        y = place[:, 1] + slope * ahead
-        over = np.abs(y) - side
-        y = np.where(over > 0, np.sign(y) * (side - e * over), y)
-        at = np.stack([place[:, 0] + ahead, y], axis=1)
-        free = np.minimum(free, math.distance(others, at[:, None]).min(axis=1))
-    return np.asarray(free)
+def _freedom(field: Field, place: Array, slopes: Array, others: Array) -> np.ndarray:
+    """Return how far ways stay from the others' mallets, in m, at most `_FREE`.
+
+    Args:
+      field: the table.
+      place: (num_envs, 2) where they begin.
+      slopes: (ways, num_envs) with which they begin.
+      others: (num_envs, others, 2) mallets.
+    """
+    side, e = field.half_width - PUCK, field.restitution
+    ahead = np.linspace(0.1, 1.0, 10)[:, None, None] * (HALF_LENGTH - place[:, 0])
+    y = place[:, 1] + slopes * ahead
+    over = np.abs(y) - side
+    y = np.where(over > 0, np.sign(y) * (side - e * over), y)
+    x = np.broadcast_to(place[:, 0] + ahead, y.shape)
+    at = np.stack([x, y], axis=-1)[..., None, :]
+    return np.minimum(math.distance(at, others).min(axis=(0, -1)), _FREE)
