@@ -34,6 +34,7 @@ COMMANDS = (
     "record",
     "train",
     "evaluate",
+    "tournament",
     "reproduce",
     "certify",
     "benchmark",

@@ -5,7 +5,7 @@
 
 Policies that do well together may have agreed on what no stranger knows. Prints in how
 many episodes every pair reaches the goal, with the policies of robot_1 as lines and
-those of robot_2 as columns. A minute at most.
+those of robot_2 as columns, and what each loses with strangers. A minute at most.
 """
 
 import tyro
@@ -29,13 +29,12 @@ def main(
       episodes: how many for each pair.
       seed: which episodes.
     """
-    table = Table("robot_1 / robot_2", *policies, title=env)
-    for first in policies:
-        pairs = [{"robot_1": first, "robot_2": second} for second in policies]
-        reports = [
-            cg.evaluate(env, pair, episodes=episodes, seed=seed) for pair in pairs
-        ]
-        table.add_row(first, *(f"{report.completion.mean:.0%}" for report in reports))
+    played = cg.tournament(env, policies, episodes=episodes, seed=seed)
+    table = Table("robot_1 / robot_2", *policies, "lost with strangers", title=env)
+    for first, cells in played.matrices["completion"].items():
+        shares = [cell.mean for cell in cells.values()]
+        shares.append(played.standings[first].gap["completion"].mean)
+        table.add_row(first, *(f"{share:.0%}" for share in shares))
     Console().print(table)
 
 

@@ -39,7 +39,7 @@ collaborative-gym() {
     case "$1" in
     train) set -- "$@" --total-steps 8 --num-envs 2 --rollout-steps 4 \
         --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
-    evaluate) set -- "$@" --episodes 2 ;;
+    evaluate | tournament) set -- "$@" --episodes 2 ;;
     benchmark) set -- "$@" --num-envs 2; [ $# -gt 3 ] || set -- "$@" Poke ;;
     view | --env) view "$@"; return ;;
     esac

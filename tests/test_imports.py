@@ -26,6 +26,7 @@ ROOMS = [
     {"envs"},
     {"policies"},
     {"evaluation"},
+    {"tournaments"},
     {"learning"},
     {"certificate"},
     {"pictures.recording"},

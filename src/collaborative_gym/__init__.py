@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from collaborative_gym.learning.config import Hyperparameters
     from collaborative_gym.learning.train import train
     from collaborative_gym.policies import load_policy
+    from collaborative_gym.tournaments.play import tournament
+    from collaborative_gym.tournaments.result import Tournament
 
 __all__ = [
     "LEVEL",
@@ -55,6 +57,7 @@ __all__ = [
     "Scene",
     "Task",
     "TaskConfig",
+    "Tournament",
     "VectorEnv",
     "certify",
     "evaluate",
@@ -69,6 +72,7 @@ __all__ = [
     "register_env",
     "register_robot",
     "register_task",
+    "tournament",
     "train",
 ]
 
@@ -77,9 +81,11 @@ _LATER = {
     "Budget": "collaborative_gym.certificate.budget",
     "Hyperparameters": "collaborative_gym.learning.config",
     "Report": "collaborative_gym.evaluation",
+    "Tournament": "collaborative_gym.tournaments.result",
     "certify": "collaborative_gym.certificate.certify",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
+    "tournament": "collaborative_gym.tournaments.play",
     "train": "collaborative_gym.learning.train",
 }
 

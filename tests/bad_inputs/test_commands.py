@@ -12,6 +12,7 @@ from collaborative_gym.learning.config import Hyperparameters
 EVALUATE = "evaluate Poke --policy random --episodes 1 --num-threads 1"
 TRAIN = "train Poke --output {folder}/run --total-steps 32 --num-envs 2"
 CERTIFY = "certify Poke --output {folder}"
+TOURNAMENT = "tournament Poke --policies idle expert --episodes 1 --num-threads 1"
 RECORD = "record Poke --policy random --output {folder}/film.gif --size 32 32"
 
 NO_INTEGERS = ("two", "1.5", "nan", "-1")
@@ -57,6 +58,18 @@ OPTIONS = [
     (CERTIFY, "--num-threads", (*NO_INTEGERS, "1000000")),
     (CERTIFY, "--randomization", ("papr", "")),
     (CERTIFY, "--robots", ("panda", "panda x")),
+    (TOURNAMENT, "--episodes", (*NO_INTEGERS, "0", "99999999999999999999")),
+    (TOURNAMENT, "--seed", NO_INTEGERS),
+    (TOURNAMENT, "--seats", ("robot_9", "", "robot_1 robot_1", "all robot_1")),
+    (TOURNAMENT, "--num-envs", (*NO_INTEGERS, "0")),
+    (TOURNAMENT, "--num-threads", (*NO_INTEGERS, "1000000")),
+    (TOURNAMENT, "--randomization", ("papr", "")),
+    (TOURNAMENT, "--robots", ("panda", "panda x")),
+    (
+        TOURNAMENT,
+        "--policies",
+        ("idle", "idle idle", "idle nobody", "idle a/b", "robot_1=idle idle"),
+    ),
     ("benchmark Poke", "--num-envs", (*NO_INTEGERS, "0")),
     ("benchmark Poke", "--num-threads", NO_INTEGERS),
     ("reproduce table11 --output {folder}", "--episodes", (*NO_INTEGERS, "0")),
@@ -100,6 +113,14 @@ WHOLE = [
     ("certify Lif", "Lif"),
     ("certify --all Poke", "not both"),
     ("certify Poke --quick --episodes 3", "--quick"),
+    ("tournament", "ENV"),
+    ("tournament Poke", "--policies"),
+    ("tournament Lif --policies idle expert", "Lif"),
+    ("tournament Lift --policies idle PokeTaskSawyers-v0", "PokeTaskSawyers-v0"),
+    (
+        "tournament LiftTaskJacos-v0 --policies idle LiftTaskSawyers-v0",
+        "player 'LiftTaskSawyers-v0': this policy is for",
+    ),
     ("reproduce", "TABLE"),
     ("reproduce table12", "table12"),
     ("list Poke", "Poke"),
@@ -117,6 +138,8 @@ CANNOT = [
     ("reproduce table11 --output /dev/null", "/dev/null"),
     ("certify Poke --quick --output /dev/null", "/dev/null"),
     ("demo --output /dev/null", "/dev/null"),
+    (TOURNAMENT + " --output /dev/null", "/dev/null"),
+    (TOURNAMENT + " --json /proc/a.json", "/proc/a.json"),
 ]
 
 INPUTS = [

@@ -76,6 +76,15 @@ def _evaluate(name):
     return call
 
 
+def _tournament(name):
+    def call(shared, value):
+        given = {"env": "Poke", "policies": ["idle", "random"], "episodes": 1}
+        given |= {"num_threads": 1, "on_progress": accepted}
+        cg.tournament(**{**given, name: value})
+
+    return call
+
+
 def _certify(name):
     def call(shared, value):
         given = {"env": "Poke", "budget": QUICK, "num_threads": 1}
@@ -118,6 +127,33 @@ EVALUATE = [
     *table(
         "evaluate", "agent", _evaluate("policy"), [{}, {"robot_9": "idle"}, {3: "idle"}]
     ),
+    *table("tournament", "environment", _tournament("env"), NO_NAME, [None]),
+    *table(
+        "tournament",
+        "policies",
+        _tournament("policies"),
+        [None, 3, THING, "idle", [], {}, ["idle"], {"a": "idle"}, ["idle", "idle"]],
+    ),
+    *table(
+        "tournament",
+        "policy",
+        lambda shared, value: _tournament("policies")(shared, ["idle", value]),
+        NO_NAME,
+        [None, "a/b", {"robot_1": "idle"}, ENV.replace("Poke", "Lift")],
+    ),
+    *table("tournament", "episodes", _tournament("episodes"), NO_COUNT, [0, -1, None]),
+    *table("tournament", "seed", _tournament("seed"), NO_COUNT, [-1, None]),
+    *table("tournament", "seat", _tournament("seats"), NO_NAME, [(), ["robot_9"]]),
+    *table("tournament", "groups", _tournament("groups"), [3, "idle", THING]),
+    *table("tournament", "groups", _tournament("groups"), [{"a": v} for v in NO_NAME]),
+    *table("tournament", "num_envs", _tournament("num_envs"), NO_COUNT, [0, 2**63]),
+    *table("tournament", "num_threads", _tournament("num_threads"), NO_COUNT, [-1]),
+    *table("tournament", "robots", _tournament("robots"), NO_ROBOTS),
+    *table("tournament", "randomization", _tournament("randomization"), [3, "papr"]),
+    *table("tournament", "any_env", _tournament("any_env"), [3, "yes", None]),
+    *table("tournament", "output", _tournament("output"), NO_PATH),
+    *table("tournament", "on_pairing", _tournament("on_pairing"), NO_CALLBACK),
+    *table("tournament", "on_progress", _tournament("on_progress"), NO_CALLBACK),
     *table("certify", "environment", _certify("env"), NO_NAME, [None]),
     *table("certify", "budget", _certify("budget"), [3, "quick", {}, THING]),
     *table("certify", "seed", _certify("seed"), NO_COUNT, [-1, None, 2**41]),

@@ -142,6 +142,21 @@ def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_p
     assert capsys.readouterr().out.splitlines() == lines[len(told) :]
 
 
+def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp_path):
+    line = [*f"tournament {carry_id} --policies idle expert --episodes 2".split()]
+    line += ["--num-threads", "1", "--output", str(tmp_path / "out")]
+    assert main(line) == 0
+    told = capsys.readouterr().out
+    assert "idle + expert" in told and "robot_1 / robot_2" in told
+    assert "worst: idle" in told and "self-play" in told
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names >= {"pairings", "tournament.json", "tournament.csv"}
+    assert main([*line, "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / "out" / "tournament.json").read_text())
+    assert told["players"] == ["idle", "expert"]
+
+
 def test_record_writes_the_video(carry_id, capsys, tmp_path):
     file = tmp_path / "a.gif"
     size = ["--size", "64", "48"]
@@ -245,7 +260,17 @@ def test_environments_are_optional_where_help_says_so(capsys):
 
 @pytest.mark.parametrize(
     "command",
-    ["", "record", "evaluate", "certify", "reproduce", "view", "benchmark", "train"],
+    [
+        "",
+        "record",
+        "evaluate",
+        "tournament",
+        "certify",
+        "reproduce",
+        "view",
+        "benchmark",
+        "train",
+    ],
 )
 def test_help_fits_a_terminal(capsys, command):
     with pytest.raises(SystemExit, match="0"):

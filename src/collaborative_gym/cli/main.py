@@ -26,6 +26,7 @@ from collaborative_gym.cli.commands import (
     View,
 )
 from collaborative_gym.cli.terminal import Command, tell
+from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import Train
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
@@ -74,6 +75,7 @@ _Command = (
     | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Tournament, tyro.conf.subcommand("tournament")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
     | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]

@@ -1,5 +1,6 @@
 """Tables that the command line prints."""
 
+import math
 from collections.abc import Sequence
 
 from rich import box
@@ -25,6 +26,11 @@ from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 from collaborative_gym.policies.policy import BASELINES
 from collaborative_gym.tasks.registry import get_env, list_envs, make_task
+from collaborative_gym.tournaments.result import (
+    Tournament,
+    format_measure,
+    short_names,
+)
 
 
 def environments_table(with_sizes: bool) -> Table:
@@ -109,6 +115,103 @@ def table11_table(table11: Table11) -> Table:
         table.add_row(f"  {measure}", *texts)
     table.caption = f"{table11.about()}\n{NOTE}"
     return table
+
+
+def tournament_tables(tournament: Tournament) -> list[Table]:
+    """Return the matrices of a tournament, how each player did, and kinds of runs."""
+    measures = tournament.measures[: 1 if tournament.is_divided else None]
+    tables = [_matrix_table(tournament, measure) for measure in measures]
+    own = _rivals_table if tournament.is_divided else _partners_table
+    tables.append(own(tournament))
+    if tournament.group_means:
+        table = _table("training runs", "", "mean")
+        table.columns[1].justify = "left"
+        for kind, means in tournament.group_means.items():
+            for i, (name, mean) in enumerate(means.items()):
+                runs = f"{len(tournament.groups[kind])} of {kind}"
+                table.add_row("" if i else runs, name, _measured(name, mean))
+        table.caption = "Intervals over runs and episodes."
+        tables.append(table)
+    return tables
+
+
+def _matrix_table(tournament: Tournament, measure: str) -> Table:
+    names = short_names(tournament.players)
+    first, *others = tournament.seats
+    is_pair = len(others) == 1
+    heading = f"{first} / {others[0]}" if is_pair else "one / all others"
+    table = _table(heading, *names.values())
+    for row, entries in tournament.matrices[measure].items():
+        cells = (_measured(measure, entry) for entry in entries.values())
+        table.add_row(names[row], *cells)
+    table.title, table.title_justify = measure, "left"
+    return table
+
+
+def _partners_table(tournament: Tournament) -> Table:
+    names = short_names(tournament.players)
+    table = _table(
+        "player", "measure", "self-play", "cross-play", "gap", *tournament.turns
+    )
+    table.columns[1].justify = "left"
+    for name, standing in tournament.standings.items():
+        worst = standing.worst and f"worst: {names[standing.worst]}"
+        for label, measure in zip(
+            (names[name], worst, ""), tournament.measures, strict=True
+        ):
+            means = standing.self_play, standing.gap, *standing.by_seat.values()
+            own, gap, *seats = (
+                format_measure(measure, each[measure].mean) for each in means
+            )
+            cross = _measured(measure, standing.cross_play[measure])
+            who = Text(label or "", "dim" if label == worst else "")
+            table.add_row(who, measure, own, cross, gap, *seats)
+    table.caption = _tournament_caption(tournament)
+    return table
+
+
+def _rivals_table(tournament: Tournament) -> Table:
+    names = short_names(tournament.players)
+    columns = "rating", "wins", "draws", "losses", "points", "score"
+    table = _table("player", *columns, *tournament.turns)
+    for name in sorted(tournament.players, key=lambda n: -tournament.ratings[n].mean):
+        standing = tournament.standings[name]
+        counts = standing.wins, standing.draws, standing.losses
+        seats = (standing.by_seat[turn]["points"] for turn in tournament.turns)
+        table.add_row(
+            names[name],
+            _measured("rating", tournament.ratings[name]),
+            *map(str, counts),
+            *(_measured(m, standing.cross_play[m]) for m in tournament.measures),
+            *(format_measure("points", each.mean) for each in seats),
+        )
+    cycles = [" beats ".join(map(names.__getitem__, c)) for c in tournament.cycles]
+    listed = "".join(f"\n{cycle} beats the first." for cycle in cycles)
+    table.caption = _tournament_caption(tournament) + (listed or "\nNo cycles.")
+    return table
+
+
+def _tournament_caption(tournament: Tournament) -> str:
+    episodes = tournament.settings["episodes"]
+    lines = [f"{episodes} episodes for each pairing, of the same starts."]
+    if tournament.is_one_episode:
+        lines = ["All starts are alike: one deterministic episode, no intervals."]
+    diverged = sum(sum(each.columns["diverged"]) for each in tournament.pairings)
+    if diverged:
+        lines.append(f"{diverged:.0f} episodes diverged.")
+    lines += [f"{title} left out: {why}" for title, why in tournament.left_out.items()]
+    return "\n".join(lines)
+
+
+def _measured(measure: str, statistic: Statistic) -> Text:
+    """Return a mean, and its interval below."""
+    name = measure.partition(" ")[0]
+    mean = Text(format_measure(name, statistic.mean))
+    if math.isnan(statistic.low):
+        return mean
+    ends = (format_measure(name, end) for end in (statistic.low, statistic.high))
+    low, high = (end.removesuffix(" %") for end in ends)
+    return mean.append(f"\n{low} to {high}", "dim")
 
 
 def certificates_table(certificates: Sequence[Certificate]) -> Table:

@@ -82,8 +82,7 @@ def evaluate(
     delay = check_count("delay", delay, 0, _MOST_DELAY)
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
-    if num_envs is None:
-        num_envs = math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
+    num_envs = worlds_for(episodes, num_envs)
     vector_env = VectorEnv(
         task, num_envs, seed=seed, num_threads=num_threads, strain=True
     )
@@ -125,6 +124,13 @@ def _report(
     )
 
 
+def worlds_for(episodes: int, num_envs: int | None = None) -> int:
+    """Return in how many worlds to play so many episodes, unless that is given."""
+    if num_envs is not None:
+        return num_envs
+    return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
+
+
 def play_episodes(
     env: VectorEnv,
     policy: Policy,
@@ -132,7 +138,15 @@ def play_episodes(
     seed: int,
     on_progress: Callable[[float], object] | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Return the rows of the episodes, in order, and how many steps it took."""
+    """Return the rows of the first episodes, in order, and how many steps it took.
+
+    Args:
+      env: where to play; each row is as `episode_row` returns it.
+      policy: who plays.
+      episodes: how many.
+      seed: which.
+      on_progress: called after each step with the share that is done, 0 to 1.
+    """
     rows: dict[int, dict[str, Any]] = {}
     steps = math.ceil(episodes / env.num_envs) * env.task.config.max_episode_steps
     observations, _ = env.reset(seed=seed)

@@ -220,8 +220,21 @@ class NetworkPolicy:
                 " environment, or play this one here with any_env=True (--any-env)"
             )
 
+    @property
+    def digest(self) -> str:
+        """What tells it apart from every other policy, of all that its file has."""
+        return _digest(*self._content())
+
     def save(self, path: str | Path) -> None:
         """Write it into a safetensors file, whole or not at all."""
+        text, tensors = self._content()
+        # In one entry, as several would come in any order, and files differ.
+        with replacing(path) as partial:
+            entry = _digest(text, tensors) + text
+            partial.write_bytes(save(tensors, {_KEY: entry}))
+
+    def _content(self) -> tuple[str, dict[str, np.ndarray]]:
+        """Return its description and its arrays, as they go into a file."""
         tensors = {}
         for name, weights in self._weights.items():
             tensors |= {f"{name}/mean": weights.mean, f"{name}/std": weights.std}
@@ -240,11 +253,7 @@ class NetworkPolicy:
             "action_sizes": self.action_sizes,
             "metadata": self.metadata,
         }
-        text = json.dumps(description)
-        # In one entry, as several would come in any order, and files differ.
-        with replacing(path) as partial:
-            entry = _digest(text, tensors) + text
-            partial.write_bytes(save(tensors, {_KEY: entry}))
+        return json.dumps(description), tensors
 
     @classmethod
     def load(cls, path: str | Path) -> "NetworkPolicy":

@@ -1,0 +1,120 @@
+"""The command that lets policies play with one another."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from collaborative_gym.cli.terminal import (
+    Command,
+    Env,
+    File,
+    Folder,
+    Policies,
+    Randomization,
+    Robots,
+    check_files,
+    progress_bars,
+    put,
+    read_policies,
+    tell,
+)
+
+if TYPE_CHECKING:
+    from collaborative_gym.tournaments.result import Tournament as Played
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tournament(Command):
+    """Let every policy play in every seat with every other, and with itself.
+
+    A seat is a robot, or where robots play against one another a side. Players that
+    work together are compared by completion, performance and return; opponents by wins,
+    scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
+    in one folder count as training runs of one kind, and what they come to is told too.
+
+    Attributes:
+      env: environment id, or a task's name.
+      policies: two players or more, each given as for evaluate: expert, random,
+        baseline, idle, gripping, frozen, or a path to a policy file or to a training
+        folder. A player may have a policy for each robot, such as robot_1=baseline
+        robot_2=idle.
+      episodes: number of episodes of each pairing.
+      seats: seats that each player takes in turn, while another has the rest; all, or
+        names of some, which is less to play with three robots or more.
+      any_env: let trained policies play an environment that they were not trained for.
+      robots: robots to use instead of the environment's own, one per agent.
+      randomization: how much the starts of episodes differ: default, or paper for the
+        thesis's fixed starts.
+      seed: number of a series of episodes; another seed gives other episodes.
+      num_envs: worlds that play at the same time; the results do not depend on it.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
+      output: folder for tournament.json, .csv and .png, and for each pairing when it
+        has been played. Stop at any time: the same command goes on, also with more
+        players.
+      json: file for all numbers; - for standard output.
+    """
+
+    env: Env
+    policies: Policies
+    episodes: int = 100
+    seats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="all | SEAT ...")] = (
+        "all",
+    )
+    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
+    robots: Robots = ()
+    randomization: Randomization = "default"
+    seed: int = 0
+    num_envs: Annotated[
+        int | None,
+        tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
+    ] = None
+    num_threads: int = 0
+    output: Folder = None
+    json: File = None
+
+    def run(self) -> None:
+        """Tell each pairing, print tables and write the files."""
+        from collaborative_gym.cli.tables import tournament_tables
+        from collaborative_gym.tournaments.play import tournament
+
+        names = ("tournament.json", "tournament.csv", "tournament.png")
+        files = [self.output / name for name in names] if self.output else []
+        check_files(*files, self.json)
+        besides = (self.json,)
+        with progress_bars() as progress:
+            played = tournament(
+                self.env,
+                read_policies(self.policies),
+                episodes=self.episodes,
+                seed=self.seed,
+                seats=self.seats,
+                robots=self.robots or None,
+                randomization=self.randomization,
+                num_envs=self.num_envs,
+                num_threads=self.num_threads,
+                any_env=self.any_env,
+                output=self.output,
+                on_pairing=lambda each: tell(each.title, besides=besides),
+                on_progress=progress(self.env),
+            )
+        for table in tournament_tables(played):
+            tell(table, besides=besides)
+            tell("", besides=besides)
+        put(self.json, played.to_json())
+        if files:
+            put(files[0], played.to_json())
+            put(files[1], played.to_csv())
+            tell(_draw(played, files[2]), besides=besides)
+
+
+def _draw(played: "Played", path: Path) -> str:
+    """Draw the picture if it can be drawn; return what to say of the files."""
+    from collaborative_gym.tournaments.picture import draw_tournament
+
+    try:
+        draw_tournament(played, path)
+    except ImportError as error:
+        return f"wrote {path.parent}, but no picture: {error}"
+    return f"wrote {path.parent}"

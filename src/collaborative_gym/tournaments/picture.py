@@ -1,0 +1,125 @@
+"""The picture of a tournament: who did how well with whom."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from collaborative_gym.evaluation.report import Statistic
+from collaborative_gym.files import replacing
+from collaborative_gym.tournaments.result import (
+    SHARES,
+    Tournament,
+    format_measure,
+    short_names,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_CELL = 0.62
+"""Size of a matrix's cell, in inches."""
+
+_MOST_NUMBERS = 16
+"""Players up to whom numbers are readable in the cells."""
+
+
+def draw_tournament(tournament: Tournament, path: str | Path) -> None:
+    """Draw a tournament's matrices into a PNG or SVG file, whole or not at all.
+
+    Args:
+      tournament: what came of it.
+      path: the file.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if the file cannot be written.
+    """
+    figure = tournament_figure(tournament)
+    with replacing(path) as partial:
+        figure.savefig(partial)
+
+
+def tournament_figure(tournament: Tournament) -> "Figure":
+    """Return a heat map for each measure, and of opponents their ratings beside it.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError(
+            "pictures of tournaments need matplotlib, which is not installed;"
+            " pip install 'collaborative-gym[train]'"
+        ) from None
+    players = list(tournament.players)
+    measures = tournament.measures
+    if tournament.is_divided:
+        players.sort(key=lambda name: -tournament.ratings[name].mean)
+        measures = measures[:1]
+    side = _CELL * max(4, len(players)) + 1.6
+    panels = len(measures) + tournament.is_divided
+    figure = Figure(figsize=(side * panels, side), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, panels, squeeze=False)[0]
+    for i, (own, measure) in enumerate(zip(axes, measures, strict=False)):
+        _draw_matrix(own, tournament, measure, players, is_first=not i)
+    if tournament.is_divided:
+        _draw_ratings(axes[-1], tournament, players)
+    episodes = tournament.settings["episodes"]
+    title = f"{tournament.environment}, {episodes} episodes for each pairing"
+    figure.suptitle(title, x=0.01, horizontalalignment="left")
+    return figure
+
+
+def _draw_matrix(
+    axes: "Axes",
+    tournament: Tournament,
+    measure: str,
+    players: list[str],
+    *,
+    is_first: bool,
+) -> None:
+    matrix = tournament.matrices[measure]
+    means = np.array([[matrix[row][col].mean for col in players] for row in players])
+    is_share = measure in SHARES or measure == "performance"
+    ends = (0.0, 1.0) if is_share else (None, None)
+    drawn = axes.imshow(means, cmap="cividis", vmin=ends[0], vmax=ends[1])
+    labels = [short_names(tournament.players)[player] for player in players]
+    axes.set_xticks(range(len(players)), labels, rotation=45, ha="right")
+    axes.set_yticks(range(len(players)), labels if is_first else [])
+    rows, *columns = tournament.turns if len(tournament.seats) > 2 else tournament.seats
+    if len(tournament.seats) > 2:
+        rows, columns = "in one seat", ["all others"]
+    axes.set_xlabel(columns[0])
+    if is_first:
+        axes.set_ylabel(rows)
+    axes.set_title(f"{measure} (%)" if is_share else measure)
+    # White on what is dark: cividis grows lighter.
+    is_dark = np.asarray(drawn.norm(means)) < 0.5
+    for place, mean in np.ndenumerate(means):
+        if len(players) <= _MOST_NUMBERS and not np.isnan(mean):
+            axes.text(
+                place[1],
+                place[0],
+                format_measure(measure, mean).removesuffix(" %"),
+                color="white" if is_dark[place] else "black",
+                ha="center",
+                va="center",
+                fontsize=8,
+            )
+
+
+def _draw_ratings(axes: "Axes", tournament: Tournament, players: list[str]) -> None:
+    ratings: list[Statistic] = [tournament.ratings[player] for player in players]
+    for i, rating in enumerate(ratings):
+        axes.plot([rating.low, rating.high], [i, i], color="#0072b2", linewidth=2.0)
+        axes.plot(rating.mean, i, "o", color="#0072b2")
+    axes.set_ylim(len(players) - 0.5, -0.5)
+    axes.set_yticks([])
+    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.set_title("rating, with 95 % intervals")

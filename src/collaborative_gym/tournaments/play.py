@@ -1,0 +1,352 @@
+"""The tournament: which pairings there are, and how they are played and kept."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import (
+    check_callback,
+    check_count,
+    check_flag,
+    check_kind,
+    look_up,
+    shown,
+)
+from collaborative_gym.evaluation.play import play_episodes, worlds_for
+from collaborative_gym.evaluation.report import without_nan
+from collaborative_gym.files import check_writable, write_text
+from collaborative_gym.policies import AnyPolicy, as_policy
+from collaborative_gym.rng import check_seed
+from collaborative_gym.robots import Robot
+from collaborative_gym.tasks.identity import ON_STATE, Identity
+from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tournaments.players import Player, enter
+from collaborative_gym.tournaments.result import Pairing, Tournament
+
+PAIRINGS = "pairings"
+"""Name of the folder, in that of a tournament, with a file for each pairing."""
+
+_FORMAT = 1
+"""Number of the files' format; a file of another one is refused."""
+
+_KEPT = ("return", "completion", "performance", "time_to_success", "score")
+_KEPT += ("length", "diverged")
+"""What is kept of an episode, the first five by side where there are several."""
+
+
+def tournament(
+    env: str | Task,
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    seats: str | Sequence[str] = "all",
+    groups: Mapping[str, Sequence[str]] | None = None,
+    robots: Sequence[str | Robot] | None = None,
+    randomization: str | Randomization | None = None,
+    num_envs: int | None = None,
+    num_threads: int = 0,
+    any_env: bool = False,
+    output: str | Path | None = None,
+    on_pairing: Callable[[Pairing], object] | None = None,
+    on_progress: Callable[[float], object] | None = None,
+) -> Tournament:
+    """Let every policy play in every seat with every other, and with itself.
+
+    A seat is a robot; where the task has several sides, it is a side with all of its
+    robots. In a pairing one player has one seat and another, or the same, all other
+    seats: of two seats these are all pairs in both orders. Every pairing plays the same
+    episodes, the first of the seed. The numbers are the same for any `num_envs` and
+    `num_threads`.
+
+    A policy file serves the agents that it has parts for. Pairings in which it would
+    have to command others, or only a part of the robots that one network of it commands
+    together, are left out, and the result says why. All files are read before anything
+    is played.
+
+    Args:
+      env: an environment id, a task's name, or a task.
+      policies: whatever `load_policy` takes, each under the name that the command line
+        has for it; or a dictionary of policies by names of your own.
+      episodes: how many each pairing plays.
+      seed: which episodes.
+      seats: the seats that each player takes in turn, while another has the rest;
+        "all", or names of some.
+      groups: players that are training runs of one kind, by the kind's name. None for
+        those that are in one folder.
+      robots: other arms than the environment's own, in the order of the agents.
+      randomization: how starts are drawn, a preset's name or a value; None for
+        "default".
+      num_envs: worlds to play in beside one another; None for at most 64.
+      num_threads: physics threads, 0 for one per CPU.
+      any_env: whether trained policies may play another environment than their own.
+      output: a folder, in which each pairing that was played is kept in a file. What it
+        has is not played again, unless a player is a function. So a tournament that was
+        stopped goes on, and players can be added. None to keep nothing.
+      on_pairing: called with each pairing that was played.
+      on_progress: called after each step with the share that is done, 0 to 1.
+
+    Raises:
+      FileNotFoundError: if there is no such policy file or baseline.
+      KeyError: if a name is unknown.
+      OSError: if a file cannot be written, as on a full disk; what was there stays.
+      TypeError: if something is of another kind.
+      ValueError: if a number is out of range, there are fewer than two players or two
+        of one name, a policy is for another environment, for other robots or for none
+        of the pairings, the task has one robot, or the folder has pairings of something
+        else or a damaged file; says what differs.
+    """
+    episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
+    check_callback("on_pairing", on_pairing)
+    check_callback("on_progress", on_progress)
+    any_env = check_flag("any_env", any_env)
+    task = as_task(env, robots, randomization)
+    world = VectorEnv(task, worlds_for(episodes, num_envs), num_threads=num_threads)
+    with closing(world):
+        all_seats = _seats(world)
+        turns = _turns(seats, all_seats)
+        players = enter(policies, world, any_env=any_env)
+        names = tuple(player.name for player in players)
+        kinds = _groups(groups, names)
+        casts, left_out = _casts(players, all_seats, turns)
+        settings = {
+            "identity": Identity.of(task).to_dict(),
+            "episodes": episodes,
+            "seed": seed,
+        }
+        kept = _Kept(None if output is None else output, settings)
+        kept.check(casts)
+        pairings = []
+        for i, cast in enumerate(casts):
+            pairing = kept.read(cast)
+            if pairing is None:
+                pairing = _play(
+                    world, cast, all_seats, settings, _from(on_progress, i, len(casts))
+                )
+                kept.write(cast, pairing)
+                if on_pairing is not None:
+                    on_pairing(pairing)
+            pairings.append(pairing)
+            if on_progress is not None:
+                on_progress((i + 1) / len(casts))
+    return Tournament(
+        world.task.name,
+        settings,
+        all_seats,
+        turns,
+        names,
+        tuple(pairings),
+        kinds,
+        left_out,
+    )
+
+
+_Cast = Mapping[str, Player]
+"""Who sits in each seat."""
+
+
+def _seats(env: VectorEnv) -> dict[str, tuple[str, ...]]:
+    if len(env.sides) > 1:
+        return dict(env.sides)
+    if len(env.agents) < 2:
+        raise ValueError(
+            f"{env.task.name} has one robot, which has nobody to play with; compare"
+            " policies by evaluate"
+        )
+    return {agent: (agent,) for agent in env.agents}
+
+
+def _turns(seats: Any, all_seats: Mapping[str, Any]) -> tuple[str, ...]:
+    if isinstance(seats, str):
+        seats = (seats,)
+    check_kind("seats", seats, Sequence, '"all", or names of seats')
+    if tuple(seats) == ("all",):
+        return tuple(all_seats)
+    for seat in seats:
+        look_up("seat", seat, all_seats)
+    if not seats or len(set(seats)) < len(seats):
+        raise ValueError(
+            f'seats must be "all", or names of some, each once, got {shown(seats)}'
+        )
+    return tuple(seats)
+
+
+def _groups(groups: Any, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    if groups is None:
+        folders: dict[str, list[str]] = {}
+        for name in names:
+            # A run's folder, or the policy file in it.
+            run = Path(name).parent if Path(name).suffix else Path(name)
+            folders.setdefault(str(run.parent), []).append(name)
+        folders.pop(".", None)
+        return {k: tuple(runs) for k, runs in folders.items() if len(runs) > 1}
+    check_kind("groups", groups, Mapping, "a dictionary of players' names")
+    for kind, runs in groups.items():
+        if isinstance(runs, str) or not isinstance(runs, Sequence) or len(runs) < 2:
+            raise ValueError(
+                f"groups[{kind!r}] must list two players or more, got {shown(runs)}"
+            )
+        for run in runs:
+            look_up("player", run, dict.fromkeys(names))
+    return {str(kind): tuple(runs) for kind, runs in groups.items()}
+
+
+def _casts(
+    players: Sequence[Player],
+    seats: Mapping[str, tuple[str, ...]],
+    turns: Sequence[str],
+) -> tuple[list[_Cast], dict[str, str]]:
+    """Return all that can be played, and why the others cannot, by their titles."""
+    casts: dict[tuple[str, ...], _Cast] = {}
+    left_out: dict[str, str] = {}
+    playing: set[str] = set()
+    for turn in turns:
+        for one in players:
+            for other in players:
+                cast = {seat: one if seat == turn else other for seat in seats}
+                key = tuple(player.name for player in cast.values())
+                reasons = _misfits(cast, seats)
+                if reasons:
+                    left_out[" + ".join(key)] = "; ".join(reasons.values())
+                else:
+                    casts[key] = cast
+                    playing |= set(key)
+    for player in players:
+        if player.name not in playing:
+            agents = [agent for own in seats.values() for agent in own]
+            raise ValueError(
+                f"player {player.name!r} cannot play any of the pairings:"
+                f" {player.misfit(agents) or next(iter(left_out.values()))}"
+            )
+    return list(casts.values()), left_out
+
+
+def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
+    """Return why players of a cast cannot command the robots of their seats."""
+    agents: dict[str, list[str]] = {}
+    for seat, player in cast.items():
+        agents.setdefault(player.name, []).extend(seats[seat])
+    by_name = {player.name: player for player in cast.values()}
+    found = {name: by_name[name].misfit(own) for name, own in agents.items()}
+    return {name: f"{name!r}: {reason}" for name, reason in found.items() if reason}
+
+
+def _play(
+    env: VectorEnv,
+    cast: _Cast,
+    seats: Mapping[str, tuple[str, ...]],
+    settings: Mapping[str, Any],
+    on_progress: Callable[[float], object] | None,
+) -> Pairing:
+    team = {
+        agent: player.policies[agent]
+        for seat, player in cast.items()
+        for agent in seats[seat]
+    }
+    rows, _ = play_episodes(
+        env,
+        as_policy(team, env, any_env=True),  # The players have been checked.
+        settings["episodes"],
+        settings["seed"],
+        on_progress=on_progress,
+    )
+    columns = {
+        name: tuple(float(row[name]) for row in rows)
+        for name in rows[0]
+        if name.rpartition("/")[2] in _KEPT
+    }
+    return Pairing({seat: player.name for seat, player in cast.items()}, columns)
+
+
+def _from(
+    on_progress: Callable[[float], object] | None, i: int, count: int
+) -> Callable[[float], object] | None:
+    if on_progress is None:
+        return None
+    return lambda share: on_progress((i + share) / count)
+
+
+class _Kept:
+    """The pairings that a folder has.
+
+    Args:
+      folder: of the tournament, or None to keep nothing.
+      settings: of what is to be played.
+    """
+
+    def __init__(self, folder: Any, settings: Mapping[str, Any]):
+        self._folder, self._settings = None, settings
+        if folder is not None:
+            check_kind("output", folder, (str, Path), "a folder's name")
+            self._folder = Path(folder) / PAIRINGS
+            check_writable(self._folder / "any.json")
+
+    def check(self, casts: Sequence[_Cast]) -> None:
+        """Raise ValueError if what the folder has of these is of something else."""
+        for cast in casts:
+            self.read(cast)
+
+    def read(self, cast: _Cast) -> Pairing | None:
+        """Return what the folder has of a pairing, if anything."""
+        if self._folder is None or None in _marks(cast).values():
+            return None
+        path = self._folder / _file_name(cast)
+        if not path.exists():
+            return None
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            if found["format"] != _FORMAT:
+                raise ValueError(f"its format is {found['format']}, not {_FORMAT}")
+            columns = {
+                str(name): tuple(math.nan if x is None else float(x) for x in column)
+                for name, column in found["columns"].items()
+            }
+            differs = list(self._differences(found, cast))
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"{path} is damaged: {error}; remove it, and it is played again"
+            ) from error
+        if differs:
+            raise ValueError(
+                f"{path.parent} has pairings of something else: {'; '.join(differs)};"
+                " choose another output, or remove it"
+            )
+        return Pairing({seat: player.name for seat, player in cast.items()}, columns)
+
+    def _differences(self, found: Mapping[str, Any], cast: _Cast) -> Iterator[str]:
+        own, other = (
+            Identity.from_dict(each["identity"]) for each in (self._settings, found)
+        )
+        yield from own.differences(other, ignore=ON_STATE)
+        for name in ("episodes", "seed"):
+            if self._settings[name] != found[name]:
+                yield f"{name} is {self._settings[name]}, not {found[name]}"
+        for name, mark in _marks(cast).items():
+            if found["players"][name] != mark:
+                yield f"the player {name!r} has changed since"
+
+    def write(self, cast: _Cast, pairing: Pairing) -> None:
+        """Keep a pairing, whole or not at all."""
+        if self._folder is not None:
+            content = {"format": _FORMAT, **self._settings, "players": _marks(cast)}
+            content |= {"columns": without_nan(dict(pairing.columns))}
+            write_text(self._folder / _file_name(cast), json.dumps(content) + "\n")
+
+
+def _marks(cast: _Cast) -> dict[str, str | None]:
+    return {player.name: player.mark for player in cast.values()}
+
+
+def _file_name(cast: _Cast) -> str:
+    """Return a name that tells people who played, and is no other pairing's."""
+    names = [player.name for player in cast.values()]
+    words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
+    digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]
+    return f"{words}-{digest}.json"

@@ -1,0 +1,120 @@
+"""Who plays in a tournament, and which of them can sit together."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import UnknownName, shown, unknown
+from collaborative_gym.policies import AnyPolicy, Policy, name_policy
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import commanding, read_policy
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy under a name of its own.
+
+    Attributes:
+      name: of the player.
+      policies: what commands each agent.
+      mark: what tells its policies apart from others of the name: names of scripted
+        ones, digests of trained ones. None where there is a function, of which nobody
+        knows whether it is the same.
+    """
+
+    name: str
+    policies: Mapping[str, Policy]
+    mark: str | None
+
+    def misfit(self, agents: Collection[str]) -> str:
+        """Return why it cannot command these agents and no others; empty if it can."""
+        for policy in {id(own): own for own in self.policies.values()}.values():
+            asked = [agent for agent in agents if self.policies[agent] is policy]
+            if asked and isinstance(policy, NetworkPolicy):
+                try:
+                    policy.serving(asked)
+                except ValueError as error:
+                    return str(error)
+        return ""
+
+
+def enter(
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+    env: VectorEnv,
+    *,
+    any_env: bool = False,
+) -> list[Player]:
+    """Return the players, all that they need read from their files.
+
+    Args:
+      policies: as `tournament` takes them.
+      env: what is to be played.
+      any_env: whether a trained policy may play another environment than its own.
+
+    Raises:
+      Exception: as `load_policy` does; names the player.
+      TypeError: if they are no list and no dictionary.
+      ValueError: if there are fewer than two, or two of one name.
+    """
+    if not isinstance(policies, Mapping):
+        if isinstance(policies, str | Path) or not isinstance(policies, Sequence):
+            raise TypeError(
+                "policies must be a list of policies, or a dictionary with a name for"
+                f" each, got {shown(policies)}"
+            )
+        names = [name_policy(policy) for policy in policies]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"{names.count(name)} policies are named {name!r}; give each once,"
+                    " or in Python a dictionary with a name for each"
+                )
+        policies = dict(zip(names, policies, strict=True))
+    if len(policies) < 2:
+        listed = ", ".join(map(str, policies)) or "none"
+        raise ValueError(
+            f"a tournament needs two policies or more, got {len(policies)} ({listed})"
+        )
+    return [
+        _enter(str(name), policy, env, any_env) for name, policy in policies.items()
+    ]
+
+
+def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
+    by_agent: Mapping[str, Any] = (
+        policy if isinstance(policy, Mapping) else dict.fromkeys(env.agents, policy)
+    )
+    found: dict[Any, Policy] = {}
+    try:
+        for agent in by_agent:
+            if agent not in env.agents:
+                raise UnknownName(unknown("agent", agent, env.agents))
+        for agent in env.agents:
+            if agent not in by_agent:
+                raise ValueError(f"there is no policy for the agent {agent}")
+            key = _key(by_agent[agent])
+            if key not in found:
+                own = read_policy(by_agent[agent], env)
+                if isinstance(own, NetworkPolicy):
+                    own.check(env, any_env=any_env)
+                else:
+                    own = commanding(env.agents, own, env, any_env)
+                found[key] = own
+    except (LookupError, TypeError, ValueError, FileNotFoundError) as error:
+        raise type(error)(f"player {name!r}: {error}") from error
+    policies = {agent: found[_key(by_agent[agent])] for agent in env.agents}
+    marks = {agent: _mark(by_agent[agent], policies[agent]) for agent in env.agents}
+    mark = "; ".join(f"{agent} {own}" for agent, own in marks.items())
+    return Player(name, policies, None if None in marks.values() else mark)
+
+
+def _key(policy: Any) -> Any:
+    return Path(policy) if isinstance(policy, str | Path) else id(policy)
+
+
+def _mark(given: Any, found: Policy) -> str | None:
+    if isinstance(found, NetworkPolicy):
+        return found.digest
+    return str(given) if isinstance(given, str | Path) else None

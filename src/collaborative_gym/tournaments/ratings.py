@@ -1,0 +1,73 @@
+"""Ratings of players from the games that they won and lost."""
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+
+_MEAN = 1500.0
+"""What the ratings of all players have as their mean; only differences say anything."""
+
+_SCALE = 400.0 / np.log(10.0)
+"""Elo's scale: 400 points more are ten times the chances (Elo, 1978)."""
+
+_PRIOR = 1.0
+"""Games that each player is imagined to have drawn with an average one, our choice. So
+a player that won all of its games has a finite rating, which grows with their number.
+"""
+
+_NEAR = 1e-10
+"""Newton's method ends where no strength changes by more."""
+
+
+def bradley_terry(points: np.ndarray) -> np.ndarray:
+    """Return the ratings on Elo's scale, (..., players), with a mean of 1500.
+
+    They are those of the model of Bradley and Terry (1952) under which these results
+    are likeliest: player i beats player j with the probability
+    1 / (1 + 10^((r_j - r_i) / 400)). A draw is half a win. Unlike Elo's own updates,
+    they do not depend on the order of games. Each player has besides drawn one game
+    with an average player, so that the likeliest ratings are always finite.
+
+    Args:
+      points: what each player, a row, took from each other, a column, in all games: a
+        win is 1, a draw 0.5; (..., players, players). The diagonal does not count.
+    """
+    count = points.shape[-1]
+    points = points * (1.0 - np.eye(count))
+    games = points + np.swapaxes(points, -1, -2)
+    strength = np.zeros(points.shape[:-1])
+    for _ in range(1000):
+        chance = _logistic(strength[..., :, None] - strength[..., None, :])
+        average = _logistic(strength)
+        slope = (points - games * chance).sum(-1) + _PRIOR * (0.5 - average)
+        bend = games * chance * (1.0 - chance)
+        own = bend.sum(-1) + _PRIOR * average * (1.0 - average)
+        curvature = own[..., None] * np.eye(count) - bend
+        step = np.linalg.solve(curvature, slope[..., None])[..., 0]
+        # Far from the end, whole steps of Newton's may lead astray.
+        largest = np.abs(step).max(-1, keepdims=True, initial=0.0)
+        strength = strength + step / np.maximum(largest, 1.0)
+        if largest.max(initial=0.0) < _NEAR:
+            break
+    return _MEAN + _SCALE * (strength - strength.mean(-1, keepdims=True))
+
+
+def cyclic_triples(
+    names: Sequence[str], beats: np.ndarray
+) -> list[tuple[str, str, str]]:
+    """Return triples of whom each beats the next, and the last the first.
+
+    Args:
+      names: the players'.
+      beats: whether a player, a row, beats another, a column.
+    """
+    return [
+        (names[i], names[j], names[k])
+        for i, j, k in permutations(range(len(names)), 3)
+        if i < min(j, k) and beats[i, j] and beats[j, k] and beats[k, i]
+    ]
+
+
+def _logistic(x: np.ndarray) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-x))

@@ -1,0 +1,412 @@
+"""What came of a tournament: matrices, standings, ratings; JSON and CSV."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.evaluation.report import (
+    Statistic,
+    format_number,
+    without_nan,
+)
+from collaborative_gym.tournaments.ratings import bradley_terry, cyclic_triples
+
+SHARES = ("points", "completion")
+"""Measures of single episodes that are 0 or 1, or half for a draw."""
+
+_RESAMPLES = 1000
+"""Draws of the bootstrap of ratings and of groups."""
+
+_Z = 1.959964
+"""Standard deviations on either side of a normal mean that hold 95 %."""
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Episodes of one player in one seat with another, or itself, in all other seats.
+
+    Attributes:
+      players: who sat in each seat, by its name.
+      columns: of the episodes, in order, by the names of a `Report`'s rows.
+    """
+
+    players: Mapping[str, str]
+    columns: Mapping[str, Sequence[float]]
+
+    @property
+    def title(self) -> str:
+        """Who plays, such as "expert + idle"."""
+        return " + ".join(self.players.values())
+
+    @property
+    def is_one_episode(self) -> bool:
+        """Whether all episodes are the same one, because they start alike."""
+        return all(len({*map(repr, column)}) == 1 for column in self.columns.values())
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How one player did.
+
+    Attributes:
+      self_play: with itself in all seats, by measure.
+      cross_play: with each other player, in each seat in turn; the mean, by measure.
+      gap: what self-play is better by; empty where players are opponents.
+      by_seat: its cross-play in each seat, by seat and measure.
+      worst: the other player with whom, or against whom, it does worst; None if it
+        played with none.
+      wins: against others, only where players are opponents; and so are the next.
+      draws: against others.
+      losses: against others.
+      rating: as `bradley_terry` gives it.
+    """
+
+    self_play: dict[str, Statistic]
+    cross_play: dict[str, Statistic]
+    gap: dict[str, Statistic]
+    by_seat: dict[str, dict[str, Statistic]]
+    worst: str | None
+    wins: int | None = None
+    draws: int | None = None
+    losses: int | None = None
+    rating: Statistic | None = None
+
+
+@dataclass(frozen=True)
+class Tournament:
+    """How every policy did in every seat with every other.
+
+    Where the task has several sides, seats are sides, and pairings are compared by
+    `points`, 1 for an episode that was won, 0.5 for a draw and 0 for one that was lost,
+    and by `score`, how much more was scored than by the best other side. Else seats are
+    robots, and what they share is compared: `completion`, `performance`, `return`.
+
+    Intervals are of 95 %: Wilson's (1927) of points and completion of single pairings,
+    where a draw counts as half a win, which makes them rather too wide; of all else the
+    bootstrap's over episodes. All pairings have the same starts, so the same episodes
+    are drawn for all of them.
+
+    Attributes:
+      environment: the environment's id or the task's name.
+      settings: what was played: the environment's whole `identity`, `episodes`, `seed`.
+      seats: the agents of each seat, by its name.
+      turns: the seats that each player took in turn, with others in the rest.
+      players: their names, in the order in which they were given.
+      pairings: all that were played.
+      groups: training runs of one kind, by the kind's name.
+      left_out: why pairings could not be played, by their titles.
+    """
+
+    environment: str
+    settings: dict[str, Any]
+    seats: dict[str, tuple[str, ...]]
+    turns: tuple[str, ...]
+    players: tuple[str, ...]
+    pairings: tuple[Pairing, ...]
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_divided(self) -> bool:
+        """Whether the seats are sides that play against one another."""
+        return "completion" not in self.pairings[0].columns
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """What pairings are compared by; the first counts most."""
+        if self.is_divided:
+            return "points", "score"
+        return "completion", "performance", "return"
+
+    @cached_property
+    def is_one_episode(self) -> bool:
+        """Whether each pairing's episodes are all the same one."""
+        is_alone = self.settings["episodes"] == 1
+        return not is_alone and all(each.is_one_episode for each in self.pairings)
+
+    @cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """By measure, that of each episode, (turns, players, players, episodes).
+
+        The first player has the seat whose turn it is, the second all others. NaN where
+        they cannot play together.
+        """
+        found = {tuple(each.players.values()): each for each in self.pairings}
+        count, episodes = len(self.players), self.settings["episodes"]
+        shape = len(self.turns), count, count, episodes
+        values = {measure: np.full(shape, math.nan) for measure in self.measures}
+        for place in np.ndindex(shape[:3]):
+            turn, (row, column) = self.turns[place[0]], place[1:]
+            sitting = [row if seat == turn else column for seat in self.seats]
+            pairing = found.get(tuple(self.players[i] for i in sitting))
+            if pairing is not None:
+                for measure, column in self._compared(pairing, turn).items():
+                    values[measure][place] = column
+        return values
+
+    def _compared(self, pairing: Pairing, turn: str) -> dict[str, np.ndarray]:
+        if not self.is_divided:
+            return {name: np.array(pairing.columns[name]) for name in self.measures}
+        scores = {s: np.array(pairing.columns[f"{s}/score"]) for s in self.seats}
+        more = scores.pop(turn) - np.max(list(scores.values()), axis=0)
+        return {"points": (np.sign(more) + 1.0) / 2.0, "score": more}
+
+    @cached_property
+    def matrices(self) -> dict[str, dict[str, dict[str, Statistic]]]:
+        """By measure, row and column, how the row's player did with the column's.
+
+        With two seats the row's player is in the first. With more, it is the mean over
+        the seats that it took in turn.
+        """
+        return {
+            measure: {
+                row: {
+                    column: self._statistic(measure, self._shown(measure)[:, i, j])
+                    for j, column in enumerate(self.players)
+                }
+                for i, row in enumerate(self.players)
+            }
+            for measure in self.measures
+        }
+
+    @cached_property
+    def standings(self) -> dict[str, Standing]:
+        """How each player did, by its name."""
+        return {name: self._standing(i) for i, name in enumerate(self.players)}
+
+    @cached_property
+    def ratings(self) -> dict[str, Statistic]:
+        """Ratings by player, as `bradley_terry` gives them; only of opponents."""
+        best = bradley_terry(self._points(np.ones((1, self.settings["episodes"]))))[0]
+        drawn = self._drawn_ratings.T
+        return {
+            name: self._between(best[i], drawn[i])
+            for i, name in enumerate(self.players)
+        }
+
+    @cached_property
+    def cycles(self) -> list[tuple[str, str, str]]:
+        """Triples of whom each beats the next, and the last the first.
+
+        A player beats another if the interval of its points against it is above a half.
+        """
+        if not self.is_divided:
+            return []
+        count = len(self.players)
+        beats = np.zeros((count, count), bool)
+        for i, j in np.ndindex(count, count):
+            taken = self._statistic("points", self.values["points"][:, i, j])
+            least = taken.mean if self.is_one_episode else taken.low
+            beats[i, j] = i != j and least > 0.5
+        return cyclic_triples(self.players, beats)
+
+    @cached_property
+    def group_means(self) -> dict[str, dict[str, Statistic]]:
+        """What training runs of one kind come to, by the kind and what is told of them.
+
+        Of opponents it is their mean `rating`. Else, of each measure, such as
+        `completion`: `completion of self-play`, `completion of cross-play` with one
+        another, and their difference, `completion lost`. The intervals are the
+        bootstrap's over runs and over episodes.
+        """
+        return {
+            name: self._group([self.players.index(run) for run in runs])
+            for name, runs in self.groups.items()
+        }
+
+    def _shown(self, measure: str) -> np.ndarray:
+        """Return the values that a matrix shows."""
+        values = self.values[measure]
+        return values[:1] if len(self.seats) == 2 else values
+
+    def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
+        """Return that of a pairing, whose rows are seats and columns episodes."""
+        statistic = self._mean_of(values)
+        count = int(np.count_nonzero(~np.isnan(values)))
+        if measure not in SHARES or self.is_one_episode or not count:
+            return statistic
+        low, high = wilson(statistic.mean, count)
+        return replace(statistic, low=low, high=high)
+
+    def _mean_of(self, values: np.ndarray) -> Statistic:
+        """Return the statistic of each episode's mean over the rows."""
+        means = _mean(values.reshape(-1, values.shape[-1]))
+        return Statistic.of(list(means[:1] if self.is_one_episode else means))
+
+    def _between(self, mean: float, drawn: np.ndarray) -> Statistic:
+        """Return a statistic with the interval of what a bootstrap has drawn."""
+        low, high = np.nanquantile(drawn, (0.025, 0.975))
+        if self.is_one_episode:
+            low = high = math.nan
+        return Statistic(*map(float, (mean, low, high, mean, mean)))
+
+    def _standing(self, i: int) -> Standing:
+        others = np.arange(len(self.players)) != i
+        cross = {name: all_[:, i, others] for name, all_ in self.values.items()}
+        own = {name: all_[:1, i, i] for name, all_ in self.values.items()}
+        means = {
+            j: [float(np.nanmean(v[:, i, j])) for v in self.values.values()]
+            for j in np.flatnonzero(others)
+            if not np.isnan(self.values[self.measures[0]][:, i, j]).all()
+        }
+        worst = min(means, key=means.__getitem__, default=None)
+        standing = Standing(
+            self_play={name: self._mean_of(rows) for name, rows in own.items()},
+            cross_play={name: self._mean_of(rows) for name, rows in cross.items()},
+            gap={
+                name: self._mean_of(own[name] - _mean(rows.reshape(-1, rows.shape[-1])))
+                for name, rows in cross.items()
+                if not self.is_divided
+            },
+            by_seat={
+                turn: {name: self._mean_of(rows[s]) for name, rows in cross.items()}
+                for s, turn in enumerate(self.turns)
+            },
+            worst=None if worst is None else self.players[worst],
+        )
+        if not self.is_divided:
+            return standing
+        points = cross["points"]
+        counts = (int((points == point).sum()) for point in (1.0, 0.5, 0.0))
+        wins, draws, losses = counts
+        rating = self.ratings[self.players[i]]
+        return replace(standing, wins=wins, draws=draws, losses=losses, rating=rating)
+
+    def _points(self, weights: np.ndarray) -> np.ndarray:
+        """Return what rows took from columns, (draws, players, players).
+
+        Args:
+          weights: how often each episode counts, (draws, episodes).
+        """
+        own = self._shown("points")
+        lost = np.swapaxes(1.0 - own, 1, 2)
+        per_episode = np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)
+        return np.moveaxis(per_episode @ weights.T, -1, 0)
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        """How often each episode is drawn by the bootstrap, (draws, episodes)."""
+        episodes = self.settings["episodes"]
+        rng = np.random.default_rng(0)
+        return rng.multinomial(episodes, np.full(episodes, 1 / episodes), _RESAMPLES)
+
+    @cached_property
+    def _drawn_ratings(self) -> np.ndarray:
+        return bradley_terry(self._points(self._weights))
+
+    def _group(self, runs: list[int]) -> dict[str, Statistic]:
+        count = len(runs)
+        drawn = np.random.default_rng(0).integers(0, count, (_RESAMPLES, count))
+        if self.is_divided:
+            ratings = np.take_along_axis(self._drawn_ratings[:, runs], drawn, axis=1)
+            mean = np.mean([self.ratings[self.players[i]].mean for i in runs])
+            return {"rating": self._between(float(mean), ratings.mean(1))}
+        told = {}
+        for measure, values in self.values.items():
+            cells = _mean(values[:, runs][:, :, runs])
+            plain = _selves_and_others(cells.mean(-1)[None], np.arange(count)[None])
+            means = np.moveaxis(cells @ self._weights.T / values.shape[-1], -1, 0)
+            draws = _selves_and_others(means, drawn)
+            for i, name in enumerate(("of self-play", "of cross-play", "lost")):
+                told[f"{measure} {name}"] = self._between(plain[i][0], draws[i])
+        return told
+
+    def to_json(self) -> str:
+        """Return everything as JSON, with null for NaN."""
+        content = {each: getattr(self, each) for each in self.__dataclass_fields__}
+        derived = ["measures", "matrices", "standings", "group_means"]
+        derived += ["cycles"] * self.is_divided
+        content |= {each: getattr(self, each) for each in derived}
+        return json.dumps(without_nan(_plain(content)), indent=1) + "\n"
+
+    def to_csv(self) -> str:
+        """Return the matrices as rows: seat, its player, the others', and measures."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        ends = ("", "_low", "_high")
+        names = [f"{measure}{end}" for measure in self.measures for end in ends]
+        writer.writerow(["seat", "player", "others", "episodes", *names])
+        turns = self.turns[: len(self._shown(self.measures[0]))]
+        for s, i, j in np.ndindex(len(turns), len(self.players), len(self.players)):
+            cells: list[Any] = []
+            for measure in self.measures:
+                one = self._statistic(measure, self.values[measure][s : s + 1, i, j])
+                cells += [one.mean, one.low, one.high]
+            cells = ["" if math.isnan(cell) else cell for cell in cells]
+            start = turns[s], self.players[i], self.players[j]
+            writer.writerow([*start, self.settings["episodes"], *cells])
+        return text.getvalue()
+
+
+def short_names(names: Sequence[str]) -> dict[str, str]:
+    """Return what to call players in tables: of paths the last part, if it is unique.
+
+    Args:
+      names: the players'.
+    """
+    bare = {
+        name: name.removesuffix("/policy.safetensors").removesuffix(".safetensors")
+        for name in names
+    }
+    ends = {
+        name: path if "=" in path else path.rpartition("/")[2]
+        for name, path in bare.items()
+    }
+    return ends if len({*ends.values()}) == len(ends) else bare
+
+
+def format_measure(measure: str, value: float) -> str:
+    """Return a number of a measure for people, such as "97 %"; a dash for NaN."""
+    if measure in SHARES or measure == "performance":
+        return "-" if math.isnan(value) else f"{100 * value:.0f} %"
+    return format_number(value, digits=1 if abs(value) < 100 else 0)
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """Return the ends of Wilson's (1927) 95 % interval of a share of so many."""
+    square = _Z**2 / count
+    middle = (share + square / 2.0) / (1.0 + square)
+    width = math.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)
+    return max(0.0, middle - width), min(1.0, middle + width)
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the first axis of what is not NaN; NaN where all is."""
+    known = ~np.isnan(values)
+    total = np.where(known, values, 0.0).sum(0)
+    return np.where(known.any(0), total / np.maximum(known.sum(0), 1), math.nan)
+
+
+def _selves_and_others(means: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the means with oneself, with others, and their difference, by draw.
+
+    Args:
+      means: of rows with columns, (draws, runs, runs).
+      drawn: the runs of each draw, (draws, runs).
+    """
+    draw = np.arange(len(drawn))[:, None, None]
+    cells = means[draw, drawn[:, :, None], drawn[:, None, :]]
+    is_self = drawn[:, :, None] == drawn[:, None, :]
+    of_selves, of_others = (
+        _mean(np.where(which, cells, math.nan).reshape(len(drawn), -1).T)
+        for which in (is_self, ~is_self)
+    )
+    return of_selves, of_others, of_selves - of_others
+
+
+def _plain(value: Any) -> Any:
+    """Return values as plain dictionaries and lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
