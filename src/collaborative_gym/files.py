@@ -59,7 +59,7 @@ def _beside(path: Path) -> Iterator[Path]:
     with ExitStack() as stack:
         with naming(path):
             if path.exists() and not path.is_file():
-                raise OSError(errno.EINVAL, "it is a folder or a device")
+                raise IsADirectoryError(errno.EISDIR, "it is a folder or a device")
             path.parent.mkdir(parents=True, exist_ok=True)
             folder = stack.enter_context(
                 TemporaryDirectory(
@@ -77,11 +77,11 @@ def naming(path: Path) -> Iterator[None]:
     """Let errors name the file that the caller asked for.
 
     Raises:
-      OSError: says that the file cannot be written, and why.
+      OSError: says that the file cannot be written, and why; of the class that it had.
     """
     try:
         yield
     except OSError as error:
         if error.errno is None:  # It has its message already.
             raise
-        raise OSError(f"cannot write {path}: {error.strerror}") from error
+        raise type(error)(f"cannot write {path}: {error.strerror}") from error

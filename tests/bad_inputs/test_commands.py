@@ -77,6 +77,7 @@ OPTIONS = [
     ("reproduce table11 --output {folder}", "--num-threads", NO_INTEGERS),
     ("demo --output {folder}", "--episodes", (*NO_INTEGERS, "0")),
     ("view Poke --web", "--port", ("two", "-1", "70000")),
+    ("view Poke --web", "--host", ("192.0.2.7", "no.host")),
     ("view Poke --web", "--policy", ("nobody", "a/b")),
     ("view Poke --web", "--seed", NO_INTEGERS),
 ]
@@ -152,7 +153,7 @@ INPUTS = [
     for value in values
 ]
 INPUTS += [(line.split(" "), 2, (mentions,)) for line, mentions in WHOLE]
-INPUTS += [(line.split(" "), 1, (mentions,)) for line, mentions in CANNOT]
+INPUTS += [(line.split(" "), 2, (mentions,)) for line, mentions in CANNOT]
 
 
 @pytest.mark.parametrize(
@@ -182,7 +183,7 @@ def test_a_command_tells_where_a_users_file_is_wrong(name, tmp_path):
         ("evaluate Lif", 2),
         ("evaluate Poke --episodes two", 2),
         ("frobnicate", 2),
-        (EVALUATE + " --json /proc/a.json", 1),
+        (EVALUATE + " --json /proc/a.json", 2),
     ],
 )
 def test_a_process_ends_with_the_status(line, status):

@@ -214,7 +214,7 @@ def test_what_cannot_be_written_shows_before_the_work(tmp_path, capsys, command)
     for file in files:
         arguments = [command, "PokeTaskSawyers-v0", "--json", str(file)]
         started = time.perf_counter()
-        assert main(arguments) == 1
+        assert main(arguments) == 2
         assert time.perf_counter() - started < 1.0
         printed = capsys.readouterr()
         assert printed.out == ""
@@ -224,7 +224,7 @@ def test_what_cannot_be_written_shows_before_the_work(tmp_path, capsys, command)
 
 def test_reproduce_shows_before_the_work_that_it_cannot_write(tmp_path, capsys):
     (tmp_path / "table11.json").mkdir()
-    assert main(["reproduce", "table11", "--output", str(tmp_path)]) == 1
+    assert main(["reproduce", "table11", "--output", str(tmp_path)]) == 2
     message = capsys.readouterr().err
     assert message.startswith(f"error: cannot write {tmp_path / 'table11.json'}: ")
 

@@ -35,8 +35,10 @@ _CANNOT, _BAD_INPUT, _INTERRUPTED, _UNREAD, _TERMINATED = 1, 2, 130, 141, 143
 
 _PACKAGE = Path(__file__).parents[1]
 
-_BAD = LookupError, ValueError, TypeError, FileNotFoundError, FileExistsError
-"""Errors of bad input."""
+_NO_FILE = FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError
+
+_BAD = LookupError, ValueError, TypeError, *_NO_FILE
+"""Errors of bad input, such as a path where no file can be."""
 
 _CANNOT_BE_DONE = ImportError, OSError, RuntimeError
 """Errors of what the machine lacks."""

@@ -25,7 +25,7 @@ def free_port(host: str, port: int) -> int:
 
     Raises:
       OSError: if it cannot listen there, other than because somebody does.
-      ValueError: if there is no such port.
+      ValueError: if there is no such port, or the address is none of this machine.
     """
     if not 0 <= port <= _LAST_PORT:
         raise ValueError(f"port must be between 0 and {_LAST_PORT}, got {port}")
@@ -36,8 +36,10 @@ def free_port(host: str, port: int) -> int:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 continue
-            raise OSError(
-                f"cannot listen on {host}, port {candidate}: {error.strerror}"
-            ) from error
+            told = f"cannot listen on {host}, port {candidate}: {error.strerror}"
+            is_foreign = error.errno == errno.EADDRNOTAVAIL
+            if is_foreign or isinstance(error, socket.gaierror):
+                raise ValueError(f"{told}; give an address of this machine") from error
+            raise OSError(told) from error
         return candidate
     raise OSError(f"all ports of {host} from {port} on are taken")
