@@ -148,6 +148,27 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
         return motions
 
 
+class Duel(Carry):
+    """Who is nearer to the cube wins, until it falls."""
+
+    @property
+    def sides(self):
+        return (("robot_1",), ("robot_2",))
+
+    def lead(self, facts):
+        return facts.distance["robot_2"] - facts.distance["robot_1"]
+
+    def reward(self, facts, actions):
+        lead = self.lead(facts)
+        return {"robot_1": {"lead": lead}, "robot_2": {"lead": -lead}}
+
+    def success(self, facts):
+        return self.lead(facts) > 0.0, self.lead(facts) < 0.0
+
+    def over(self, facts):
+        return facts.height < 0.4
+
+
 def cube():
     """Return a cube that can move freely, with a grip site to either side."""
     spec = mujoco.MjSpec()
@@ -184,6 +205,12 @@ def carry():
         return Carry([cg.get_robot(name) for name in robots], CarryConfig(**settings))
 
     return make
+
+
+@pytest.fixture
+def duel():
+    """Return the small task as one of two sides."""
+    return Duel([cg.get_robot("panda")] * 2, CarryConfig())
 
 
 @pytest.fixture

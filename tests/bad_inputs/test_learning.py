@@ -19,6 +19,23 @@ ENV = "PokeTaskSawyers-v0"
 NO_ROBOTS = (3, "panda", {"panda"}, THING, [], ["panda"], ["panda", "x"])
 NO_RANDOMIZATION = (3, [], {}, THING, "", "papr", True)
 NO_CALLBACK = (3, "print", [], THING)
+NO_GUESTS = (
+    3,
+    THING,
+    "",
+    [""],
+    [3],
+    ["idle", "idle"],
+    {"robot_9": "idle"},
+    {"robot_1": 3},
+    {3: "idle"},
+    "idel",
+    "robot_9=idle",
+    "nowhere.safetensors",
+    ".",
+    "\0",
+    "LiftTaskSawyers-v0",
+)
 TINY = {
     "total_steps": 32,
     "num_envs": 2,
@@ -329,6 +346,22 @@ TRAIN = [
     *table("train", "mode", _train("mode"), [3, "", "sharde", [], THING, True]),
     *table("train", "seed", _train("seed"), NO_COUNT, [-1]),
     *table("train", "output", _train("output"), NO_PATH, ["", "\0"]),
+    *table("train", "partner", _train("partner"), NO_GUESTS),
+    *table(
+        "train",
+        "population",
+        _train("partner"),
+        ["population", ["population"] * 2, ["population", "idle"]],
+    ),
+    *table(
+        "train",
+        "seat",
+        _train("partner"),
+        [{"robot_1": "idle", "robot_2": "idle"}, ["idle", "robot_1=idle"]],
+    ),
+    *table(
+        "train", "opponent", _train("opponent"), NO_GUESTS, ["self", "league", "idle"]
+    ),
     *table("train", "robots", _train("robots"), NO_ROBOTS),
     *table("train", "randomization", _train("randomization"), NO_RANDOMIZATION),
     *table(

@@ -40,6 +40,10 @@ def undrawn(monkeypatch):
         "collaborative_gym.learning.monitor.draw_curve",
         lambda rows, title, path: path.write_bytes(b"a curve"),
     )
+    monkeypatch.setattr(
+        "collaborative_gym.learning.league.draw_ratings",
+        lambda lines, title, path: path.write_bytes(b"a picture"),
+    )
 
 
 @pytest.fixture
@@ -114,31 +118,3 @@ def same():
         return one == other
 
     return same
-
-
-@pytest.fixture
-def duel(carry):
-    """Return a task where who is nearer to the cube wins, until it falls."""
-
-    class Duel(type(carry())):
-        @property
-        def sides(self):
-            return (("robot_1",), ("robot_2",))
-
-        def lead(self, facts):
-            return facts.distance["robot_2"] - facts.distance["robot_1"]
-
-        def reward(self, facts, actions):
-            lead = self.lead(facts)
-            return {"robot_1": {"lead": lead}, "robot_2": {"lead": -lead}}
-
-        def success(self, facts):
-            return self.lead(facts) > 0.0, self.lead(facts) < 0.0
-
-        def over(self, facts):
-            self.falls.append(bool((facts.height < 0.4).any()))
-            return facts.height < 0.4
-
-    Duel.falls = []
-    task = carry()
-    return Duel(list(task.robots.values()), task.config)

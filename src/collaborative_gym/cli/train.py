@@ -55,8 +55,8 @@ class Train(Command):
         against given policies and in a league); centralized: one policy for all robots.
       seed: of the run (default: 0).
       seeds: of the runs of each baseline, with --all (default: 0 1 2).
-      output: folder of a new run (default: runs/ENV-MODE-seedS), or of all baselines
-        (default: runs/baselines).
+      output: folder of a new run (default: runs/ENV-MODE-seedS, before the mode also
+        league, population or guests), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much the starts of episodes differ: default, or paper for the

@@ -67,8 +67,8 @@ class Casting:
         if set(self.spread(num_worlds)) < set(self.casts):
             raise ValueError(
                 f"{num_worlds} worlds are too few for {len(self.casts)} casts of"
-                f" {' and '.join(self.seats)}; give more num_envs or fewer"
-                " num_collectors"
+                f" {' and '.join(self.seats)}; give more num_envs, a smaller"
+                " population or fewer num_collectors"
             )
 
     def spread(self, num_worlds: int) -> list[Cast]:
@@ -135,15 +135,16 @@ def make_casting(
     bound = {seat for seat, _ in map(split_word, words) if seat}
     for seat in bound:
         if seat not in seats:
-            raise UnknownName(unknown("side" if opponents else "agent", seat, seats))
+            option, kind = ("opponent", "side") if opponents else ("partner", "agent")
+            raise UnknownName(f"{option}: {unknown(kind, seat, seats)}")
     if LEAGUE in words:
         return _league(seats, hyperparameters)
     if not bound:
         return Casting(seats, tuple(_each_alone("", seats)))
     if len(bound) == len(seats):
         raise ValueError(
-            f"there is a policy for each of {', '.join(seats)}, so that nobody learns;"
-            " leave one out"
+            f"there is a policy for each seat ({', '.join(seats)}), so that nobody"
+            " learns; leave one out"
         )
     if opponents:
         return Casting(seats, (tuple(None if s in bound else "" for s in seats),))

@@ -89,6 +89,23 @@ class Hyperparameters:
         out of what is learned, linearly (Bansal et al. 2017, arXiv 1710.03748, who fade
         in what remains; here that counts from the first step); 0 keeps them.
       population: policies for each robot, where partners are a population.
+      league_main_share: of a league's worlds, those in which its main policy learns;
+        the exploiters share the others (our choice).
+      league_self: share of the main policy's worlds in which it plays itself (0.35 in
+        AlphaStar's pseudocode, Vinyals et al. 2019, as are the next ones).
+      league_verify: share of its worlds in which it plays exploiters, or former selves,
+        that it does not beat, where there are any (0.15).
+      league_exploited: share of points below which such an exploiter is verified (0.3).
+      league_hopeless: share of points from the main policy below which its exploiter
+        plays former ones instead (0.1).
+      league_win_rate: share of points from each of its opponents above which a member
+        leaves a copy (0.7).
+      league_least_steps: environment steps of a member between two copies at least (our
+        choice; AlphaStar's is 2e9).
+      league_most_steps: those after which it leaves one in any case (our choice;
+        AlphaStar's is 4e9).
+      league_reset: how often the league exploiter begins anew after a copy (0.25).
+      league_decay: what a game counts after the next one of the same two (0.99).
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for only one, at
@@ -124,7 +141,15 @@ class Hyperparameters:
     dense_share: float = bounded(0.0, 0.0, 1.0)
     population: int = bounded(3, 2, 64)
     league_main_share: float = bounded(0.5, 0.1, 0.9)
-    league_self: float = bounded(0.35, 0.0, 0.9)
+    league_self: float = bounded(0.35, 0.0, 0.8)
+    league_verify: float = bounded(0.15, 0.0, 0.2)
+    league_exploited: float = bounded(0.3, 0.0, 1.0)
+    league_hopeless: float = bounded(0.1, 0.0, 1.0)
+    league_win_rate: float = bounded(0.7, 0.0, 1.0)
+    league_least_steps: int = bounded(100_000, 0, 10**15)
+    league_most_steps: int = bounded(250_000, 1, 10**15)
+    league_reset: float = bounded(0.25, 0.0, 1.0)
+    league_decay: float = bounded(0.99, 0.0, 1.0)
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = bounded(250_000, 0, 10**15)

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -91,19 +92,10 @@ def learning_curve(rows: _Rows, title: str) -> "Figure":
     Raises:
       ImportError: if the extra `train` is not installed.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(5, 2))
+    figure, (above, below) = _blank(2, height_ratios=(5, 2))
     _draw_returns(above, rows)
     _draw_shares(below, rows)
-    for axes in (above, below):
-        axes.grid(color="#dddddd", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        _add_legend(axes)
-    figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
+    _finish(figure, (above, below), title)
     above.set_ylabel("mean reward per episode")
     below.set_ylabel("share (%)")
     below.set_ylim(-4, 104)
@@ -112,6 +104,50 @@ def learning_curve(rows: _Rows, title: str) -> "Figure":
     if rows:
         below.set_xlim(0.0, 1.01 * rows[-1]["steps"] / 1e6)
     return figure
+
+
+def draw_ratings(
+    lines: Mapping[str, Sequence[tuple[float, float]]], title: str, path: str | Path
+) -> None:
+    """Draw how strong the players of a league are, whole or not at all.
+
+    Args:
+      lines: by name, steps and ratings.
+      title: heads the picture.
+      path: the file, a PNG.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if the file cannot be written.
+    """
+    figure, (axes,) = _blank(1)
+    for (name, points), colour in zip(lines.items(), cycle(_COLOURS), strict=False):
+        steps, ratings = np.array(sorted(points), float).T
+        axes.plot(steps / 1e6, ratings, color=colour, marker="o", label=name)
+    _finish(figure, [axes], title)
+    axes.set_ylabel("rating (Elo's scale)")
+    axes.set_xlabel("environment steps (millions)")
+    with replacing(path) as partial:
+        figure.savefig(partial, format="png")
+
+
+def _blank(rows: int, **options: Any) -> tuple["Figure", Sequence["Axes"]]:
+    """Return a figure that belongs to no window, with axes below one another."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, squeeze=False, sharex=True, **options)
+    return figure, list(axes[:, 0])
+
+
+def _finish(figure: "Figure", all_axes: Sequence["Axes"], title: str) -> None:
+    for axes in all_axes:
+        axes.grid(color="#dddddd", linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        _add_legend(axes)
+    figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
 
 
 def _draw_returns(axes: "Axes", rows: _Rows) -> None:
@@ -141,6 +177,8 @@ def _draw_shares(axes: "Axes", rows: _Rows) -> None:
             )
             column, label = f"validation/{side}{name}", f"{name}{of}, validation"
             _draw_dots(axes, rows, column, label, colour, factor=100.0)
+    label = "points against opponents, validation"
+    _draw_dots(axes, rows, "validation/points", label, "#009e73", factor=100.0)
 
 
 def _draw_line(

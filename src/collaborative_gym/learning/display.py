@@ -134,7 +134,8 @@ class Display:
 
     def _measures(self) -> list[str]:
         """Return the columns of what the robots reach, side by side."""
-        return [f"{side}{name}" for side in sides_of(self._known) for name in _RESULTS]
+        names = [f"{side}{name}" for side in sides_of(self._known) for name in _RESULTS]
+        return [*names, "points"] if "validation/points" in self._known else names
 
     def _results(self, best: Mapping[str, float]) -> Table:
         """Return how well the robots do, all together."""
@@ -194,7 +195,7 @@ def _result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
     value = row.get(column)
     if value is None:
         return absent
-    if column.rpartition("/")[2] in ("completion", "performance"):
+    if column.rpartition("/")[2] in ("completion", "performance", "points"):
         return f"{100 * value:.0f} %"
     return f"{value:,.1f}" if abs(value) < 1e5 else f"{value:.3g}"
 

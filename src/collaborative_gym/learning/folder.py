@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import rmtree
 
 from collaborative_gym.files import naming
-from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.policies.policy import POLICY_FILE, player_file
 
 try:
     import fcntl
@@ -18,6 +18,11 @@ LAST, BEST = "last.pt", "best.pt"
 """Checkpoints: the last one, and the one of the best policy."""
 
 CONFIG, CURVE, LOCK, PROGRESS = "config.json", "curve.png", "run.lock", "progress.csv"
+
+LEAGUE_FILE, RATINGS = "league.json", "ratings.png"
+"""What a league writes of its players."""
+
+_FILES = (LAST, BEST, CONFIG, CURVE, PROGRESS, LEAGUE_FILE, RATINGS)
 
 
 @contextmanager
@@ -44,9 +49,11 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _lock(descriptor, folder)
-        for name in (LAST, BEST, CONFIG, CURVE, PROGRESS, POLICY_FILE):
+        for name in (*_FILES, POLICY_FILE):
             for partial in folder.glob(f".{Path(name).stem}.*.partial"):
                 rmtree(partial, ignore_errors=True)
+        for partial in (folder / player_file("")).parent.glob(".*.partial"):
+            rmtree(partial, ignore_errors=True)
         yield
     finally:
         os.close(descriptor)

@@ -42,8 +42,10 @@ class Pool:
     def pairings(self, member: str) -> list[tuple[tuple[str, ...], str]]:
         """Return who may sit beside a member: names by seat, and a seat of its own."""
         found = []
+        has_guests = any(None in cast for cast in self._casting.casts)
         for cast in dict.fromkeys(self._casting.casts):
-            if member not in cast:
+            # Games of a member with itself tell nothing of it.
+            if member not in cast or (has_guests and None not in cast):
                 continue
             choices = [
                 self._names(seat) if name is None else [name]
@@ -56,6 +58,9 @@ class Pool:
 
     def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
         """Take note of what a rollout and an update brought."""
+
+    def publish(self) -> None:
+        """Write what people may want to know of the guests."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on."""

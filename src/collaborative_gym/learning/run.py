@@ -85,8 +85,7 @@ class Run:
         self._num_threads = resources.num_threads
         self._casting = settings.casting(task)
         self._learners = settings.learners(task)
-        words = settings.opponents or settings.partners
-        self._pool = Pool(self._casting, read_guests(task, self._casting, words))
+        self._pool = _make_pool(task, settings, folder, self._casting)
         self._backend = _make_backend(
             task, settings, resources, self._learners, self._casting
         )
@@ -124,6 +123,7 @@ class Run:
             self._monitor.log(row)
             if validation is not None:
                 self._keep_best(row)
+                self._pool.publish()
             if _crosses(before, steps, checkpoint_interval) or is_last:
                 self._save(LAST)
             if on_row is not None:
@@ -216,6 +216,23 @@ class Run:
                         f" {self._backend.steps:,} steps; the last good checkpoint is"
                         f" {self._folder / LAST}. A lower learning rate may help"
                     )
+
+
+def _make_pool(task: Task, settings: Settings, folder: Path, casting: Casting) -> Pool:
+    guests = read_guests(task, casting, settings.opponents or settings.partners)
+    if LEAGUE not in settings.opponents:
+        return Pool(casting, guests)
+    # Needs SciPy's and Matplotlib's time, which only a league takes.
+    from collaborative_gym.learning.league import League
+
+    return League(
+        casting,
+        guests,
+        hyperparameters=settings.hyperparameters,
+        folder=folder,
+        title=settings.title,
+        seed=settings.seed,
+    )
 
 
 def _make_backend(

@@ -6,7 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_kind, check_name, unknown
-from collaborative_gym.learning.casting import SELF, Casting, make_casting
+from collaborative_gym.learning.casting import (
+    LEAGUE,
+    POPULATION,
+    SELF,
+    Casting,
+    make_casting,
+)
 from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
 from collaborative_gym.learning.pool import read_guests
 from collaborative_gym.learning.seeds import training_seed
@@ -82,13 +88,22 @@ class Settings:
     @property
     def folder(self) -> Path:
         """Where the run goes unless told otherwise."""
-        return Path("runs", f"{self.identity.name}-{self.mode}-seed{self.seed}")
+        words = [self.identity.name, *self._kind, self.mode, f"seed{self.seed}"]
+        return Path("runs", "-".join(words))
 
     @property
     def title(self) -> str:
         """What to call the run."""
         robots = ", ".join(self.identity.robot_names)
-        return f"{self.identity.name} ({robots}), {self.mode}, seed {self.seed}"
+        words = [*self._kind, self.mode, f"seed {self.seed}"]
+        return f"{self.identity.name} ({robots}), {', '.join(words)}"
+
+    @property
+    def _kind(self) -> list[str]:
+        """What to call opponents or partners; nothing where there are none."""
+        words = set(self.opponents or self.partners) - {SELF}
+        known = [word for word in (LEAGUE, POPULATION) if word in words]
+        return known or (["guests"] if words else [])
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""

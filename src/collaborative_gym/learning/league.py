@@ -1,0 +1,296 @@
+"""A league: a main policy, those that look for its weaknesses, and all of their past.
+
+After AlphaStar (Vinyals et al. 2019, Nature 575; its numbers are those of the published
+pseudocode). Three members learn. `main` plays itself, and its past and the exploiters'
+the more often, the less it wins (prioritised fictitious self-play). `main_exploiter`
+plays `main` as it is now, and `league_exploiter` plays everybody's past. A member that
+beats all of these, or has learned for long, leaves a copy of itself, which stays as it
+is and is played against from then on: `main-1` and so on. After that the main exploiter
+begins anew, and sometimes the league exploiter does.
+
+Other than there, what begins anew begins as `main` is, since no policy was learned from
+people to go back to; and it leaves its copy before, not after. A copy inherits the
+results of whom it was copied from.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from collaborative_gym.files import write_text
+from collaborative_gym.learning.backend import Backend, Iteration
+from collaborative_gym.learning.casting import EXPLOITERS, MAIN, Casting
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.curve import draw_ratings
+from collaborative_gym.learning.folder import LEAGUE_FILE, RATINGS
+from collaborative_gym.learning.guests import Invitation, Odds
+from collaborative_gym.learning.pool import Latest, Pool
+from collaborative_gym.learning.validation import points
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import player_file
+from collaborative_gym.tournaments.ratings import bradley_terry
+
+_LEARN = (MAIN, *EXPLOITERS)
+
+_WEIGHTS = {
+    "squared": lambda rate: (1.0 - rate) ** 2,
+    "variance": lambda rate: rate * (1.0 - rate),
+    "capped": lambda rate: np.minimum(0.5, 1.0 - rate),
+}
+"""How often an opponent is drawn, by the share of points that one takes from it: the
+hard ones; those of one's own strength; all that are not weak."""
+
+
+@dataclass
+class _Player:
+    """One who has a place in the league.
+
+    Attributes:
+      parent: whom it was copied from; empty for who learns and who was given.
+      steps: of the run when it was copied.
+      since: environment steps of who learns since it left a copy.
+    """
+
+    parent: str = ""
+    steps: int = 0
+    since: float = 0.0
+
+
+class League(Pool):
+    """The guests of a league, and what is known of everybody's strength.
+
+    Args:
+      casting: who sits where.
+      policies: of guests who were never members, by name.
+      hyperparameters: when copies are left, and who is drawn.
+      folder: of the run.
+      title: heads the picture.
+      seed: of the run.
+    """
+
+    def __init__(
+        self,
+        casting: Casting,
+        policies: Mapping[str, Any],
+        *,
+        hyperparameters: Hyperparameters,
+        folder: Path,
+        title: str,
+        seed: int,
+    ):
+        super().__init__(casting, policies)
+        self._numbers = hyperparameters
+        self._folder, self._title, self._seed = folder, title, seed
+        self._players = {name: _Player() for name in (*_LEARN, *policies)}
+        # By home and away: games, and points of home; the older, the less they count.
+        self._games: dict[str, dict[str, list[float]]] = {}
+        self._steps = 0
+
+    def invitation(self, latest: Latest) -> Invitation:
+        """Return who may be drawn in the coming rollout."""
+        if f"{MAIN}-0" not in self._players:
+            self._copy(MAIN, latest)
+        odds = {
+            MAIN: self._odds_of_main(),
+            EXPLOITERS[0]: self._odds_against_main(),
+            EXPLOITERS[1]: self._odds(EXPLOITERS[1], list(self.policies), "capped"),
+        }
+        by_seat = {
+            member: dict.fromkeys(self._casting.seats, own)
+            for member, own in odds.items()
+        }
+        return Invitation(self.policies | {MAIN: latest(MAIN)}, by_seat)
+
+    def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
+        """Count what was played; let those leave copies for whom it is time."""
+        for names, row in zip(iteration.seated, iteration.episodes, strict=True):
+            self._count(names, row)
+        done, self._steps = backend.steps - self._steps, backend.steps
+        casts = self._casting.spread(self._numbers.num_envs)
+        for member in _LEARN:
+            share = sum(member in cast for cast in casts) / len(casts)
+            self._players[member].since += share * done
+        rng = np.random.default_rng([self._seed, backend.steps])
+        for member in _LEARN:
+            # Drawn in any case, so that what one does changes no draw of another.
+            chance = rng.random()
+            if self._is_due(member):
+                self._copy(member, latest)
+                if member == EXPLOITERS[0] or (
+                    member == EXPLOITERS[1] and chance < self._numbers.league_reset
+                ):
+                    backend.restart(member, MAIN)
+                    self._inherit(member, MAIN)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that is needed to go on, but the policies, which have files."""
+        players = {name: asdict(player) for name, player in self._players.items()}
+        return {"players": players, "games": self._games, "steps": self._steps}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned.
+
+        Raises:
+          FileNotFoundError: if the file of a player is gone.
+          ValueError: if it is damaged.
+        """
+        self._players = {name: _Player(**own) for name, own in state["players"].items()}
+        self._games, self._steps = state["games"], state["steps"]
+        for name, player in self._players.items():
+            if player.parent:
+                path = self._folder / player_file(name)
+                if not path.exists():
+                    raise FileNotFoundError(
+                        f"the league's player {path} is gone; bring it back, or start"
+                        " another run"
+                    )
+                self.policies[name] = NetworkPolicy.load(path)
+
+    def publish(self) -> None:
+        """Write the table and the picture of all players.
+
+        Raises:
+          OSError: if one cannot be written.
+        """
+        ratings = self.ratings()
+        content = {
+            "steps": self._steps,
+            "players": {
+                name: {"parent": own.parent or None, "steps": self._age(name)}
+                | {"rating": ratings[name]}
+                for name, own in self._players.items()
+            },
+            "payoff": {
+                home: {
+                    away: {"games": games, "points": own, "rate": own / games}
+                    for away, (games, own) in sorted(others.items())
+                }
+                for home, others in self._games.items()
+            },
+        }
+        write_text(self._folder / LEAGUE_FILE, json.dumps(content, indent=2) + "\n")
+        lines = {
+            kind: [
+                (self._age(name), ratings[name])
+                for name, own in self._players.items()
+                if kind in (name, own.parent)
+            ]
+            for kind in _LEARN
+        }
+        given = {
+            name: [(0, ratings[name]), (self._steps, ratings[name])]
+            for name in self.policies
+            if not self._players[name].parent
+        }
+        draw_ratings(lines | given, self._title, self._folder / RATINGS)
+
+    def ratings(self) -> dict[str, float]:
+        """Return everybody's rating on Elo's scale, of the games that still count."""
+        names = list(self._players)
+        table = np.zeros((len(names), len(names)))
+        for i, home in enumerate(names):
+            for j, away in enumerate(names):
+                table[i, j] = self._games.get(home, {}).get(away, (0.0, 0.0))[1]
+        return dict(zip(names, map(float, bradley_terry(table)), strict=True))
+
+    def _age(self, name: str) -> int:
+        """Return the run's steps when a player was what it is."""
+        own = self._players[name]
+        return own.steps if own.parent else self._steps
+
+    def _rate(self, home: str, away: str) -> float:
+        """Return the share of points that one takes from another; 0.5 if unknown."""
+        games, own = self._games.get(home, {}).get(away, (0.0, 0.0))
+        return own / games if games else 0.5
+
+    def _rates(self, home: str, others: Sequence[str]) -> np.ndarray:
+        return np.array([self._rate(home, away) for away in others])
+
+    def _count(self, names: Sequence[str], row: Mapping[str, Any]) -> None:
+        """Count an episode as a game of each two who sat on different sides."""
+        decay = self._numbers.league_decay
+        seats = dict(zip(self._casting.seats, names, strict=True))
+        for side, home in seats.items():
+            for other, away in seats.items():
+                if home != away:
+                    own = self._games.setdefault(home, {})
+                    games, taken = own.get(away, (0.0, 0.0))
+                    taken = decay * taken + points(row, side, (side, other))
+                    own[away] = [decay * games + 1.0, taken]
+
+    def _is_due(self, member: str) -> bool:
+        """Return whether a member leaves a copy now."""
+        since, numbers = self._players[member].since, self._numbers
+        if since < numbers.league_least_steps:
+            return False
+        others = [MAIN] if member == EXPLOITERS[0] else list(self.policies)
+        beats_all = self._rates(member, others).min() > numbers.league_win_rate
+        return bool(beats_all) or since >= numbers.league_most_steps
+
+    def _copy(self, member: str, latest: Latest) -> None:
+        """Let a member leave a copy of itself."""
+        count = sum(own.parent == member for own in self._players.values())
+        name = f"{member}-{count + (member != MAIN)}"
+        policy = latest(member)
+        policy.save(self._folder / player_file(name))
+        self.policies[name] = policy
+        self._players[name] = _Player(parent=member, steps=self._steps)
+        self._players[member].since = 0.0
+        self._inherit(name, member)
+
+    def _inherit(self, name: str, like: str) -> None:
+        """Let one who is like another have its results in place of its own."""
+        known = self._games.get(like, {}).items()
+        self._games[name] = {a: list(each) for a, each in known if a != name}
+        for home, others in self._games.items():
+            others.pop(name, None)
+            if home != name and like in others:
+                others[name] = list(others[like])
+
+    def _odds(self, member: str, others: Sequence[str], kind: str) -> Odds:
+        """Return how often each of the others is drawn."""
+        weights = _WEIGHTS[kind](self._rates(member, others))
+        total = weights.sum()
+        if total < 1e-10:
+            weights, total = np.ones(len(others)), len(others)
+        return dict(zip(others, (weights / total).tolist(), strict=True))
+
+    def _odds_of_main(self) -> Odds:
+        """Return odds of everybody's past, and of what main may have forgotten."""
+        numbers, everybody = self._numbers, list(self.policies)
+        odds = dict(self._odds(MAIN, everybody, "squared"))
+        verified = self._to_verify()
+        if verified:
+            share = numbers.league_verify / (1.0 - numbers.league_self)
+            odds = {name: (1.0 - share) * each for name, each in odds.items()}
+            for name, each in self._odds(MAIN, verified, "squared").items():
+                odds[name] += share * each
+        return odds
+
+    def _to_verify(self) -> list[str]:
+        """Return exploiters that main does not beat, or else what it has forgotten."""
+        past = {name: own.parent for name, own in self._players.items()}
+        exploiters = [name for name, parent in past.items() if parent in EXPLOITERS]
+        rates = self._rates(MAIN, exploiters)
+        if exploiters and rates.min() < self._numbers.league_exploited:
+            return exploiters
+        own = [name for name, parent in past.items() if parent == MAIN]
+        rates = self._rates(MAIN, own)
+        # That the newest are the hardest, is no sign of having forgotten anything.
+        while len(own) > 1 and rates[-2] >= rates[-1]:
+            own, rates = own[:-1], rates[:-1]
+        if len(own) > 1 and rates.min() < self._numbers.league_win_rate:
+            return own
+        return []
+
+    def _odds_against_main(self) -> Odds:
+        """Return odds of main as it is, unless it is too strong to learn from."""
+        member = EXPLOITERS[0]
+        if self._rate(member, MAIN) > self._numbers.league_hopeless:
+            return {MAIN: 1.0}
+        past = [name for name, own in self._players.items() if own.parent == MAIN]
+        return self._odds(member, past, "variance")
