@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.evaluation.play import play_episodes
+from collaborative_gym.evaluation.play import play_episodes, worlds_for
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.guests import Guests, Invitation
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
-
-_MOST_ENVS = 64
-"""Worlds beside one another; more run hardly faster on a CPU."""
 
 Pairing = tuple[tuple[str, ...], str]
 """Who sits in each seat, by name, and the seat that is looked at."""
@@ -47,7 +44,7 @@ def validate(
     """
     each = math.ceil(episodes / len(pairings))
     episodes = each * len(pairings)
-    num_envs = min(episodes, _MOST_ENVS)
+    num_envs = worlds_for(episodes)
     with closing(VectorEnv(task, num_envs, seed=seed, num_threads=num_threads)) as env:
         guests = Guests(env, casting)
         guests.invite(Invitation(policies))
