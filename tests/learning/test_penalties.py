@@ -69,6 +69,18 @@ def test_a_change_of_action_costs_its_mean_square(env, tiny):
         assert (found == 2.0).all()
 
 
+def test_joints_cost_in_the_outer_tenth_of_their_ranges_from_the_beginning(env, tiny):
+    arm = env.scene.arms["robot_1"]
+    low, high = arm.joint_range
+    env.sim.qpos[:, arm.qpos] = (low + high) / 2
+    env.sim.qpos[1, arm.qpos.start] = high[0]
+    env.sim.qpos[2, arm.qpos.start] = low[0] + 0.025 * (high[0] - low[0])
+    penalties = Penalties(env, tiny(range_penalty=1.4))
+    rewards = {agent: np.full(env.num_envs, 2.0) for agent in env.agents}
+    found = penalties.charge(rewards, {}, previous={}, share=0.0)["robot_1"]
+    assert 2.0 - found == pytest.approx([0.0, 0.2, 0.05])
+
+
 def test_contacts_cost_by_the_deepest(carry, tiny):
     env = VectorEnv(carry(), 4, num_threads=1, strain=True)
     numbers = tiny(torque_penalty=0.0, change_penalty=0.0, contact_penalty=0.5)

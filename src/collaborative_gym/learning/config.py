@@ -73,13 +73,16 @@ class Hyperparameters:
       torque_penalty: what a control step costs a robot while its servos ask for their
         torque limits: this times the mean square of asked torque over limit.
       change_penalty: what a change of action costs it: this times its mean square.
-        Penalties are never part of a reported return. They, late actions and lost grips
+        Penalties are never part of a reported return. These, late actions and lost grips
         begin with nothing, and grow by 2 % after each rollout in which half of the
         episodes are completed.
       contact_penalty: what a control step costs each robot for every mm that the
         deepest contact is deep, at most 10 mm: any contact of an arm with another or
         with what is fixed, and one of a loose thing from 1 mm on.
         Measuring it makes collecting about a quarter slower.
+      range_penalty: what a control step costs a robot while its joints are at the ends
+        of their ranges: this times the mean square of how far they are in the outer
+        tenth. It is charged from the beginning.
       delayed: share of the worlds in which each action is done one control step late.
         No validation is delayed.
       lost_grips: how likely a robot loses its grip in a control step, whatever it
@@ -136,6 +139,7 @@ class Hyperparameters:
     torque_penalty: float = bounded(0.0, 0.0, 1e3)
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
+    range_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     dense_share: float = bounded(0.0, 0.0, 1.0)

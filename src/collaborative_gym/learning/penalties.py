@@ -11,13 +11,17 @@ _FREE_DEPTH, _MOST_DEPTH = 1.0, 10.0
 """How deep contacts of things cost nothing, since they rest that deep on what holds
 them, and how much more of any contact is counted, in mm."""
 
+_INNER = 0.9
+"""Share of a joint's range, in its middle, in which a posture costs nothing."""
+
 _MOST_TORQUE = 3.0
 """Share of its limit above which a torque costs no more. A servo may ask for many times
 what its motor has, and less would not change what the arm does at once."""
 
 
 class Penalties:
-    """Costs of torque and of changing actions of each robot, and of contacts for all.
+    """Costs of torque, of changing actions and of joints near the ends of their ranges
+    of each robot, and of contacts for all.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
@@ -33,6 +37,7 @@ class Penalties:
         self._torque = hyperparameters.torque_penalty
         self._change = hyperparameters.change_penalty
         self._contact = hyperparameters.contact_penalty
+        self._range = hyperparameters.range_penalty
 
     def charge(
         self,
@@ -48,12 +53,15 @@ class Penalties:
           rewards: of the task, (num_envs,) by agent.
           actions: what each robot chose, (num_envs, k) in [-1, 1] by agent.
           previous: what it chose one control step earlier, in the same form.
-          share: of the costs that is charged.
+          share: of the costs that is charged. That of joints is always charged whole:
+            arms that come to the ends of their ranges while they learn stay there.
         """
         charged = dict(rewards)
-        if not share:
-            return charged
         for agent in charged:
+            if self._range:
+                charged[agent] = charged[agent] - self._range * self._ends(agent)
+            if not share:
+                continue
             if self._torque:
                 asked = np.minimum(self._asked(agent), _MOST_TORQUE)
                 cost = share * self._torque * _mean_square(asked)
@@ -66,6 +74,14 @@ class Penalties:
                 cost = share * self._contact * self._depth()
                 charged[agent] = charged[agent] - cost
         return charged
+
+    def _ends(self, agent: str) -> np.ndarray:
+        """Return how near joints are to the ends of their ranges; 1 if all are there."""
+        arm = self._env.scene.arms[agent]
+        low, high = arm.joint_range
+        middle = (low + high) / 2
+        away = np.abs(self._env.sim.qpos[:, arm.qpos] - middle) / (high - middle)
+        return _mean_square(np.maximum(away - _INNER, 0.0) / (1.0 - _INNER))
 
     def _depth(self) -> np.ndarray:
         """Return how deep the deepest contact was that costs something, in mm."""
