@@ -73,9 +73,9 @@ class Hyperparameters:
       torque_penalty: what a control step costs a robot while its servos ask for their
         torque limits: this times the mean square of asked torque over limit.
       change_penalty: what a change of action costs it: this times its mean square.
-        Penalties are never part of a reported return. These, late actions and lost grips
-        begin with nothing, and grow by 2 % after each rollout in which half of the
-        episodes are completed.
+        Penalties are never part of a reported return. These, late actions and lost
+        grips begin with nothing, and grow by 2 % after each rollout in which half of
+        the episodes are completed.
       contact_penalty: what a control step costs each robot for every mm that the
         deepest contact is deep, at most 10 mm: any contact of an arm with another or
         with what is fixed, and one of a loose thing from 1 mm on.

@@ -20,8 +20,7 @@ what its motor has, and less would not change what the arm does at once."""
 
 
 class Penalties:
-    """Costs of torque, of changing actions and of joints near the ends of their ranges
-    of each robot, and of contacts for all.
+    """What each robot pays for its torques, changes and joints, and all for contacts.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
@@ -76,7 +75,7 @@ class Penalties:
         return charged
 
     def _ends(self, agent: str) -> np.ndarray:
-        """Return how near joints are to the ends of their ranges; 1 if all are there."""
+        """Return how near joints are to the ends of their ranges, from 0 to 1."""
         arm = self._env.scene.arms[agent]
         low, high = arm.joint_range
         middle = (low + high) / 2
