@@ -20,6 +20,7 @@ TINY = Hyperparameters(
     grip_persistence=0.5,
     torque_penalty=0.1,
     change_penalty=0.1,
+    range_penalty=0.1,
     contact_penalty=0.1,
     delayed=0.5,
     lost_grips=0.1,
