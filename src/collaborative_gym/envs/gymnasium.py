@@ -75,7 +75,7 @@ class GymnasiumEnv(gymnasium.Env):
         """Start an episode.
 
         Args:
-          seed: starts its episode 0; None goes on to the next episode of the present
+          seed: starts its episode 0; None starts the next episode of the present
             seed, which is drawn afresh if none was ever given.
           options: not used.
 

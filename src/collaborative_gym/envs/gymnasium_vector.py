@@ -101,7 +101,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         """Start an episode in every world, or in some.
 
         Args:
-          seed: starts its episodes 0, 1, 2 ...; None goes on to each world's next
+          seed: starts its episodes 0, 1, 2 ...; None starts each world's next
             episode of the present seed, which is drawn afresh if none was ever given.
           options: `reset_mask` has a bool for each world, whether it starts; without
             it all do.

@@ -44,7 +44,7 @@ class PettingZooEnv(ParallelEnv):
     Attributes:
       vector_env: the batch of one.
       possible_agents: the agents' names.
-      agents: those whose episode goes on: all of them, or none.
+      agents: those whose episode has not ended: all of them, or none.
       state_space: space of `state`.
       render_mode: as given.
     """
@@ -89,7 +89,7 @@ class PettingZooEnv(ParallelEnv):
         """Start an episode.
 
         Args:
-          seed: starts its episode 0; None goes on to the next episode of the present
+          seed: starts its episode 0; None starts the next episode of the present
             seed, which is drawn afresh if none was ever given.
           options: not used.
 

@@ -40,41 +40,41 @@ class VectorEnv:
     """Worlds of one task, with dictionaries by agent of (num_envs, ...) arrays.
 
     An episode lasts `max_episode_steps` control steps, unless the task says earlier
-    that it is `over`: then it is terminated. Where time is up or the physics diverged
+    that it is `over`. Then it is terminated. If its time is up or its physics diverged,
     it is truncated. A world whose episode ends starts its next one in the same step.
     World i plays the episodes i, i + num_envs, i + 2 num_envs and so on of the seed.
-    All arrays that are returned are the caller's own.
+    The arrays that are returned belong to the caller.
 
     `infos` always has the same entries, arrays by world: `episode` (index), `step`
     (control steps done), `success`, `diverged`, `ended`, `resting`, `reward_terms` by
-    agent and term, `final_observation` by agent, which is an episode's last where it
-    `ended`, and `metrics`, which describe the episode until now, and all of it where it
+    agent and term, `final_observation` by agent (the last one of an episode that
+    `ended`), and `metrics`. The metrics describe the episode so far, or all of it if it
     `ended`: `return` (summed over agents), `returns` by agent, `completion`,
     `performance`, `length`, `time_to_success` (s, NaN if never), `reward_terms` (sums),
-    `episode` and `seed`, and where it is asked for, `strain`, of contacts, torques and
-    more, as `envs.strain` describes it. Performance is a share of the steps that were
-    played, from the first success on or from the start, however early the end.
+    `episode` and `seed`. If asked for, they also have the `strain` of contacts, torques
+    and more, as `envs.strain` describes it. Performance is a share of the steps that
+    were played, from the first success on or from the start, even if the end is early.
 
-    Where a task has several sides, `success` and the metrics `return`, `completion`,
+    If a task has several sides, `success` and the metrics `return`, `completion`,
     `performance` and `time_to_success` are dictionaries by side; nothing is summed over
-    opponents. So is one more metric, `score`, the sum of what `Task.score` gave; it is
-    0 for all where the episode diverged. Who has more at the episode's end has won it,
-    and equal scores are a draw.
+    opponents. Such a task has one more metric by side, `score`, the sum of what
+    `Task.score` gave. It is 0 for all sides if the episode diverged. The side with the
+    higher score at the end has won the episode; equal scores are a draw.
 
-    A world that does not reset itself rests after its episode's end: it does not move,
-    earns nothing, and keeps its infos, now also in the mask `resting`, until `reset`.
+    A world that does not reset itself rests after its episode's end, until `reset`: it
+    does not move, earns nothing and keeps its infos. The mask `resting` marks it.
 
-    One thread at a time may be in an environment, and only in the process that made it.
-    A call that fails leaves every world as it was. Copies and pickles, of a task that
-    can be made anew from its class, arms and config, go on where the worlds are.
+    Only one thread at a time may use an environment, and only in the process that made
+    it. A call that fails leaves every world as it was. Copies and pickles continue from
+    the present state; the task must be one that its class, arms and config make again.
 
     Args:
       task: what to do, from `make_task`.
       num_envs: how many worlds.
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
-      auto_reset: whether a world goes on to its next episode by itself.
-      strain: whether to measure the strain, too, which takes time and changes no bit.
+      auto_reset: whether a world starts its next episode by itself.
+      strain: whether to measure the strain too, which takes time and changes no bit.
 
     Attributes:
       task: the task.
@@ -180,12 +180,12 @@ class VectorEnv:
         """Start an episode in every world, or in some.
 
         Args:
-          seed: starts the episodes 0, 1, 2 ... of this seed; None goes on to each
-            world's next episode, at first to those of the constructor's seed.
+          seed: starts the episodes 0, 1, 2 ... of this seed; None starts each world's
+            next episode, at first those of the constructor's seed.
           episodes: with a seed, the episode index of each of these worlds instead.
           stagger: spread the worlds over the episode's length, as if each had started
-            at another time, so that in training they do not all end together. The
-            first episodes are shorter for it.
+            at another time, so that in training they do not all end together. This
+            makes the first episodes shorter.
           env_ids: the worlds; None for all. No bit of the others changes.
 
         Returns:
@@ -232,10 +232,10 @@ class VectorEnv:
         dict[str, Array],
         dict[str, Any],
     ]:
-        """Do one control step in every world whose episode goes on.
+        """Do one control step in every world whose episode has not ended.
 
         Args:
-          actions: by agent, (num_envs, k), each component in [-1, 1]; what lies beyond
+          actions: by agent, (num_envs, k), each component in [-1, 1]; a number beyond
             counts as the nearest bound.
 
         Returns:

@@ -64,9 +64,9 @@ def evaluate(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn, a preset's name or a value; None for
         "default".
-      delay: how many control steps late each action is done; the robots hold still
-        before the first.
-      num_envs: worlds to play in beside one another; None for at most 64.
+      delay: number of control steps by which each action comes late; the robots hold
+        still before the first.
+      num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether a trained policy may play another environment than its own.
       on_progress: called after each step with the share that is done, 0 to 1.

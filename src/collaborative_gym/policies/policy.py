@@ -49,7 +49,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         `env`; "expert", the task's scripted expert, which looks at the state of the
         worlds and not at the observations; "random", uniform actions, the same for an
         episode of a seed in any batch; "idle", which holds still with an open grip,
-        "gripping", with a closed one, and "frozen", which goes on holding what it
+        "gripping", with a closed one, and "frozen", which keeps hold of what it
         holds; a function from observations to actions; or one of these for each agent,
         such as `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
       env: what it is to play: a `VectorEnv`, or an environment of this package under

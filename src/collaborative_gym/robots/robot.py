@@ -30,10 +30,9 @@ class Robot(RobotData):
     what a controller must know. The tuples have one entry per arm joint; those that are
     left empty are filled in when the value is made.
 
-    Of the model file, actuators, keyframes, sensors, lights and settings of the physics
-    are left out. The arm's links are gravity compensated. Links at most two joints
-    apart that touch at home are taken to do so by the look of their shapes, and never
-    collide.
+    Actuators, keyframes, sensors, lights and physics settings of the model file are
+    ignored. Gravity is compensated for the arm's links. Some links at most two joints
+    apart touch at home. This counts as a flaw of their shapes, and they never collide.
 
     Attributes:
       name: the name under which tasks ask for the arm.

@@ -3,7 +3,7 @@
 What was made for one environment goes wrong silently on another. So policies,
 checkpoints and states carry the `Identity` of theirs. What may differ depends on what
 is done with them: `ON_PLAYING` for a policy, `ON_STATE` for the state of worlds, and
-nothing for a training run that goes on.
+nothing for a training run that continues.
 """
 
 import hashlib

@@ -106,7 +106,8 @@ FactsT = TypeVar("FactsT")
 class Task(Generic[ConfigT, FactsT]):
     """The base of all tasks.
 
-    A task is stateless but for `memory`. What follows `measure` is pure in the facts.
+    A task has no state except `memory`. The methods after `measure` are pure functions
+    of the facts.
     Arrays have a leading num_envs axis and may be NumPy's or torch's.
 
     Attributes:
