@@ -359,8 +359,9 @@ def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
         process.wait()
 
 
-def test_it_ends_quietly_where_nobody_reads_on():
-    module = [sys.executable, "-m", "collaborative_gym", "train", "--help"]
+@pytest.mark.parametrize("command", [["train", "--help"], ["list"]], ids=str)
+def test_it_ends_quietly_where_nobody_reads_on(command):
+    module = [sys.executable, "-m", "collaborative_gym", *command]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(module, **pipes) as process:
         process.stdout.close()

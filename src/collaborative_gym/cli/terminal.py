@@ -131,6 +131,13 @@ def put(path: Path | None, text: str) -> None:
         write_text(path, text)
 
 
+class _Output(Console):
+    """A console that leaves to `main` what to do where nobody reads on."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def tell(content: Table | str, *, besides: Sequence[Path | None] = ()) -> None:
     """Print a table or a text on standard output.
 
@@ -139,7 +146,7 @@ def tell(content: Table | str, *, besides: Sequence[Path | None] = ()) -> None:
       besides: where results go. If one goes to standard output, this is printed on
         standard error, so that programs can read the result.
     """
-    console = Console(stderr=STANDARD_OUTPUT in besides)
+    console = _Output(stderr=STANDARD_OUTPUT in besides)
     if isinstance(content, str):
         console.print(content, markup=False, highlight=False, soft_wrap=True)
     else:

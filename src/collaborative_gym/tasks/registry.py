@@ -208,5 +208,6 @@ def _randomization(given: str | Randomization | None) -> Randomization:
     if isinstance(given, Randomization):
         return given
     preset = "default" if given is None else given
-    check_kind("randomization", preset, str, "a preset's name or a Randomization")
+    a = "a preset's name, or a value such as Randomization(joint_noise=0.1)"
+    check_kind("randomization", preset, str, a)
     return look_up("randomization", preset, RANDOMIZATIONS)
