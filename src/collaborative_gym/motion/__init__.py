@@ -5,6 +5,7 @@ from collaborative_gym.motion.loads import greatest_load, strongest_way
 from collaborative_gym.motion.poses import (
     central_pose,
     hold,
+    hold_moved,
     quickest_way,
     solve_pose,
     turn_fingers,
@@ -25,6 +26,7 @@ __all__ = [
     "central_pose",
     "greatest_load",
     "hold",
+    "hold_moved",
     "joint_change",
     "quickest_way",
     "reach",

@@ -19,6 +19,9 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 
+UP = np.array([0.0, 0.0, 1.0])
+"""The direction in which an arm pulls that holds a weight."""
+
 _SHARPNESS = 8
 """Exponent of the mean that stands for the greatest torque where a slope is needed."""
 
@@ -69,36 +72,39 @@ class Way:
         return (1 - weight) * self.angles[before] + weight * self.angles[before + 1]
 
 
-def torque_shares(robot: Robot, jacobian: Array) -> Array:
+def torque_shares(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
     """Return joint torques per kg hung on the tcp, as signed shares of their limits.
 
     Args:
       robot: the arm.
       jacobian: (n, 6, joints) of the tcp's position and orientation.
+      pull: direction in which the arm pulls against the load, (3,).
     """
-    return jacobian[:, 2] * (GRAVITY / np.array(robot.torque_limits))
+    levers = math.dot(jacobian[:, :3].swapaxes(1, 2), pull)
+    return levers * (GRAVITY / np.array(robot.torque_limits))
 
 
-def relief(robot: Robot, jacobian: Array) -> Array:
+def relief(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
     """Return the direction of joint motion that most relieves the arm of a load.
 
     Args:
       robot: the arm.
       jacobian: (n, 6, joints) of the tcp's position and orientation.
+      pull: direction in which the arm pulls against the load, (3,).
 
     Returns:
       (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`.
     """
     levers, axes = jacobian[:, :3], jacobian[:, 3:]
-    shares = torque_shares(robot, jacobian)
+    shares = torque_shares(robot, jacobian, pull)
     size = np.abs(shares) / np.abs(shares).max(axis=1, keepdims=True)
     weight = size ** (_SHARPNESS - 1) * np.sign(shares)
     weight = weight / np.array(robot.torque_limits)
     # Turning joint j moves the lever of joint i by axis_j x lever_i if j comes before i
     # on the way to the tcp, else by axis_i x lever_j. The table holds row i, column j
-    # of the z component.
-    before = axes[:, 0, None, :] * levers[:, 1, :, None]
-    before = before - axes[:, 1, None, :] * levers[:, 0, :, None]
+    # of the component along the pull.
+    turned = math.cross(np.asarray(pull), axes.swapaxes(1, 2))
+    before = math.dot(levers.swapaxes(1, 2)[:, :, None], turned[:, None])
     count = levers.shape[2]
     table = np.where(np.tri(count, dtype=bool), before, before.transpose(0, 2, 1))
     slope = (weight[:, :, None] * table).sum(axis=1)
@@ -124,7 +130,11 @@ def greatest_load(
 
 
 def strong_paths(
-    robot: Robot, positions: Array, *, approaches: Array | None = None
+    robot: Robot,
+    positions: Array,
+    *,
+    approaches: Array | None = None,
+    pull: Array = UP,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 
@@ -136,6 +146,7 @@ def strong_paths(
       positions: (n, points, 3) of the tcp, in the frame of the arm's base, in m.
       approaches: (n, 3) directions to which the tcp's z axis keeps along each path, in
         the same frame; None leaves the orientation free.
+      pull: direction in which the arm pulls against the load, (3,), in the same frame.
 
     Returns:
       The loads (n,) in kg at the weakest point of each path, 0 where the arm misses a
@@ -155,7 +166,9 @@ def strong_paths(
     for i in range(positions.shape[1]):
         moves = _FIRST_MOVES if i == 0 else _MOVES
         goal = positions[:, i], approaches
-        posture, held = _strengthen(sim, arm, posture, goal, (low, high), moves)
+        posture, held = _strengthen(
+            sim, arm, posture, goal, (low, high), moves=moves, pull=pull
+        )
         loads = np.minimum(loads, held)
         angles.append(posture)
         quats.append(np.array(sim.pose("arm/tcp")[1]))
@@ -168,14 +181,16 @@ def _strengthen(
     posture: Array,
     goal: Goal,
     limits: tuple[Array, Array],
+    *,
     moves: int,
+    pull: Array,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return strong postures with the tcp at positions, and what they hold."""
     kinematics, robot = simulated(sim, arm), arm.robot
 
     def lean(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
         # The last moves only restore the position.
-        return 0.3 * max(0.0, 1 - step / (moves - 6)) * relief(robot, jacobian)
+        return 0.3 * max(0.0, 1 - step / (moves - 6)) * relief(robot, jacobian, pull)
 
     posture, _ = descend(
         kinematics,
@@ -187,7 +202,7 @@ def _strengthen(
         lean=lean,
     )
     here, _, jacobian = kinematics(posture, np.arange(len(posture)))
-    shares = np.abs(torque_shares(robot, jacobian)).max(axis=1)
+    shares = np.abs(torque_shares(robot, jacobian, pull)).max(axis=1)
     is_there = math.distance(goal[0], here) < _TOLERANCE
     return posture, np.where(is_there, 1 / shares, 0.0)
 

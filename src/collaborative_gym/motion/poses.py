@@ -1,6 +1,6 @@
 """Joint angles that put tcps at poses: one pose, several arms at once, or a way."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import mujoco
@@ -143,6 +143,39 @@ def hold(
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]
     return found, misses.reshape(-1, count).max(axis=0) < _EXACT
+
+
+def hold_moved(
+    chains: Chains,
+    grasps: Callable[[np.ndarray], Sequence[tuple[Array, Array]]],
+    *,
+    moved: np.ndarray,
+    near: Sequence[Array],
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return joint angles that hold a thing that is moved, less far if need be.
+
+    Args:
+      chains: the arms' kinematics.
+      grasps: returns each arm's goal, as `hold` takes them, of a thing so moved.
+      moved: (n, k) how far it is from its nominal place; halved until all arms reach
+        it.
+      near: for each arm, angles (n, joints) to begin with, in rad.
+
+    Returns:
+      The angles for each arm, and how far the thing is moved, (n, k).
+    """
+    held, left = [np.array(angles) for angles in near], np.arange(len(moved))
+    there = np.zeros_like(moved)
+    for share in 1.0, 0.5, 0.25, 0.0:
+        there[left] = share * moved[left]
+        starts = [angles[left] for angles in near]
+        found, reached = hold(chains, grasps(there[left]), near=starts)
+        for angles, own in zip(held, found, strict=True):
+            angles[left] = own
+        left = left[~reached]
+        if not len(left):
+            break
+    return held, there
 
 
 def central_pose(

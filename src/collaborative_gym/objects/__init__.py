@@ -4,6 +4,7 @@ from typing import Any
 
 from collaborative_gym.errors import unknown
 from collaborative_gym.objects.ball import ball
+from collaborative_gym.objects.bar import bar
 from collaborative_gym.objects.board import board
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.donut import donut
@@ -17,6 +18,7 @@ from collaborative_gym.objects.table import table
 
 __all__ = [
     "ball",
+    "bar",
     "board",
     "cube",
     "donut",

@@ -196,13 +196,13 @@ class Scene:
             solref=[0.05, 1.0],
         )
 
-    def add_weld(self, site: str, other: str) -> None:
-        """Hold two sites together in position and orientation."""
+    def add_weld(self, site: str, other: str, *, turns: bool = False) -> None:
+        """Hold two sites together in position, and in orientation unless it `turns`."""
         self._check_site(site)
         self._check_site(other)
         self.spec.add_equality(
             name=f"{site} welded to {other}",
-            type=mujoco.mjtEq.mjEQ_WELD,
+            type=mujoco.mjtEq.mjEQ_CONNECT if turns else mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             name1=site,
             name2=other,

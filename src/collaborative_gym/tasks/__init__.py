@@ -8,5 +8,6 @@ from collaborative_gym.tasks import balance
 from collaborative_gym.tasks import pass_
 from collaborative_gym.tasks import balance_path
 from collaborative_gym.tasks import hockey
+from collaborative_gym.tasks import tug
 
-__all__ = ["balance", "balance_path", "hockey", "lift", "pass_", "poke"]
+__all__ = ["balance", "balance_path", "hockey", "lift", "pass_", "poke", "tug"]

@@ -224,21 +224,18 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             and about z; halved until all arms reach it.
           near: by agent, angles (worlds, joints) near which to hold it.
         """
-        place, quat = np.zeros((len(moved), 3)), np.zeros((len(moved), 4))
-        left = np.arange(len(moved))
-        for share in 1.0, 0.5, 0.25, 0.0:
-            there = self._board_at(share * moved[left])
-            place[left], quat[left] = there
-            goals = [self._grasp(agent, *there) for agent in near]
-            starts = [angles[left] for angles in near.values()]
-            angles, reached = motion.hold(self._chains, goals, near=starts)
-            for agent, found in zip(near, angles, strict=True):
-                arm = self.scene.arms[agent]
-                sim.qpos[env_ids[left], arm.qpos] = sim.xp.asarray(found)
-            left = left[~reached]
-            if not len(left):
-                break
-        return place, quat
+        angles, moved = motion.hold_moved(
+            self._chains,
+            lambda moved: [
+                self._grasp(agent, *self._board_at(moved)) for agent in near
+            ],
+            moved=moved,
+            near=list(near.values()),
+        )
+        for agent, found in zip(near, angles, strict=True):
+            arm = self.scene.arms[agent]
+            sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(found)
+        return self._board_at(moved)
 
     def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return poses of a level board that far from its nominal place."""

@@ -1,0 +1,347 @@
+"""Tug: two arms hold a bar by its ends, and each pulls it over a line of its own.
+
+Agents: `robot_1` at -y with the line at -y, `robot_2` at +y with the other. They are
+opponents. Each observes the world from where it stands, so that equal arms in either
+seat observe the same. Each feels the torques of its own joints, but not those of the
+other.
+
+A knob at each end of the bar turns freely in the hand, so an arm chooses its posture
+while it pulls. How hard it can pull depends on that: each joint's torque limit, over
+the joint's lever about the line of pull. An arm that is asked to move lets go of a part
+of its load in every step, so it has to keep pulling. One that is not asked to move
+holds on to what it exerts, until that is more than its motors can hold. The hands never
+lose the bar: its pull on both is the same, so the weaker gripper would always tear
+first, and pulling at a jerk would win.
+
+Randomised: where the bar starts (along every axis, and its turn about the vertical)
+and the posture in which each arm holds it.
+
+Reward of each agent:
+
+- `win`: 10 for the winner and -10 for the loser, once, else 0.
+- `way`: twice the speed of the bar towards the own line, in m/s. Shaping.
+- `effort`: -0.01 times the length of the action. Shaping.
+
+Success of a side: the bar's middle is past its line. The episode ends then. When time
+is up it is a draw. Performance counts how long the bar is on the own half.
+
+Each line is 0.14 of the arms' mean reach from where the bar starts. Unequal arms get a
+handicap: the distances of their lines are as their strengths, and their mean is the
+same. The strength is the pull that an arm's torque limits can hold all along the way of
+its hand, in the strongest postures found.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from operator import or_
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym import math, motion
+from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.math import Array
+from collaborative_gym.motion.loads import relief, strong_paths
+from collaborative_gym.motion.steering import GRAVITY
+from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import SHOULDER, Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+
+_CENTRE = np.array([0.0, 0.0, 1.0])
+"""Where the bar's middle starts, at the height of all arms' shoulders, in m."""
+
+_FAR = 0.68
+"""Distance from an arm to its knob at the start, as a share of its reach. Nearer, arms
+end in postures in which neither gets the better of the other; so do Sawyers farther."""
+
+_SLOPE = np.radians(30.0)
+"""How far down hands point at the start; a Panda's hand cannot be level there."""
+
+_POINTS, _TRIES = 5, 48
+"""Points of the way on which a strength is sought, and from how many postures."""
+
+_HAUL = 0.1
+"""How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
+
+_LEAN = 0.3
+"""How far in a step the expert asks its joints to go to a stronger posture, in rad."""
+
+_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))
+"""Of the lines, by agent."""
+
+
+@dataclass(frozen=True)
+class TugConfig(TaskConfig):
+    """Settings of Tug.
+
+    Attributes:
+      line: mean distance of the lines from where the bar starts, in m, or None for 0.14
+        of the arms' mean reach.
+    """
+
+    line: float | None = bounded(None, 0.06, 0.3)
+
+
+@dataclass(frozen=True)
+class TugFacts:
+    """What Tug looks at, by agent but for the bar.
+
+    Attributes:
+      joints: arm joint angles, (num_envs, joints), in rad.
+      speeds: arm joint speeds, in rad/s.
+      loads: torques of the joints' servos, as shares of their limits.
+      tcps: (num_envs, 3) positions of the tcps.
+      bar: (num_envs, 3) position of its middle.
+      velocity: (num_envs, 3) of its middle, in m/s.
+      missing: (num_envs,) how far the middle is from the agent's line, in m; less than
+        0 past it.
+    """
+
+    joints: dict[str, Array]
+    speeds: dict[str, Array]
+    loads: dict[str, Array]
+    tcps: dict[str, Array]
+    bar: Array
+    velocity: Array
+    missing: dict[str, Array]
+
+
+class Tug(Task[TugConfig, TugFacts]):
+    """The task of this module.
+
+    Attributes:
+      lines: distance of each agent's line from where the bar starts, in m.
+    """
+
+    config_class = TugConfig
+    performance_from_start = True
+    shaping = ("way", "effort")
+
+    @property
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        return tuple((agent,) for agent in self.agents)
+
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return arms face to face, their shoulders at the height of the bar."""
+        z = float(_CENTRE[2] - SHOULDER[2])
+        return tuple(
+            Placement(
+                (0.0, side * (LENGTH / 2 + _FAR * robot.reach), z), -side * np.pi / 2
+            )
+            for side, robot in zip((-1.0, 1.0), self.robots.values(), strict=True)
+        )
+
+    def build(self, scene: Scene) -> None:
+        # Which way along y each agent pulls.
+        self._way = {
+            a: float(np.sign(p.position[1])) for a, p in self._placed().items()
+        }
+        self.lines = self._lines()
+        for agent, placement in self.placements.items():
+            scene.add_robot(agent, self.robots[agent], placement=placement, holds=KNOB)
+        scene.add("bar", bar(), position=_CENTRE)
+        for agent, knob, colour in zip(self.agents, KNOBS, _COLOURS, strict=True):
+            tcp = f"{agent}/{self.robots[agent].tcp}"
+            scene.add_weld(tcp, f"bar/{knob}", turns=True)
+            place = _CENTRE + np.array([0.0, self._way[agent] * self.lines[agent], 0.0])
+            scene.add(f"{agent}_line", line(colour), position=place)
+        scene.add_pose_sensor("bar", "bar/bar")
+        scene.add_velocity_sensor("bar", "bar/bar")
+        scene.add_camera((2.6, 0.0, 1.7), (0, 1, 0, -0.28, 0, 1))
+
+    def _placed(self) -> Mapping[str, Placement]:
+        """Return the placements, robot_1's at -y and robot_2's at +y.
+
+        Raises:
+          ValueError: if they are elsewhere.
+        """
+        first, second = self.placements.values()
+        if not first.position[1] < 0.0 < second.position[1]:
+            raise ValueError(
+                "Tug needs robot_1 at negative y and robot_2 at positive y, got"
+                f" {first.position} and {second.position}"
+            )
+        return self.placements
+
+    def _lines(self) -> dict[str, float]:
+        """Return the distances of the lines, as the arms' strengths."""
+        robots = list(self.robots.values())
+        mean = self.config.line
+        if mean is None:
+            mean = 0.14 * float(np.mean([robot.reach for robot in robots]))
+        pulls = [1.0 for _ in robots]
+        if len({robot.name for robot in robots}) > 1:
+            pulls = [strength(robot) for robot in robots]
+        shares = np.array(pulls) / np.mean(pulls)
+        return dict(zip(self.agents, (mean * shares).tolist(), strict=True))
+
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
+        self._chains = motion.Chains(sim.model, list(scene.arms.values()))
+        self._knob, self._posture, self._hand = {}, {}, {}
+        self._servos = {}
+        data = mujoco.MjData(sim.model)
+        for agent, knob in zip(self.agents, KNOBS, strict=True):
+            arm, robot = scene.arms[agent], self.robots[agent]
+            self._knob[agent] = place = sim.model.site(f"bar/{knob}").pos.copy()
+            inwards = -np.array(
+                [0.0, np.cos(_SLOPE) * self._way[agent], np.sin(_SLOPE)]
+            )
+            self._posture[agent] = data.qpos[arm.qpos] = motion.solve_pose(
+                sim.model, arm, goal=(_CENTRE + place, inwards), start=robot.home
+            )
+            mujoco.mj_kinematics(sim.model, data)
+            self._hand[agent] = np.zeros(4)
+            mujoco.mju_mat2Quat(self._hand[agent], data.site_xmat[arm.tcp])
+            gains = robot.stiffness, robot.damping, robot.torque_limits
+            self._servos[agent] = tuple(map(sim.xp.asarray, gains))
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        bounds = self.config.randomization
+        moves = np.array([bounds.object_position] * 3 + [bounds.object_yaw])
+        moved = rng.within(moves, 4)
+        near = [
+            posture + rng.within(bounds.joint_noise, len(posture))
+            for posture in self._posture.values()
+        ]
+        angles, moved = motion.hold_moved(
+            self._chains, self._grasps, moved=moved, near=near
+        )
+        for arm, found in zip(self.scene.arms.values(), angles, strict=True):
+            sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(found)
+        place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
+        self.scene.place(sim, env_ids, name="bar", position=place, quat=quat)
+
+    def _grasps(self, moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return the tcps' poses at a bar that is moved along x, y, z and about z."""
+        place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
+        return [
+            (
+                place + math.rotate(quat, self._knob[agent]),
+                math.multiply(quat, self._hand[agent]),
+            )
+            for agent in self.agents
+        ]
+
+    def measure(self, sim: Sim) -> TugFacts:
+        xp, place = sim.xp, sim.pose("bar")[0]
+        speeds, loads, missing = {}, {}, {}
+        for agent, arm in self.scene.arms.items():
+            stiffness, damping, limit = self._servos[agent]
+            speeds[agent] = xp.asarray(sim.qvel[:, arm.dof], copy=True)
+            lag = sim.act[:, arm.act] - sim.qpos[:, arm.qpos]
+            share = (stiffness * lag - damping * speeds[agent]) / limit
+            loads[agent] = xp.minimum(xp.maximum(share, -1.0), 1.0)
+            missing[agent] = self.lines[agent] - self._way[agent] * place[:, 1]
+        return TugFacts(
+            joints=self.joints(sim),
+            speeds=speeds,
+            loads=loads,
+            tcps={agent: sim.pose(f"{agent}/tcp")[0] for agent in self.agents},
+            bar=place,
+            velocity=sim.velocity("bar")[0],
+            missing=missing,
+        )
+
+    def observe(self, facts: TugFacts) -> dict[str, Blocks]:
+        xp, seen = array_namespace(facts.bar), {}
+        centre = xp.asarray(_CENTRE)
+        for agent in self.agents:
+            [other] = [each for each in self.agents if each != agent]
+            lines = [facts.missing[agent], facts.missing[other]]
+            seen[agent] = {
+                "joints": facts.joints[agent],
+                "joint speeds": facts.speeds[agent],
+                "joint loads": facts.loads[agent],
+                "tcp": self._own(agent, facts.tcps[agent] - centre),
+                "bar": self._own(agent, facts.bar - centre),
+                "bar velocity": self._own(agent, facts.velocity),
+                "missing to own and other line": xp.stack(lines, axis=1),
+                "other joints": facts.joints[other],
+                "other joint speeds": facts.speeds[other],
+                "other tcp": self._own(agent, facts.tcps[other] - centre),
+            }
+        return seen
+
+    def _own(self, agent: str, vector: Array) -> Array:
+        """Return vectors (num_envs, 3) ahead of an agent, to its left and upwards."""
+        way, (x, y, z) = self._way[agent], (vector[:, i] for i in range(3))
+        return array_namespace(vector).stack([-way * y, way * x, z], axis=1)
+
+    def reward(self, facts: TugFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+        xp, terms = array_namespace(facts.bar), {}
+        for agent in self.agents:
+            [other] = [each for each in self.agents if each != agent]
+            won = xp.where(facts.missing[agent] < 0.0, 10.0, 0.0)
+            lost = xp.where(facts.missing[other] < 0.0, 10.0, 0.0)
+            terms[agent] = {
+                "win": won - lost,
+                "way": 2.0 * self._way[agent] * facts.velocity[:, 1],
+                "effort": -0.01 * math.norm(actions[agent]),
+            }
+        return terms
+
+    def success(self, facts: TugFacts) -> tuple[Array, ...]:
+        return tuple(facts.missing[agent] < 0.0 for agent in self.agents)
+
+    def performing(self, facts: TugFacts) -> tuple[Array, ...]:
+        return tuple(self._way[a] * facts.bar[:, 1] > 0.0 for a in self.agents)
+
+    def over(self, facts: TugFacts) -> Array:
+        return reduce(or_, self.success(facts))
+
+    def expert(self, sim: Sim, facts: TugFacts) -> dict[str, Motion]:
+        """Pull, and lean to postures in which the arm pulls harder.
+
+        The hand goes wherever across the pull that the other arm lets it go.
+        """
+        motions = {}
+        for agent, arm in self.scene.arms.items():
+            pull = np.array([0.0, self._way[agent], 0.0])
+            jacobian = sim.jacobian(arm.hand, facts.tcps[agent])
+            jacobian = np.concatenate(jacobian, axis=1)[:, :, arm.dof]
+            angle, (low, high) = facts.joints[agent], arm.joint_range
+            change = motion.joint_change(
+                jacobian[:, :3],
+                np.tile(_HAUL * pull, (sim.num_envs, 1)),
+                lean=_LEAN * relief(arm.robot, jacobian, pull),
+                room=(low - angle, high - angle),
+            )
+            motions[agent] = Motion(change)
+        return motions
+
+
+@lru_cache(maxsize=64)
+def strength(robot: Robot) -> float:
+    """Return the pull in N that an arm can hold all along the way of its hand in Tug.
+
+    Raises:
+      ValueError: if the arm cannot go that way.
+    """
+    shares = np.linspace(_FAR + 0.14, _FAR - 0.14, _POINTS)
+    path = np.zeros((_POINTS, 3))
+    path[:, 0], path[:, 2] = shares * robot.reach, SHOULDER[2]
+    pull = np.array([-1.0, 0.0, 0.0])
+    loads, _, _ = strong_paths(robot, np.tile(path, (_TRIES, 1, 1)), pull=pull)
+    if not loads.any():
+        raise ValueError(
+            f"{robot.name} cannot pull a bar from {path[0, 0]:.2f} to {path[-1, 0]:.2f}"
+            " m before its base; choose an arm with a longer reach"
+        )
+    return float(GRAVITY * loads.max())
+
+
+register_task("Tug", Tug)
+for _arms, _robots in (
+    ("Pandas", ("panda", "panda")),
+    ("Sawyers", ("sawyer", "sawyer")),
+    ("PandaSawyer", ("panda", "sawyer")),
+):
+    register_env(EnvSpec(f"Tug{_arms}-v0", Tug, _robots))
