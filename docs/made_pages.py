@@ -42,7 +42,7 @@ COMMANDS = (
 )
 """The verbs of the command line, in the order of its own help."""
 
-_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey")
+_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey", "Tug")
 _LABELS = (
     "Agents",
     "Randomised",

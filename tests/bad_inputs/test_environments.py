@@ -119,6 +119,7 @@ NUMBERS = [
     ("BalancePath", "lap", [0]),
     ("Hockey", "restitution", [2]),
     ("Hockey", "foul_after", [0]),
+    ("Tug", "line", [0.5]),
 ]
 
 SETTINGS = [

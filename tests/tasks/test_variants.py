@@ -52,6 +52,7 @@ def test_the_environments_are_the_thesis_eight_and_our_own():
     own = {"BalancePathSawyers-v0", "BalancePathJacoSawyer-v0"}
     own |= {f"Hockey{arms}-v0" for arms in ("Pandas", "Sawyers", "PandaSawyer")}
     own |= {"HockeyDoubles-v0"}
+    own |= {f"Tug{arms}-v0" for arms in ("Pandas", "Sawyers", "PandaSawyer")}
     assert set(cg.list_envs()) == {*BASES, *own}
 
 
