@@ -189,3 +189,41 @@ def test_grips_are_lost_now_and_then(make, monkeypatch, share, least, most):
     grips = learners[0].learner.is_grip(Sizes.of(collector.env.task))
     assert not is_lost[:, :, ~grips].any() and (asked[is_lost] == -1.0).all()
     assert least <= is_lost[:, :, grips].mean() <= most
+
+
+def test_shaping_fades_out_of_what_is_learned_and_of_no_episode(make, monkeypatch):
+    found = []
+    for share in (0.0, 0.5):
+        # Half of four rollouts, of which the second is half faded.
+        collector, learners = make(
+            "independent",
+            dense_share=share,
+            total_steps=4 * WORLDS * STEPS,
+            torque_penalty=0.0,
+            change_penalty=0.0,
+            contact_penalty=0.0,
+        )
+        collector._job.task.shaping = ("distance", "effort")
+        terms, step = [], collector.env.step
+
+        def spied(actions, step=step, terms=terms):
+            outcome = step(actions)
+            terms.append(outcome[-1]["reward_terms"]["robot_1"])
+            return outcome
+
+        monkeypatch.setattr(collector.env, "step", spied)
+        collected = [collector.collect(acting(learners), i, NOTHING) for i in range(4)]
+        found.append((collected, terms))
+    (whole, _), (faded, terms) = found
+    returns = [
+        [row["return"] for each in collected for row in each.episodes]
+        for collected in (whole, faded)
+    ]
+    assert returns[0] == returns[1] != []
+    for i, left in enumerate((1.0, 0.5, 0.0, 0.0)):
+        expected = [
+            each["height"] + left * (each["distance"] + each["effort"])
+            for each in terms[i * STEPS : (i + 1) * STEPS]
+        ]
+        rewards = faded[i].rollouts["robot_1"].rewards
+        np.testing.assert_allclose(rewards, expected, atol=1e-6)
