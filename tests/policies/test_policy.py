@@ -55,6 +55,42 @@ def test_expert_is_the_tasks(make_env):
     assert all(np.array_equal(actions[agent], expected[agent]) for agent in env.agents)
 
 
+def test_experts_can_be_late_and_slow(make_env):
+    env = make_env(2, max_episode_steps=30)
+    late, slow, usual = (
+        load_policy(name, env) for name in ("expert:late", "expert:slow", "expert")
+    )
+    observations, _ = env.reset(seed=0)
+    half, whole = slow(observations), usual(observations)
+    for agent in env.agents:
+        np.testing.assert_array_equal(half[agent][:, :-1], whole[agent][:, :-1] / 2)
+        np.testing.assert_array_equal(half[agent][:, -1], whole[agent][:, -1])
+    for step in range(25):
+        expected = env.idle() if step < 20 else env.expert()
+        for agent, actions in late(observations).items():
+            np.testing.assert_array_equal(actions, expected[agent])
+        observations = env.step(env.idle())[0]
+
+
+def test_a_task_may_have_styles_of_its_own(make_env, monkeypatch):
+    env = make_env(1)
+    monkeypatch.setattr(type(env.task), "styles", {"still": "nothing moves"})
+    monkeypatch.setattr(
+        type(env.task),
+        "styled",
+        lambda self, sim, facts, style: {
+            agent: cg.Motion(np.zeros((1, 7)), grips=True) for agent in self.agents
+        },
+    )
+    observations, _ = env.reset(seed=0)
+    actions = load_policy({"robot_1": "expert:still", "robot_2": "expert"}, env)
+    assert actions(observations)["robot_1"].tolist() == [[0.0] * 7 + [1.0]]
+    with pytest.raises(KeyError, match="no expert style 'lat'; .*: late, slow, st"):
+        load_policy("expert:lat", env)
+    with pytest.raises(TypeError, match="'expert:late' needs an environment"):
+        load_policy("expert:late")
+
+
 @pytest.mark.parametrize("name", ["expert", "random"])
 def test_policies_play_a_pettingzoo_environment(carry_id, name):
     env = cg.make(carry_id)

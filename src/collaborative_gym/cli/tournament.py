@@ -36,10 +36,10 @@ class Tournament(Command):
 
     Attributes:
       env: environment id, or a task's name.
-      policies: two players or more, each given as for evaluate: expert, random,
-        baseline, idle, gripping, frozen, or a path to a policy file or to a training
-        folder. A player may have a policy for each robot, such as robot_1=baseline
-        robot_2=idle.
+      policies: two players or more, each given as for evaluate: expert, expert:late,
+        random, baseline, idle, gripping, frozen, or a path to a policy file or to a
+        training folder. A player may have a policy for each robot, such as
+        robot_1=baseline robot_2=idle.
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another has the rest; all, or
         names of some, which is less to play with three robots or more.

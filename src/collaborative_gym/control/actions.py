@@ -99,8 +99,15 @@ class ActionMode:
             action[:, -1] = np.where(own, 1.0, -1.0)
         return idle
 
-    def encode(self, sim: Sim, motions: Mapping[str, Motion]) -> dict[str, np.ndarray]:
+    def encode(
+        self, sim: Sim, motions: Mapping[str, Motion], pace: float = 1.0
+    ) -> dict[str, np.ndarray]:
         """Return the actions, (num_envs, size) in [-1, 1] by agent, that make motions.
+
+        Args:
+          sim: the worlds.
+          motions: what each arm is to do.
+          pace: what to multiply the actions' moves by, 0 to 1.
 
         Raises:
           ValueError: if they are not motions of these arms; says what to give.
@@ -112,9 +119,9 @@ class ActionMode:
         grips = {agent: motions[agent].grips for agent in self.arms}
         actions = self.idle(sim.num_envs, grips)
         for agent, action in actions.items():
-            pace = np.max(together if motions[agent].in_step else [most[agent]], axis=0)
-            share = moves[agent] / np.maximum(1.0, pace)[:, None]
-            action[:, : share.shape[1]] = share
+            peak = np.max(together if motions[agent].in_step else [most[agent]], axis=0)
+            share = moves[agent] / np.maximum(1.0, peak)[:, None]
+            action[:, : share.shape[1]] = pace * share
         return actions
 
     def _check(self, sim: Sim, motions: Mapping[str, Motion]) -> None:

@@ -274,13 +274,20 @@ class VectorEnv:
             self.facts, self._observations = facts, copied(observations, xp)
             return copied(observations, xp), rewards, terminated, truncated, infos
 
-    def expert(self) -> dict[str, Array]:
-        """Return the task's scripted expert's actions for the present state."""
+    def expert(self, style: str = "", *, pace: float = 1.0) -> dict[str, Array]:
+        """Return the task's scripted expert's actions for the present state.
+
+        Args:
+          style: one of the task's `styles`, or its usual way.
+          pace: what to multiply the joints' changes by.
+        """
         with self._turns.take():
             self._check_started("expert")
-            motions = self.task.expert(self.sim, self.facts)
+            at = self.sim, self.facts
+            task = self.task
+            motions = task.styled(*at, style) if style else task.expert(*at)
             try:
-                actions = self._mode.encode(self.sim, motions)
+                actions = self._mode.encode(self.sim, motions, pace)
                 shapes, gripping = self._action_shapes, self.task.gripping
                 return check_actions(actions, self.sim.xp, shapes, gripping)
             except ValueError as error:

@@ -47,11 +47,13 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         path to a policy file or to the folder of a training run, also followed by the
         name of one of its players, as in "runs/league/main-3"; "baseline", that of
         `env`; "expert", the task's scripted expert, which looks at the state of the
-        worlds and not at the observations; "random", uniform actions, the same for an
-        episode of a seed in any batch; "idle", which holds still with an open grip,
-        "gripping", with a closed one, and "frozen", which keeps hold of what it
-        holds; a function from observations to actions; or one of these for each agent,
-        such as `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
+        worlds and not at the observations; "expert:late" and the like, the expert in
+        another style: "late" and "slow" for every task, and those of `Task.styles`;
+        "random", uniform actions, the same for an episode of a seed in any batch;
+        "idle", which holds still with an open grip, "gripping", with a closed one, and
+        "frozen", which keeps hold of what it holds; a function from observations to
+        actions; or one of these for each agent, such as
+        `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
       env: what it is to play: a `VectorEnv`, or an environment of this package under
         PettingZoo's or Gymnasium's contract, whose observations and actions it then
         takes and returns. Only an id and a path do without; they play a `VectorEnv`.
@@ -68,7 +70,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     own = getattr(env, "unwrapped", env)
     vector_env = getattr(own, "vector_env", own)
     if vector_env is None:
-        if not isinstance(policy, str | Path) or policy in _NAMES:
+        if not isinstance(policy, str | Path) or policy in _NAMES or _style(policy):
             raise TypeError(f"{shown(policy)} needs an environment; pass env too")
         return _load_file(policy)
     if not isinstance(vector_env, VectorEnv):
@@ -136,7 +138,8 @@ def commanding(
     """
     policy = read_policy(policy, env)
     if isinstance(policy, str):
-        return _BY_ENV[policy](env)
+        style = _style(policy)
+        return expert_policy(env, style) if style else _BY_ENV[policy](env)
     if isinstance(policy, NetworkPolicy):
         policy = policy.serving(agents)
         policy.check(env, any_env=any_env)
@@ -155,9 +158,14 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
     Raises:
       Exception: as `load_policy` does.
     """
-    if not isinstance(policy, str | Path) or policy in _BY_ENV:
+    if not isinstance(policy, str | Path) or policy in _BY_ENV or _style(policy):
         return policy
     return _baseline(env) if policy == "baseline" else _load_file(policy)
+
+
+def _style(policy: object) -> str:
+    """Return the style of an expert's name, such as "expert:late"; else nothing."""
+    return str(policy).removeprefix(_STYLED) if str(policy).startswith(_STYLED) else ""
 
 
 def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
@@ -253,5 +261,7 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "idle": idle_policy,
     "random": RandomPolicy,
 }
+
+_STYLED = "expert:"
 
 _NAMES = ("baseline", *_BY_ENV)

@@ -5,13 +5,41 @@ from collections.abc import Mapping
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.rng import Stream, episode_generator
 
+STYLES = {
+    "late": "it holds still for two seconds first",
+    "slow": "it moves at half its speed",
+}
+"""What every task's expert can do; tasks have styles of their own besides."""
 
-def expert_policy(env: VectorEnv):
-    """Return the task's scripted expert, which looks at the worlds' state."""
-    return lambda observations: env.expert()
+_LATE = 20  # control steps
+
+
+def expert_policy(env: VectorEnv, style: str = ""):
+    """Return the task's scripted expert, which looks at the worlds' state.
+
+    Args:
+      env: what it plays.
+      style: one of `STYLES` or of the task's `styles`, or its usual way.
+
+    Raises:
+      KeyError: if there is no such style; names those that there are.
+    """
+    if style:
+        look_up("expert style", style, {**STYLES, **env.task.styles})
+    own, pace = "" if style in STYLES else style, 0.5 if style == "slow" else 1.0
+    if style != "late":
+        return lambda observations: env.expert(own, pace=pace)
+    still = env.idle()
+
+    def act(observations: Mapping[str, Array]) -> dict[str, Array]:
+        is_still = (env.progress["step"] < _LATE)[:, None]
+        return {a: np.where(is_still, still[a], x) for a, x in env.expert().items()}
+
+    return act
 
 
 def idle_policy(env: VectorEnv):

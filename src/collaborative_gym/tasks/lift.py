@@ -26,9 +26,11 @@ not enough: an arm can swing the pot past the target by its momentum, even while
 other arm only holds on. A pot that is swung is tilted or fast.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import and_
+from typing import ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -142,6 +144,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
     """
 
     gripping = True
+    styles: ClassVar[Mapping[str, str]] = {
+        "first-leads": "robot_1 lifts, and robot_2 only keeps the pot level",
+        "second-leads": "robot_2 lifts, and robot_1 only keeps the pot level",
+    }
     config_class = LiftConfig
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -307,9 +313,24 @@ class Lift(Task[LiftConfig, LiftFacts]):
 
         Where one loses its grip on the way, both let go and begin anew.
         """
+        return self._lift(sim, facts, self._lifted_handles(facts))
+
+    def styled(self, sim: Sim, facts: LiftFacts, style: str) -> dict[str, Motion]:
+        """Return motions of which one arm's only keep the pot level."""
+        goals = self._lifted_handles(facts)
+        leads = list(self.styles).index(style)
+        leader, follower = self.agents[leads], self.agents[1 - leads]
+        across = (_GRIP_OFFSETS[1 - leads] - _GRIP_OFFSETS[leads]) * (0.0, 1.0, 0.0)
+        straight = math.from_yaw(_straightened(facts.pot[1]))
+        level = facts.handles[leader][0] + math.rotate(straight, across)
+        return self._lift(sim, facts, goals | {follower: level})
+
+    def _lift(
+        self, sim: Sim, facts: LiftFacts, goals: dict[str, np.ndarray]
+    ) -> dict[str, Motion]:
+        """Return motions of arms that grip, and bring handles to these goals."""
         holds = facts.gripping
         lifting = reduce(and_, holds.values())
-        goals = self._lifted_handles(facts)
         # A pot that hangs from one arm tips over. Let go by both, it lands upright.
         stands = facts.pot[0][:, 2] < _START[2] + 0.03
         motions = {}
@@ -339,17 +360,17 @@ class Lift(Task[LiftConfig, LiftFacts]):
         middle = (first + second) / 2
         missing = facts.target + _WAY_OFFSETS[0] * (0.0, 0.0, 1.0) - middle
         step = shortened(missing, _LIFT_STEP)
-        yaw = _yaw(facts.pot[1])
-        straight = math.from_yaw(yaw - np.clip(yaw, -0.1, 0.1))
+        straight = math.from_yaw(_straightened(facts.pot[1]))
         return {
             agent: middle + step + math.rotate(straight, offset * (0.0, 1.0, 0.0))
             for agent, offset in zip(self.agents, _GRIP_OFFSETS, strict=True)
         }
 
 
-def _yaw(quat: Array) -> np.ndarray:
-    """Return the turn of a nearly level body about the vertical, in rad."""
-    return 2.0 * np.arctan2(quat[:, 3].copy(), quat[:, 0].copy())
+def _straightened(quat: Array) -> np.ndarray:
+    """Return the turn of a nearly level body about the vertical, but 0.1 rad less."""
+    yaw = 2.0 * np.arctan2(quat[:, 3].copy(), quat[:, 0].copy())
+    return yaw - np.clip(yaw, -0.1, 0.1)
 
 
 register_task("Lift", Lift)

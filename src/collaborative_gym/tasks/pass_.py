@@ -36,7 +36,9 @@ This holds for all that the default randomisation draws, for every pair of Sawye
 and Jaco.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -63,6 +65,8 @@ _TABLE_END = 1.1  # m, x of the tables' far ends
 _CLOSE = {"robot_1": 0.018, "robot_2": 0.03}  # m at which the expert grips
 _ABOVE, _ASIDE = 0.06, 0.1  # m from the cube at which a hand comes before it
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
+_ELSEWHERE = np.array([-0.2, 0.0, 0.0])  # m from there, nearer to the arms
+_NEAR_MEETING = 0.3  # m
 _BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 
 # Directions, and orientations (w x y z) of a hand. The hands meet head on, one closing
@@ -118,6 +122,9 @@ class Pass(Task[PassConfig, PassFacts]):
 
     gripping = True
     config_class = PassConfig
+    styles: ClassVar[Mapping[str, str]] = {
+        "nearer": "they hand over 0.2 m nearer to the arms' bases"
+    }
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return places that are the farther apart the longer the reach."""
@@ -262,31 +269,49 @@ class Pass(Task[PassConfig, PassFacts]):
         return xp.where(self.success(facts), 0.0, facts.to_target + missing)
 
     def expert(self, sim: Sim, facts: PassFacts) -> dict[str, Motion]:
-        return {"robot_1": self._give(sim, facts), "robot_2": self._take(sim, facts)}
+        return self._hand_over(sim, facts, np.zeros(3))
 
-    def _give(self, sim: Sim, facts: PassFacts) -> Motion:
+    def styled(self, sim: Sim, facts: PassFacts, style: str) -> dict[str, Motion]:
+        return self._hand_over(sim, facts, _ELSEWHERE)
+
+    def _hand_over(
+        self, sim: Sim, facts: PassFacts, shift: np.ndarray
+    ) -> dict[str, Motion]:
+        """Return motions to hand over so far from the usual meeting."""
+        meeting = self._meeting + shift
+        return {
+            "robot_1": self._give(sim, facts, meeting),
+            "robot_2": self._take(sim, facts, meeting),
+        }
+
+    def _give(self, sim: Sim, facts: PassFacts, meeting: np.ndarray) -> Motion:
         """Return robot_1's motion: pick from above, bring to the meeting, let go."""
         giver, taker = self.agents
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds = facts.holds[giver][:, None]
         taken = facts.holds[taker][:, None] | self._is_beyond(facts)
         gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, _ABOVE))
-        goal = np.where(taken, self._meeting - 0.15 * _ACROSS, place - gap * _DOWN)
-        hand = np.where(taken, self._hands[giver][1], self._hands[giver][0])
-        angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
         lifted = position[:, 2:] > self._cube_start[2] + 0.03
-        swings = holds & lifted & ~taken
+        # Elsewhere it goes straight, once it is near the posture of the usual meeting.
+        is_usual = (meeting == self._meeting).all()
+        near = math.distance(place, self._meeting) < _NEAR_MEETING
+        straight = holds & lifted & ~is_usual & near[:, None]
+        goal = np.where(straight, meeting, place - gap * _DOWN)
+        goal = np.where(taken, meeting - 0.15 * _ACROSS, goal)
+        hand = np.where(taken | straight, self._hands[giver][1], self._hands[giver][0])
+        angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
+        swings = holds & lifted & ~taken & ~straight
         change = self._move(sim, facts, giver, goal, hand, angles, swings)
         grips = facts.holds[giver] | (facts.to_cube[giver] < _CLOSE[giver])
         return Motion(change, grips & ~facts.holds[taker])
 
-    def _take(self, sim: Sim, facts: PassFacts) -> Motion:
+    def _take(self, sim: Sim, facts: PassFacts, meeting: np.ndarray) -> Motion:
         """Return robot_2's motion: wait at the meeting, grip, carry to the target."""
         giver, taker = self.agents
         (position, quat), holds = facts.tcp[taker], facts.holds[taker][:, None]
-        is_there = math.distance(facts.cube[0], self._meeting) < _ARRIVED
+        is_there = math.distance(facts.cube[0], meeting) < _ARRIVED
         offered = (facts.holds[giver] & is_there)[:, None]
-        place = np.where(offered, facts.cube[0], self._meeting)
+        place = np.where(offered, facts.cube[0], meeting)
         gap = _funnel(position - facts.cube[0], -_ACROSS, _ASIDE)
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS

@@ -25,7 +25,9 @@ so from the stick's middle. The hole's sides are 0.08 m away, and the stick's en
 m.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -97,6 +99,9 @@ class Poke(Task[TaskConfig, PokeFacts]):
     """Put the stick of one arm through the ring of the other."""
 
     config_class = TaskConfig
+    styles: ClassVar[Mapping[str, str]] = {
+        "ring-moves": "the stick holds still, and the ring comes over it"
+    }
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.8 of both reaches apart, turned 60 degrees to each other."""
@@ -201,22 +206,41 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Motion]:
         """Present the ring, wait behind the hole until lined up with it, then go in."""
         normal = math.axis_z(facts.donut[1])
+        behind = self._behind(facts)
+        position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
+        return self._steer(sim, facts, {_STICK: (position, normal)})
+
+    def styled(self, sim: Sim, facts: PokeFacts, style: str) -> dict[str, Motion]:
+        """Present the stick, wait before its tip until lined up, then come over it."""
+        axis = math.axis_z(facts.stick[1])
+        _, turned = self._goal[_DONUT]
+        ahead = _DONUT_AHEAD * math.axis_z(turned[None])
+        position = facts.stick[0] + self._behind(facts)[:, None] * axis - ahead
+        turned = np.tile(turned, (sim.num_envs, 1))
+        return self._steer(sim, facts, {_DONUT: (position, turned)})
+
+    def _behind(self, facts: PokeFacts) -> np.ndarray:
+        """Return how far behind the hole the stick's middle is to be, (num_envs,)."""
         beside = math.norm(facts.offset[:, :2])
         is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
         # The stick's middle keeps its tip clear of the ring, the more so the farther it
         # is from the hole, and goes in so slowly that it stays in line.
-        behind = np.where(
+        return np.where(
             is_lined_up | facts.is_threaded,
             np.maximum(-facts.offset[:, 2] - 0.12, 0.0),
             0.16 + np.minimum(beside, 0.15),
         )
-        position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
-        present, turned = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[_DONUT])
-        goals = {_STICK: (position, normal), _DONUT: (present, turned)}
+
+    def _steer(
+        self, sim: Sim, facts: PokeFacts, moving: dict[str, tuple[Array, Array]]
+    ) -> dict[str, Motion]:
+        """Return motions to these poses, and of others to where both meet."""
         motions, is_far = {}, facts.distance[:, None] > _FAR
         for agent, arm in self.scene.arms.items():
             tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
-            change = reach(sim, arm, tcp=tcp, goal=goals[agent], posture=posture)
+            place, turn = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[agent])
+            goal = moving.get(agent, (place, turn))
+            change = reach(sim, arm, tcp=tcp, goal=goal, posture=posture)
             # From afar all joints go to the posture at once: a straight way may turn a
             # wrist into the ends of its joints, where it would stay.
             swing = settling(sim, arm, change=posture - sim.qpos[:, arm.qpos])

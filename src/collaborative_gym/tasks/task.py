@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -118,6 +118,7 @@ class Task(Generic[ConfigT, FactsT]):
       gripping: whether actions have a grip component.
       config_class: the class of its settings.
       success_after: the goal counts as reached only after this many control steps.
+      styles: other ways of the expert, a sentence for each by its name.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
       shaping: names of the reward's terms that are there to lead learners, and that
@@ -134,6 +135,7 @@ class Task(Generic[ConfigT, FactsT]):
     config_class: type[TaskConfig] = TaskConfig
     success_after: int = 0
     performance_from_start: bool = False
+    styles: ClassVar[Mapping[str, str]] = {}
     shaping: tuple[str, ...] = ()
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
@@ -317,6 +319,10 @@ class Task(Generic[ConfigT, FactsT]):
         Experts compute with NumPy, and so play on NumPy's worlds only.
         """
         raise self._missing("expert", " or play another policy, such as random")
+
+    def styled(self, sim: Sim, facts: FactsT, style: str) -> dict[str, Motion]:
+        """Return what the expert does in one of its `styles`."""
+        raise self._missing("styled")
 
     def _missing(self, method: str, otherwise: str = "") -> NotImplementedError:
         return NotImplementedError(

@@ -22,6 +22,7 @@ from collaborative_gym.evaluation.play import play_episodes, worlds_for
 from collaborative_gym.evaluation.report import without_nan
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.policies import AnyPolicy, as_policy
+from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import ON_STATE, Identity
@@ -182,9 +183,10 @@ def _groups(groups: Any, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     if groups is None:
         folders: dict[str, list[str]] = {}
         for name in names:
-            # A run's folder, or the policy file in it.
-            run = Path(name).parent if Path(name).suffix else Path(name)
-            folders.setdefault(str(run.parent), []).append(name)
+            # A run's folder, or the policy file in it; not one of a league's players.
+            run = Path(name).parent if Path(name).name == POLICY_FILE else Path(name)
+            if run.is_dir():
+                folders.setdefault(str(run.parent), []).append(name)
         folders.pop(".", None)
         return {k: tuple(runs) for k, runs in folders.items() if len(runs) > 1}
     check_kind("groups", groups, Mapping, "a dictionary of players' names")
