@@ -25,7 +25,11 @@ OPTIONS = [
     (EVALUATE, "--num-threads", (*NO_INTEGERS, "1000000")),
     (EVALUATE, "--randomization", ("papr", "", "0.1")),
     (EVALUATE, "--robots", ("panda", "x y", "panda x")),
-    (EVALUATE, "--policy", ("nobody", "nowhere.safetensors", "", "{folder}", "a/b")),
+    (
+        EVALUATE,
+        "--policy",
+        ("expert:lat", "nobody", "nowhere.safetensors", "", "{folder}", "a/b"),
+    ),
     (EVALUATE, "--idle", ("robot_9", "")),
     (EVALUATE, "--module", ("nowhere.py", "no.such", "", "a/b")),
     (EVALUATE, "--colour", ("red",)),
@@ -68,7 +72,14 @@ OPTIONS = [
     (
         TOURNAMENT,
         "--policies",
-        ("idle", "idle idle", "idle nobody", "idle a/b", "robot_1=idle idle"),
+        (
+            "idle",
+            "idle idle",
+            "idle nobody",
+            "idle expert:lat",
+            "idle a/b",
+            "robot_1=idle idle",
+        ),
     ),
     ("benchmark Poke", "--num-envs", (*NO_INTEGERS, "0")),
     ("benchmark Poke", "--num-threads", NO_INTEGERS),
