@@ -58,13 +58,14 @@ from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 from collaborative_gym.timing import SIM_DT
 
 _LANE = 0.64  # m, width of the table for each arm of a side
-_HALF_GOAL = 0.14  # m, likewise
+_HALF_GOAL = 0.2  # m, likewise
 _BEHIND_GOAL = 0.2  # m, from a goal's line to the arms
 _HOVER = 0.015  # m, from the ice to a mallet at rest
 _AREA_MIDDLE = np.array([-0.29, 0.0])  # m, of what a mallet uses of its lane, and
 _AREA_SIZE = np.array([0.19, 0.27])  # m, how far that reaches to either end
 _START = np.array([-0.38, 0.0])  # m, where a mallet starts in its lane
-_FIRMNESS = 0.8  # share of its way that the player's mallet goes at once
+_FIRMNESS = 0.5  # share of its way that the player's mallet goes at once
+_SOFT = 1e-5  # m2, damping of a swing near singular poses
 _STRIDE = 0.12  # m, longest way of a mallet that is planned at a time
 _SERVES = 64  # drawn for an episode; then they begin anew
 _SLOWEST, _QUICKEST, _ACROSS = 0.3, 0.7, 0.3  # m/s
@@ -361,12 +362,46 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
                 low, high = _AREA_MIDDLE - _AREA_SIZE, _AREA_MIDDLE + _AREA_SIZE
                 goal = np.clip(goals[:, i] - lane, low, high)
                 here = own[:, i] - lane
-                step = shortened(goal - here, _STRIDE)
-                step = np.where(hits[:, i, None], 1.0, _FIRMNESS) * step
+                step = _FIRMNESS * shortened(goal - here, _STRIDE)
                 share = (here + step - _AREA_MIDDLE) / _AREA_SIZE
                 change = self._charts[agent].at(share) - facts.joints[agent]
+                rows = np.flatnonzero(hits[:, i])
+                way_there = way * (goals[rows, i] - own[rows, i])
+                change[rows] = self._swing(agent, facts.joints[agent][rows], way_there)
                 motions[agent] = Motion(change)
         return motions
+
+    def _swing(self, agent: str, angles: Array, way: Array) -> np.ndarray:
+        """Return joint changes that swing a mallet as far along a way as a step allows.
+
+        The mallet may tilt: an arm that keeps it upright is half as fast.
+
+        Args:
+          agent: whose mallet.
+          angles: (n, joints) of its arm, in rad.
+          way: (n, 2) in the table's frame, in m.
+        """
+        arm = self.scene.arms[agent]
+        kinematics = self._chains.of(np.full(len(way), self.agents.index(agent)))
+        rows, goal, there = np.arange(len(way)), np.zeros((len(way), 3)), angles.copy()
+        goal[:, 2] = HEIGHT + _HOVER
+        for i in range(4):
+            place, rotation, jacobian = kinematics(there, rows)
+            lever = MALLET_HEIGHT * rotation[:, :, 2]
+            turned = math.cross(jacobian[:, 3:].transpose(0, 2, 1), lever[:, None])
+            moves = (jacobian[:, :3] + turned.transpose(0, 2, 1)) * arm.max_change
+            if i == 0:
+                goal[:, :2] = (place + lever)[:, :2] + way
+            square = moves @ moves.transpose(0, 2, 1) + _SOFT * np.eye(3)
+            error = (goal - place - lever)[..., None]
+            share = (moves.transpose(0, 2, 1) @ np.linalg.solve(square, error))[..., 0]
+            if i == 0:
+                # No farther than the slowest joint gets in a step.
+                most = np.maximum(np.abs(share).max(axis=1), 1.0)[:, None]
+                goal[:, :2] += (1.0 / most - 1.0) * way
+                share = share / most
+            there = there + arm.max_change * share
+        return there - angles
 
 
 register_task("Hockey", Hockey)

@@ -24,14 +24,12 @@ _PACE = 0.6  # m/s at which a mallet is expected to come to its place
 _FAST = 1.0  # m/s towards the goal; a puck that comes faster is blocked
 _GUARD = -HALF_LENGTH + 0.16  # m, x where a mallet waits
 _BLOCK = -HALF_LENGTH + 0.10  # m, x where it blocks
-_BEHIND = 0.04  # m, free way before a hit
-_THROUGH = 0.10  # m by which a hit goes on
+_BEHIND = 0.05  # m, free way before a hit
+_THROUGH = 0.15  # m by which a hit goes on
 _LINED_UP = 0.025  # m, greatest miss of the line along which it hits
 _FREE = 0.16  # m from a mallet, from where on a way counts as free
-_BANK_COST = 0.05  # m of that which a way by a cushion has to be freer
-_STEEP_COST = 0.1  # m, likewise, for each unit of its slope
 _TARGETS = (-0.6, 0.0, 0.6)  # of half of the goal's width, where it aims
-_SHOT = 1.1  # m/s, what a hit puck does about
+_SHOT = 2.2  # m/s, what a hit puck does about
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def _attack(
     gap = near - mallet
     along = math.dot(gap, normal)
     across = np.abs(gap[:, 0] * normal[:, 1] - gap[:, 1] * normal[:, 0])
-    hits = (across < _LINED_UP) & (along > 0.5 * _TOUCH) & (along < _TOUCH + 0.12)
+    hits = (across < _LINED_UP) & (along > 0.5 * _TOUCH) & (along < _TOUCH + 0.10)
     through = near + _THROUGH * normal
     normal_there = _normal(field, there, puck[1], others)
     behind = there - (_TOUCH + _BEHIND) * normal_there
@@ -166,9 +164,7 @@ def _aim(field: Field, place: Array, others: Array) -> np.ndarray:
     for wall in (-side, side):
         ways.append((wall - targets + e * (wall - y)) / (e * length))
     slopes = np.concatenate(ways)
-    costs = np.repeat([0.0, _BANK_COST, _BANK_COST], len(targets))[:, None]
-    # Steep ways lose their speed, and are hit with little care.
-    free = _freedom(field, place, slopes, others) - costs - _STEEP_COST * abs(slopes)
+    free = _freedom(field, place, slopes, others)
     slope = np.take_along_axis(slopes, free.argmax(axis=0)[None], axis=0)[0]
     way = np.stack([np.ones(len(place)), slope], axis=1)
     return way / math.norm(way)[:, None]
