@@ -46,7 +46,6 @@ _TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey", "Tug")
 _LABELS = (
     "Agents",
     "Randomised",
-    "Observations",
     "Reward of each agent",
     "Success",
     "Success of a side",
@@ -141,7 +140,7 @@ def _environments() -> str:
                     _sizes(env.single_action_spaces),
                 )
             )
-    columns = "environment", "task", "robot_1, robot_2", "observations", "actions"
+    columns = "environment", "task", "robots", "observations", "actions"
     return _table(columns, rows)
 
 
@@ -155,6 +154,9 @@ def _task_page(name: str) -> str:
         subject[0].upper() + subject[1:],
         *map(_labelled, body.split("\n\n")),
     ]
+    picture = f"media/{name.lower()}.jpg"
+    if (ROOT / "docs" / picture).exists():
+        paragraphs.insert(2, f"![{name}](../{picture})")
     for env_id, spec in envs:
         paragraphs += _environment(env_id, spec)
     paragraphs += ["## Settings", _settings(task.config_class)]

@@ -1,10 +1,11 @@
 """Hockey: air hockey between two arms, or between two pairs.
 
-Each side stands behind its goal and has mallets; the puck glides without friction. It
-counts as a goal once all of it has crossed a goal's line, whoever hit it last. Then it
-is served from the centre line towards the side that conceded. A puck that has been on
-one half for 15 s is a foul, also where nobody reaches it, and is served to the other
-side. It is served where no mallet is in its way.
+Each side stands behind its goal and has mallets; the puck glides without friction. The
+field is 1.1 m long and 0.64 m wide, a goal 0.4 m wide. It counts as a goal once all of
+the puck has crossed a goal's line, whoever hit it last. Then it is served from the
+centre line towards the side that conceded. A puck that has been on one half for 15 s is
+a foul, also where nobody reaches it, and is served to the other side. It is served
+where no mallet is in its way.
 
 Agents: one or two arms for each side; `side_1` is at negative x. With two for each, the
 table is twice as wide, and each arm reaches its half of it.
@@ -18,7 +19,11 @@ Observations are in each side's own frame, in which it plays towards +x; the oth
 side's is turned by half a turn. So both seats are alike, and one policy plays in both.
 
 Reward of each agent: 10 for a goal and minus 10 for one conceded, in the term `goal`,
-which adds up to zero over the sides. All other terms are `shaping`.
+which adds up to zero over the sides. All others are shaping: `drive`, 0.2 times the
+puck's speed towards the other goal, at most 2 m/s either way; while the puck is on the
+own half, `near`, minus 0.3 times its distance from the mallet; `height`, minus twice
+how far the mallet is from where it hovers, at most 0.3 m; `upright`, minus 0.3 times
+one less the cosine of its tilt; `effort`, minus 0.01 times the length of the action.
 
 Success of a side: it scores. So its completion says whether it scored in the episode,
 and its performance for which share of the episode it was in the lead. The metric
