@@ -181,6 +181,23 @@ def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
         assert video.size == (2 * SIZE[0], SIZE[1])
 
 
+def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: told.append(text) or frame
+    )
+    policies = {"robot_1": "expert", "robot_2": "idle"}
+    path = recording.record(
+        "TugPandas-v0", tmp_path / "a.gif", policy=policies, size=SIZE
+    )
+    assert told[0] == "robot_1 expert 0 : 0 robot_2 idle"
+    assert told[-1] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
+    # The end is shown for a second.
+    with Image.open(path) as video:
+        ends = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
+    assert ends[-1] >= 1000
+
+
 def test_picture_shows_the_robots_at_work(carry):
     first = recording.picture(carry(), size=SIZE)
     assert first.shape == (48, 64, 3) and first.dtype == np.uint8

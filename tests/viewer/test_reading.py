@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.policies.match import name_players
 from collaborative_gym.viewer import reading
+
+
+def sum_up(infos, env, is_over):
+    return reading.sum_up(infos, name_players("expert", env.sides), is_over)
+
+
+def read(env, infos, before):
+    return reading.read(env, infos, before, name_players("expert", env.sides))
 
 
 @dataclass
@@ -26,10 +35,10 @@ def played(make_env):
     def played(steps, **settings):
         env = make_env(**settings)
         _, infos = env.reset()
-        latest = replace(reading.read(env, infos, None), previous="so")
+        latest = replace(read(env, infos, None), previous="so")
         for _ in range(steps):
             _, _, _, _, infos = env.step(env.expert())
-            latest = reading.read(env, infos, latest)
+            latest = read(env, infos, latest)
         return env, infos, latest
 
     return played
@@ -39,7 +48,7 @@ def test_a_start_has_measures_and_no_rewards(played):
     env, _, start = played(0)
     assert (start.episode, start.seed, start.time) == (0, 0, 0.0)
     assert (start.rewards, start.previous, start.trouble) == ({}, "so", "")
-    assert start.sides == {"side_1": ("robot_1", "robot_2")}
+    assert start.players == {"side_1": "expert"}
     assert (start.success, start.returns) == ({"side_1": False}, {"side_1": 0.0})
     names = ["distance robot_1", "distance robot_2", "height", "highest"]
     assert list(start.measures) == names
@@ -75,10 +84,10 @@ def test_rows_show_it_all_with_sums(played):
 def test_what_was_earned_is_summed_from_each_start(make_env):
     env = make_env()
     _, infos = env.reset()
-    latest, earned = reading.read(env, infos, None), 0.0
+    latest, earned = read(env, infos, None), 0.0
     for _ in range(15):  # The episode ends after 12.
         _, rewards, _, _, infos = env.step(env.expert())
-        latest = reading.read(env, infos, latest)
+        latest = read(env, infos, latest)
         earned += sum(reward[0] for reward in rewards.values())
         if infos["ended"][0]:
             assert infos["metrics"]["return"][0] == pytest.approx(earned)
@@ -108,25 +117,28 @@ def duel(carry):
 def test_sides_are_told_apart(duel):
     env = duel
     _, infos = env.reset()
-    latest, terminated = reading.read(env, infos, None), {"robot_1": [False]}
+    latest, terminated = read(env, infos, None), {"robot_1": [False]}
     assert latest.success == {"side_1": False, "side_2": False}
     while not terminated["robot_1"][0]:
         before = latest
         _, _, terminated, _, infos = env.step(env.expert())
-        latest = reading.read(env, infos, before)
+        latest = read(env, infos, before)
     assert before.returns["side_1"] > 0.5
     assert before.returns["side_2"] == pytest.approx(-before.returns["side_1"])
-    assert before.rows[2:8] == [
-        ("side_1", "robot_2"),
+    assert before.rows[2:10] == [
+        ("side_1", "robot_2 expert"),
+        ("  score", "0"),
         ("  success", "no"),
         ("  return", f"{before.returns['side_1']:.1f}"),
-        ("side_2", "robot_1"),
+        ("side_2", "robot_1 expert"),
+        ("  score", "0"),
         ("  success", "no"),
         ("  return", f"{before.returns['side_2']:.1f}"),
     ]
     seconds, earned = infos["step"][0] / 10, infos["metrics"]["return"]
-    assert reading.sum_up(infos, env.sides, True) == (
-        f"episode 0: over after {seconds:.1f} s; side_1 success after {seconds:.1f} s,"
+    assert sum_up(infos, env, True) == (
+        f"episode 0: robot_2 expert wins; over after {seconds:.1f} s;"
+        f" side_1 success after {seconds:.1f} s,"
         f" return {earned['side_1'][0]:.1f}; side_2 no success,"
         f" return {earned['side_2'][0]:.1f}"
     )
@@ -142,7 +154,7 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
         to_target=np.array([2.0]),
         is_held=np.array([True]),
     )
-    measures = reading.read(env, infos, None).measures
+    measures = read(env, infos, None).measures
     assert measures == {
         "to cube robot_1": 0.5,
         "to cube robot_2": 0.25,
@@ -151,7 +163,7 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
     }
     assert measures["is held"] is True
     env.facts = {"of": "another kind"}
-    assert reading.read(env, infos, None).measures == {}
+    assert read(env, infos, None).measures == {}
 
 
 def test_an_episode_is_summed_up(played):
@@ -159,11 +171,15 @@ def test_an_episode_is_summed_up(played):
     assert infos["ended"][0]
     seconds, earned = infos["metrics"]["time_to_success"], infos["metrics"]["return"]
     expected = f"episode 0: success after {seconds[0]:.1f} s, return {earned[0]:.1f}"
-    assert reading.sum_up(infos, env.sides, False) == expected
+    assert sum_up(infos, env, False) == expected
     infos["metrics"]["time_to_success"][0] = np.nan
-    assert "no success" in reading.sum_up(infos, env.sides, False)
+    assert "no success" in reading.sum_up(
+        infos, name_players("expert", env.sides), False
+    )
     infos["diverged"][0] = True
-    assert "the physics diverged" in reading.sum_up(infos, env.sides, False)
+    assert "the physics diverged" in reading.sum_up(
+        infos, name_players("expert", env.sides), False
+    )
 
 
 @pytest.mark.parametrize("kind", [dict, SimpleNamespace])
@@ -171,4 +187,4 @@ def test_facts_need_not_be_a_dataclass(make_env, monkeypatch, kind):
     env = make_env()
     _, infos = env.reset(seed=0)
     monkeypatch.setattr(env, "facts", kind(to_cube={"robot_1": np.array([0.5])}))
-    assert reading.read(env, infos, None).measures == {"to cube robot_1": 0.5}
+    assert read(env, infos, None).measures == {"to cube robot_1": 0.5}

@@ -23,7 +23,8 @@ from collaborative_gym.errors import (
 )
 from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
-from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
+from collaborative_gym.policies import AnyPolicy, Policy, as_policy
+from collaborative_gym.policies.match import name_players, standing
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
@@ -32,6 +33,9 @@ from collaborative_gym.timing import CONTROL_DT
 
 _SAME_SPREAD = 0.01
 """Differences of the robots' nearness that a picture does not show, in m."""
+
+_RESULT = 1.0
+"""How long a film stands still at the end of an episode of several sides, in s."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
@@ -78,7 +82,7 @@ def record(
       output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
       policy: a name for `load_policy`, a function from observations to actions, or one
         of these for each agent. Several are shown side by side, each at the same
-        episodes, under their names.
+        episodes. Each picture says who plays and, of several sides, the score.
       any_env: whether a trained policy may play another environment than its own.
       episodes: how many, one after the other.
       seed: which episodes.
@@ -117,10 +121,17 @@ def record(
             # All films advance together, and the last one tells how far.
             report = on_progress if len(films) == len(policies) - 1 else None
             films.append(
-                _film(vector_env, act, episodes, kind.shots, (width, height), report)
+                _film(
+                    vector_env,
+                    act,
+                    episodes,
+                    kind.shots,
+                    (width, height),
+                    report,
+                    name_players(each, vector_env.sides),
+                )
             )
-        names = [_name(each) for each in policies]
-        frames = _side_by_side(films, names) if len(films) > 1 else films[0]
+        frames = _side_by_side(films) if len(films) > 1 else films[0]
         kind.write(output, frames, round(kind.shots / CONTROL_DT))
     return output
 
@@ -271,53 +282,52 @@ def _film(
     shots: int,
     size: tuple[int, int],
     on_progress: Callable[[float], object] | None,
+    players: Mapping[str, str],
 ) -> Frames:
-    """Yield the frames of the coming episodes, each with its start."""
+    """Yield the frames of the coming episodes, each with its start and who plays."""
     frames: list[np.ndarray] = []
     draw = _Painter(env, size)
     env.watch(lambda: frames.append(draw()), shots)
     length = env.task.config.max_episode_steps
-    observations, _ = env.reset()
+    observations, start = env.reset()
     for episode in range(episodes):
-        yield draw()
+        yield _labelled(draw(), standing(players, start))
         is_over = False
         while not is_over:
             observations, _, _, _, infos = env.step(policy(observations))
-            yield from frames
-            frames.clear()
             is_over = bool(infos["ended"][0])
+            told = standing(players, infos)
+            yield from (_labelled(frame, told) for frame in frames)
+            if is_over and len(players) > 1:
+                shown = round(_RESULT * shots / CONTROL_DT)
+                yield from [_labelled(frames[-1], told)] * shown
+            frames.clear()
             if on_progress is not None:
                 on_progress((episode + infos["step"][0] / length) / episodes)
 
 
-def _side_by_side(films: Sequence[Frames], names: Sequence[str]) -> Frames:
-    """Yield the films' frames beside one another, each under its name."""
+def _side_by_side(films: Sequence[Frames]) -> Frames:
+    """Yield the films' frames beside one another."""
     last: list[np.ndarray] = []
     # A film that ends early, as of a world that diverged, stands still.
     for frames in zip_longest(*films):
         last = [
-            before if frame is None else _labelled(frame, name)
-            for frame, before, name in zip(frames, last or frames, names, strict=True)
+            before if frame is None else frame
+            for frame, before in zip(frames, last or frames, strict=True)
         ]
         yield np.concatenate(last, axis=1)
 
 
-def _labelled(frame: np.ndarray, name: str) -> np.ndarray:
-    """Return a frame with a name in its corner."""
+def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
+    """Return a frame with a text in its corner, as large as its width allows."""
     picture = _import("PIL.Image").fromarray(frame)
-    size = max(9, frame.shape[0] // 14)
-    font = _import("PIL.ImageFont").load_default(size=size)
     pen = _import("PIL.ImageDraw").Draw(picture)
+    load, size = _import("PIL.ImageFont").load_default, max(9, frame.shape[0] // 14)
+    _, _, width, _ = pen.textbbox((0, 0), text, load(size=size))
+    font = load(size=max(9, min(size, int(size * (frame.shape[1] - size) / width))))
     place = size // 2, size // 3
-    pen.text(place, name, "white", font, stroke_width=1, stroke_fill="black")
+    pen.text(place, text, "white", font, stroke_width=1, stroke_fill="black")
     return np.asarray(picture)
-
-
-def _name(policy: AnyPolicy) -> str:
-    """Return what to call a policy in a picture."""
-    if isinstance(policy, Mapping):
-        return " ".join(f"{agent}={_name(own)}" for agent, own in policy.items())
-    return Path(name_policy(policy)).name
 
 
 def _write_mp4(output: Path, frames: Frames, rate: int) -> None:

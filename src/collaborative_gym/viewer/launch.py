@@ -6,6 +6,7 @@ from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
+from collaborative_gym.policies.match import name_players
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization
@@ -52,7 +53,9 @@ def view(
     task = make_task(env_id, robots, randomization)
     env = VectorEnv(task, 1, seed=seed, num_threads=1)
     with closing(env):
-        session = Session(env, as_policy(policy, env, any_env=any_env), warn)
+        act = as_policy(policy, env, any_env=any_env)
+        players = name_players(policy, env.sides)
+        session = Session(env, act, warn, players=players)
         face = None if web else _window(session, tell)
         if face is None:
             face = _page(session, f"{env_id}, {name_policy(policy)}", host, port)

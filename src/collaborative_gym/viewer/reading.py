@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.policies.match import result
 from collaborative_gym.timing import CONTROL_DT
 
 
@@ -18,7 +19,8 @@ class Reading:
       episode: index of the episode within its seed.
       seed: its seed.
       time: since its start, in s.
-      sides: the agents of each side, by its name.
+      players: who plays each side, by its name.
+      scores: the points of each side, by its name; of a single one there are none.
       success: whether each side's goal is met now.
       returns: what each side has earned since the start.
       rewards: the last control step's named terms, by agent; at a start there are none.
@@ -30,7 +32,8 @@ class Reading:
     episode: int
     seed: int
     time: float
-    sides: Mapping[str, tuple[str, ...]]
+    players: Mapping[str, str]
+    scores: Mapping[str, float]
     success: Mapping[str, bool]
     returns: Mapping[str, float]
     rewards: Mapping[str, Mapping[str, float]]
@@ -44,10 +47,11 @@ class Reading:
         rows = [("stopped", ""), (f"  {self.trouble}", "")] if self.trouble else []
         rows.append((f"episode of seed {self.seed}", str(self.episode)))
         rows.append(("time", f"{self.time:.1f} s"))
-        for side, agents in self.sides.items():
-            if len(self.sides) > 1:
-                rows.append((side, ", ".join(agents)))
-            indent = "  " * (len(self.sides) > 1)
+        indent = "  " * (len(self.players) > 1)
+        for side, player in self.players.items():
+            rows.append((side if indent else "policy", player))
+            if side in self.scores:
+                rows.append((f"{indent}score", f"{self.scores[side]:g}"))
             rows.append((f"{indent}success", _word(self.success[side])))
             rows.append((f"{indent}return", f"{self.returns[side]:.1f}"))
         for agent, terms in self.rewards.items():
@@ -63,13 +67,19 @@ class Reading:
         return rows
 
 
-def read(env: VectorEnv, infos: Mapping[str, Any], before: Reading | None) -> Reading:
+def read(
+    env: VectorEnv,
+    infos: Mapping[str, Any],
+    before: Reading | None,
+    players: Mapping[str, str],
+) -> Reading:
     """Return what there is to say of a batch of one world.
 
     Args:
       env: the world.
       infos: of its last step or reset.
       before: the reading of the step before, or None.
+      players: who plays each side, by its name.
     """
     place = env.progress
     has_begun = place["step"][0] > 0
@@ -80,11 +90,15 @@ def read(env: VectorEnv, infos: Mapping[str, Any], before: Reading | None) -> Re
     }
     earned = before.returns if before is not None and place["step"][0] > 1 else {}
     success = _by_side(env.sides, infos["success"])
+    points = infos["metrics"].get("score", {})
+    # Of the step that ended an episode, what is shown is the start of the next.
+    scores = {side: has_begun * float(own[0]) for side, own in points.items()}
     return Reading(
         episode=int(place["episode"][0]),
         seed=int(place["seed"][0]),
         time=float(place["step"][0]) * env.control_dt,
-        sides=env.sides,
+        players=players,
+        scores=scores,
         success={side: bool(has_begun and is_met[0]) for side, is_met in success},
         returns={
             side: earned.get(side, 0.0)
@@ -120,25 +134,27 @@ def _word(value: float | bool) -> str:
     return f"{value:.3f}"
 
 
-def sum_up(infos: Mapping[str, Any], sides: Iterable[str], is_over: bool) -> str:
+def sum_up(infos: Mapping[str, Any], players: Mapping[str, str], is_over: bool) -> str:
     """Return how an episode ended.
 
     Args:
       infos: of its last step.
-      sides: the names of the sides.
+      players: who plays each side, by its name.
       is_over: whether it ended before its time.
     """
     metrics = infos["metrics"]
-    times = _by_side(sides, metrics["time_to_success"])
-    returns = _by_side(sides, metrics["return"])
-    results = [f"over after {infos['step'][0] * CONTROL_DT:.1f} s"] if is_over else []
+    times = _by_side(players, metrics["time_to_success"])
+    returns = _by_side(players, metrics["return"])
+    results = [result(players, infos)] if len(players) > 1 else []
+    if is_over:
+        results.append(f"over after {infos['step'][0] * CONTROL_DT:.1f} s")
     for (side, time), (_, earned) in zip(times, returns, strict=True):
         if infos["diverged"][0]:
-            result = "the physics diverged"
+            told = "the physics diverged"
         elif np.isnan(time[0]):
-            result = "no success"
+            told = "no success"
         else:
-            result = f"success after {time[0]:.1f} s"
+            told = f"success after {time[0]:.1f} s"
         name = f"{side} " if len(times) > 1 else ""
-        results.append(f"{name}{result}, return {earned[0]:.1f}")
+        results.append(f"{name}{told}, return {earned[0]:.1f}")
     return f"episode {metrics['episode'][0]}: {'; '.join(results)}"

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -12,6 +12,7 @@ import mujoco
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.plugins import location_of
 from collaborative_gym.policies import Policy
+from collaborative_gym.policies.match import name_players
 from collaborative_gym.viewer.reading import read, sum_up
 from collaborative_gym.viewer.spring import Spring
 
@@ -38,6 +39,7 @@ class Session:
       env: the world, a batch of one.
       policy: who commands the robots. Where it fails, the session says so and pauses.
       warn: takes what went wrong, a sentence.
+      players: who plays each side, by its name; None for the policy's name.
 
     Attributes:
       env: the world.
@@ -46,7 +48,14 @@ class Session:
         the same bits as in every other environment.
     """
 
-    def __init__(self, env: VectorEnv, policy: Policy, warn: Callable[[str], object]):
+    def __init__(
+        self,
+        env: VectorEnv,
+        policy: Policy,
+        warn: Callable[[str], object],
+        *,
+        players: Mapping[str, str] | None = None,
+    ):
         if env.num_envs != 1:
             raise ValueError(f"a session plays 1 world, got {env.num_envs}")
         self.env = env
@@ -62,7 +71,8 @@ class Session:
         self._refresh: Callable[[], object] = lambda: None
         self._due = self._shown = 0.0
         self._observations, infos = env.reset()
-        self.reading = read(env, infos, None)
+        self._players = players or name_players(policy, env.sides)
+        self.reading = read(env, infos, None, self._players)
 
     @property
     def is_paused(self) -> bool:
@@ -158,7 +168,7 @@ class Session:
         else:
             begun = self.env.reset()
         self._observations, infos = begun
-        self.reading = read(self.env, infos, reading)
+        self.reading = read(self.env, infos, reading, self._players)
         self._draw()
 
     def _step(self) -> None:
@@ -175,8 +185,9 @@ class Session:
         if infos["ended"][0]:
             self._spring.forget()
             is_over = any(ended[0] for ended in terminated.values())
-            before = replace(before, previous=sum_up(infos, self.env.sides, is_over))
-        self.reading = read(self.env, infos, before)
+            previous = sum_up(infos, self._players, is_over)
+            before = replace(before, previous=previous)
+        self.reading = read(self.env, infos, before, self._players)
         if self._is_paused:
             self._draw()
 
