@@ -192,8 +192,8 @@ def test_files_hold_everything(strangers):
 
 
 def test_names_are_short_where_they_stay_apart():
-    paths = ["runs/a/policy.safetensors", "runs/b.safetensors", "expert"]
-    assert list(short_names(paths).values()) == ["a", "b", "expert"]
+    names = ["runs/a/policy.safetensors", "runs/b.safetensors", "expert", "expert:late"]
+    assert list(short_names(names).values()) == ["a", "b", "expert", "late"]
     twice = ["one/a", "two/a.safetensors"]
     assert list(short_names(twice).values()) == ["one/a", "two/a"]
     assert format_measure("return", -1234.5) == "-1234"

@@ -346,7 +346,9 @@ class Tournament:
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return what to call players in tables: of paths the last part, if it is unique.
+    """Return what to call players in tables, if they stay apart so.
+
+    Of a path it is the last part, of an expert's style its own name.
 
     Args:
       names: the players'.
@@ -356,7 +358,7 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
         for name in names
     }
     ends = {
-        name: path if "=" in path else path.rpartition("/")[2]
+        name: path if "=" in path else path.rpartition("/")[2].removeprefix("expert:")
         for name, path in bare.items()
     }
     return ends if len({*ends.values()}) == len(ends) else bare
