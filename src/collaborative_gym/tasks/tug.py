@@ -31,8 +31,11 @@ way of its hand, in the strongest postures found. The distances of the lines are
 strengths, with the same mean. That alone is not enough, as an arm that is pulled out of
 its posture gets weaker: a Panda's expert then won all episodes against a Sawyer's. So
 the bar is also drawn to the weaker side, as by a weight on a rope, with nearly twice
-the difference of the strengths. That is fit to Panda and Sawyer; a Jaco's expert still
-loses to a Panda's.
+the difference of the strengths. That is fit to Panda and Sawyer, of whom the Panda's
+expert wins two episodes in three; a Jaco's expert still loses to a Panda's.
+
+The expert against itself decides 400 of 400 episodes of two Pandas and 383 of two
+Sawyers, in 2 s (median). From the first seat it wins 47 and 49 % of them.
 """
 
 from collections.abc import Mapping
@@ -71,8 +74,8 @@ _POINTS, _TRIES = 5, 48
 """Points of the way on which a strength is sought, and from how many postures."""
 
 _HELP = 1.92
-"""The pull for a weaker arm, over what its strength is less. Of 40 episodes the expert
-of a Panda wins 29 against that of a Sawyer with 1.85, and 5 of 32 with 2: a narrow
+"""The pull for a weaker arm, over what its strength is less. With 1.92 the expert of a
+Panda wins 136 of 200 episodes against that of a Sawyer, and 5 of 32 with 2: a narrow
 ridge, as who is ahead has the stronger posture."""
 
 _HAUL = 0.1
