@@ -63,7 +63,16 @@ def _file(content):
     return call
 
 
+def _player(shared, name):
+    """Load a player of a league without a main policy, whose only file is damaged."""
+    players = shared.folder / "league" / "players"
+    players.mkdir(parents=True, exist_ok=True)
+    (players / "main-1.safetensors").write_bytes(b"x" * 99)
+    cg.load_policy(shared.folder / "league" / name, shared.single)
+
+
 LOAD = [
+    *table("policies", "league", _player, ["main-1", "main-9", "", "a/b", "players"]),
     *table("policies", "policy", _load, NO_NAME, [None]),
     *table("policies", "policy", _load, ["nowhere.safetensors", "a/b", ".", "/", "\0"]),
     *table(

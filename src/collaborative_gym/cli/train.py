@@ -61,13 +61,14 @@ class Train(Command):
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much the starts of episodes differ: default, or paper for the
         thesis's fixed starts.
-      opponent: who plays against what is learned, in a task of several sides. self
-        (default): the latest policies on all sides; policies, as --policy of evaluate
-        takes them, of which each episode draws one, or those of a side, as in
-        side_2=expert; league, also followed by policies that it plays against, too.
-      partner: who plays with what is learned, in a task of one side (default: nobody).
-        Policies, of which each episode draws one while the learners play the other
-        robots, or those that robot_2=idle leaves; population, of which all pairs learn.
+      opponent: who plays against what is learned, where a task has several sides. By
+        default it is self, the latest policies on all sides. Of policies, named as in
+        evaluate, each episode draws one; side_2=POLICY plays that side only. With
+        league there are exploiters and everybody's past; policies may follow the word.
+      partner: who plays with what is learned, where a task has one side. Nobody does by
+        default. Of policies each episode draws one, and the learners play the other
+        robots; robot_2=POLICY plays that robot only. With population all pairs of
+        several policies for each robot learn.
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
       checkpoint_interval: environment steps between two checkpoints.

@@ -170,8 +170,8 @@ def _league(
     seats: Mapping[str, tuple[str, ...]], hyperparameters: Hyperparameters
 ) -> Casting:
     main, self_play = hyperparameters.league_main_share, hyperparameters.league_self
-    casts: list[Cast] = [(MAIN,) * len(seats)]
-    shares = [main * self_play]
+    casts: list[Cast] = [(MAIN,) * len(seats)] if self_play else []
+    shares = [main * self_play] if self_play else []
     others = (1.0 - main) / len(EXPLOITERS)
     for member, share in (
         (MAIN, main * (1.0 - self_play)),
