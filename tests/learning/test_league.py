@@ -14,6 +14,7 @@ import collaborative_gym as cg
 from collaborative_gym.learning.backend import Backend, Iteration
 from collaborative_gym.learning.casting import EXPLOITERS, MAIN, make_casting
 from collaborative_gym.learning.checkpoint import Checkpoint
+from collaborative_gym.learning.curve import draw_ratings
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.league import League
 from collaborative_gym.policies.network import NetworkPolicy
@@ -249,6 +250,12 @@ def test_who_begins_anew_goes_on_from_main(train_tiny, duel, numbers, monkeypatc
     monkeypatch.setattr(Backend, "restart", spied)
     train_tiny(task=duel, opponent="league", hyperparameters=numbers())
     assert (MAIN_EXPLOITER, MAIN, False, True) in restarted
+
+
+def test_ratings_are_drawn(tmp_path):
+    path = tmp_path / "ratings.png"
+    draw_ratings({MAIN: [(100, 1600.0), (0, 1400.0)], EXPLOITERS[0]: []}, "", path)
+    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_killed_league_goes_on_as_if_nothing_had_been(

@@ -122,7 +122,7 @@ def draw_ratings(
     """
     figure, (axes,) = _blank(1)
     for (name, points), colour in zip(lines.items(), cycle(_COLOURS), strict=False):
-        steps, ratings = np.array(sorted(points), float).T
+        steps, ratings = np.array(sorted(points), float).reshape(-1, 2).T
         axes.plot(steps / 1e6, ratings, color=colour, marker="o", label=name)
     _finish(figure, [axes], title)
     axes.set_ylabel("rating (Elo's scale)")
