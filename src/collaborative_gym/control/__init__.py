@@ -6,13 +6,6 @@ from collaborative_gym.control.actions import (
     Motion,
     check_actions,
 )
-from collaborative_gym.control.controller import Controller, lost_load
+from collaborative_gym.control.controller import Controller
 
-__all__ = [
-    "ActionMode",
-    "Controller",
-    "JointChanges",
-    "Motion",
-    "check_actions",
-    "lost_load",
-]
+__all__ = ["ActionMode", "Controller", "JointChanges", "Motion", "check_actions"]

@@ -8,7 +8,7 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.control.actions import ActionMode
 from collaborative_gym.math import Array
-from collaborative_gym.scene import STOP, Arm, Scene
+from collaborative_gym.scene import STOP, Arm, Scene, lost_load
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT, SIM_DT, SUBSTEPS
 
@@ -21,10 +21,6 @@ _SPEED_MARGIN = 1.04
 
 _SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT
 """A joint that arrives at a limit must also come to rest there."""
-
-_LOST, _MOVING = 0.3, 0.0025
-"""Share of a load that servos let go of at most, and from which change of an angle on,
-in rad. Both are our choice; see `lost_load`."""
 
 _TEARING = 2.0
 """Distance between tcp and site at which a grip tears, in thresholds of taking it."""
@@ -140,25 +136,6 @@ class Grips:
             gap > _TEARING * self._thresholds
         )
         return tears
-
-
-def lost_load(change: Array, xp: Any = np) -> Array:
-    """Return what share of its load an arm lets go of in a control step.
-
-    An arm that is not asked to move holds on to the torques that it exerts. One that
-    moves lets go of a part: kept whole, what two arms exert against each other on a
-    thing would stay until an action happened to undo it, though nobody sees it in the
-    joint angles. So it halves in 0.2 s, and who carries a weight has to act for it.
-
-    Args:
-      change: of its joints, (num_envs, joints), in rad.
-      xp: array API namespace of the change.
-
-    Returns:
-      (num_envs, 1) between 0 and 0.3.
-    """
-    greatest = xp.max(xp.abs(change), axis=1)[:, None]
-    return _LOST * xp.minimum(greatest / _MOVING, 1.0)
 
 
 class Controller:

@@ -3,10 +3,9 @@
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import lost_load
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
-from collaborative_gym.scene import Arm
+from collaborative_gym.scene import Arm, lost_load
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
 

@@ -1,7 +1,8 @@
 """Robots and objects put together into one compiled world."""
 
 from collaborative_gym.scene.collisions import STOP
+from collaborative_gym.scene.drives import lost_load
 from collaborative_gym.scene.handles import SHOULDER, Arm, Grip, Placement
 from collaborative_gym.scene.scene import Scene
 
-__all__ = ["SHOULDER", "STOP", "Arm", "Grip", "Placement", "Scene"]
+__all__ = ["SHOULDER", "STOP", "Arm", "Grip", "Placement", "Scene", "lost_load"]

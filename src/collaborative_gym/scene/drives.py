@@ -1,7 +1,11 @@
 """What turns the joints of arms, and what brakes them."""
 
-import mujoco
+from typing import Any
 
+import mujoco
+import numpy as np
+
+from collaborative_gym.math import Array
 from collaborative_gym.robots.robot import Robot
 
 _BRAKE_FROM = 1.1
@@ -9,6 +13,10 @@ _BRAKE_FROM = 1.1
 
 _BRAKE_GAIN = 40.0
 """Slope of the brake's torque over the speed, in torque limits per speed limit."""
+
+_LOST, _MOVING = 0.3, 0.0025
+"""Share of a load that servos let go of at most, and from which change of an angle on,
+in rad. Both are our choice; see `lost_load`."""
 
 _NO_LIMIT = 1e6
 """A torque in N m that is never reached."""
@@ -86,3 +94,22 @@ def _add(
         forcelimited=True,
         forcerange=torques,
     )
+
+
+def lost_load(change: Array, xp: Any = np) -> Array:
+    """Return what share of its load an arm lets go of in a control step.
+
+    An arm that is not asked to move holds on to the torques that it exerts. One that
+    moves lets go of a part: kept whole, what two arms exert against each other on a
+    thing would stay until an action happened to undo it, though nobody sees it in the
+    joint angles. So it halves in 0.2 s, and who carries a weight has to act for it.
+
+    Args:
+      change: of its joints, (num_envs, joints), in rad.
+      xp: array API namespace of the change.
+
+    Returns:
+      (num_envs, 1) between 0 and 0.3.
+    """
+    greatest = xp.max(xp.abs(change), axis=1)[:, None]
+    return _LOST * xp.minimum(greatest / _MOVING, 1.0)
