@@ -29,7 +29,8 @@ Success of a side: it scores. So its completion says whether it scored in the ep
 and its performance for which share of the episode it was in the lead. The metric
 `score` counts its goals; who has more at the end has won.
 
-An episode lasts 40 s: long enough for goals, and for two fouls if nobody plays.
+An episode lasts 40 s: by then most matches of the scripted player against itself are
+decided (of 160 with Pandas, side_1 won 56 and side_2 48), and two fouls fit in.
 
 What bounces turns round within one physics step, to 0.8 times its speed. Until then it
 may be as deep in what it hits as it moves in 0.01 s. Air drag takes some of the speed,
