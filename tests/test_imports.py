@@ -115,3 +115,9 @@ def late():
     import collaborative_gym.cli.main
 """
     assert imports(source, find_modules()) == {"envs", "", "cli.main"}
+
+
+def test_no_two_files_of_tests_have_one_name():
+    """Pytest would collect the first alone, or none, by how it imports them."""
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert sorted(set(names)) == sorted(names)
