@@ -256,7 +256,8 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
 def test_all_trains_one_after_the_other_and_goes_on(
     curve, carry_id, capsys, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(baselines, "_EPISODES", 4)
+    four = dict.fromkeys(baselines._EPISODES, 4)
+    monkeypatch.setattr(baselines, "_EPISODES", four)
     monkeypatch.setattr(cg, "list_envs", lambda: [carry_id])
     arguments = ["train", "--all", "--seeds", "0", "1", "--output", str(tmp_path)]
     arguments += ["--total-steps", "96", *TINY]

@@ -92,7 +92,9 @@ def test_runs_with_other_hyperparameters_are_refused(train_both, tiny):
     with pytest.raises(ValueError, match=r"discount is 0\.5, not "):
         train_both(changed(tiny(total_steps=64, discount=0.5)))
     # Also where they are the defaults, so that no card tells of others.
-    with pytest.raises(ValueError, match=r"leave out what differs to go on"):
+    with pytest.raises(
+        ValueError, match=r"leave out what differs, or start another run"
+    ):
         train_both({"total_steps": 64})
 
 

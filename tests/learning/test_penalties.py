@@ -83,7 +83,9 @@ def test_joints_cost_in_the_outer_tenth_of_their_ranges_from_the_beginning(env, 
 
 def test_contacts_cost_by_the_deepest(carry, tiny):
     env = VectorEnv(carry(), 4, num_threads=1, strain=True)
-    numbers = tiny(torque_penalty=0.0, change_penalty=0.0, contact_penalty=0.5)
+    numbers = tiny(
+        torque_penalty=0.0, change_penalty=0.0, range_penalty=0.0, contact_penalty=0.5
+    )
     depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
     env.strain.depths = {kind: np.array(each) for kind, each in depths.items()}
     for earned in charged(env, numbers, {}, {}).values():

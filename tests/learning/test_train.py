@@ -364,8 +364,8 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
         seeds["validated"] |= {row["seed"] for row in report.episodes}
         return report
 
-    def learning(self):
-        iteration = advance(self)
+    def learning(self, *given):
+        iteration = advance(self, *given)
         seeds["trained"] |= {row["seed"] for row in iteration.episodes}
         return iteration
 

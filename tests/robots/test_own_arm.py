@@ -11,6 +11,7 @@ import pytest
 import collaborative_gym as cg
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_arm.py"
+TEAMS = "Poke", "Lift", "Balance", "BalancePath", "Pass"
 
 
 def test_the_value_has_at_most_twenty_lines():
@@ -31,11 +32,19 @@ def test_the_example_runs(example, capsys, tmp_path, model):
     assert picture.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("task", cg.list_tasks())
+@pytest.mark.parametrize("task", TEAMS)
 @pytest.mark.parametrize("pair", [("own", "own"), ("sawyer", "own"), ("own", "jaco")])
 def test_the_arm_goes_into_every_task(own, task, pair):
     report = cg.evaluate(task, "expert", episodes=3, robots=pair, num_threads=1)
     assert report.completion.mean == 1.0
+
+
+def test_the_arm_pulls_a_bar_and_is_too_short_for_hockey(own):
+    report = cg.evaluate("Tug", "expert", episodes=3, robots=(own, own), num_threads=1)
+    scores = [side.score.mean for side in report.sides.values()]
+    assert sum(scores) == 1.0
+    with pytest.raises(ValueError, match=r"own cannot bring its tcp .* a longer reach"):
+        cg.make("Hockey", robots=(own, own))
 
 
 def test_both_model_files_are_the_same_arm(own, from_urdf, compiled):
@@ -54,7 +63,7 @@ def test_both_model_files_are_the_same_arm(own, from_urdf, compiled):
             np.testing.assert_allclose(first, second, atol=1e-9)
 
 
-@pytest.mark.parametrize("task", cg.list_tasks())
+@pytest.mark.parametrize("task", [*TEAMS, "Tug"])
 def test_both_model_files_play_the_same(own, from_urdf, task):
     angles = []
     for robot in (own, from_urdf):

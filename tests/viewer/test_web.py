@@ -1,3 +1,4 @@
+import html
 import socket
 import sys
 from contextlib import closing
@@ -121,7 +122,8 @@ def test_the_panel_says_what_the_reading_says(make_session, make_page):
     page = make_page(session)
     page.refresh()
     for name, value in session.reading.rows:
-        assert f">{name}<" in page._panel.content and value in page._panel.content
+        assert f">{name}<" in page._panel.content
+        assert html.escape(value) in page._panel.content
 
 
 def test_a_world_that_cannot_be_drawn_leaves_no_server(make_session):

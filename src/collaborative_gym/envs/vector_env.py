@@ -285,7 +285,7 @@ class VectorEnv:
             self._check_started("expert")
             at = self.sim, self.facts
             task = self.task
-            motions = task.styled(*at, style) if style else task.expert(*at)
+            motions = task.styled(*at, style=style) if style else task.expert(*at)
             try:
                 actions = self._mode.encode(self.sim, motions, pace)
                 shapes, gripping = self._action_shapes, self.task.gripping

@@ -33,7 +33,7 @@ _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 
 def rink(
-    half_width: float, half_goal: float, mounts: Sequence[tuple[float, float]] = ()
+    half_width: float, half_goal: float, *, mounts: Sequence[tuple[float, float]] = ()
 ) -> mujoco.MjSpec:
     """Return a table with a sunken field of ice, 1.1 m long, and a goal at both ends.
 

@@ -186,7 +186,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             scene.add_pose_sensor(f"{agent} mallet", f"{agent}/mallet/mallet")
         ice, field = (0.0, 0.0, HEIGHT), self.field
         blocks = [placement.position[:2] for placement in self.placements.values()]
-        table = rink(field.half_width, field.half_goal, blocks)
+        table = rink(field.half_width, field.half_goal, mounts=blocks)
         scene.add("rink", table, position=ice)
         scene.add("puck", puck(self.config.restitution), position=ice)
         scene.spec.add_exclude(bodyname1="puck/puck", bodyname2="rink/lintels")

@@ -315,7 +315,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         """
         return self._lift(sim, facts, self._lifted_handles(facts))
 
-    def styled(self, sim: Sim, facts: LiftFacts, style: str) -> dict[str, Motion]:
+    def styled(self, sim: Sim, facts: LiftFacts, *, style: str) -> dict[str, Motion]:
         """Return motions of which one arm's only keep the pot level."""
         goals = self._lifted_handles(facts)
         leads = list(self.styles).index(style)

@@ -271,7 +271,7 @@ class Pass(Task[PassConfig, PassFacts]):
     def expert(self, sim: Sim, facts: PassFacts) -> dict[str, Motion]:
         return self._hand_over(sim, facts, np.zeros(3))
 
-    def styled(self, sim: Sim, facts: PassFacts, style: str) -> dict[str, Motion]:
+    def styled(self, sim: Sim, facts: PassFacts, *, style: str) -> dict[str, Motion]:
         return self._hand_over(sim, facts, _ELSEWHERE)
 
     def _hand_over(

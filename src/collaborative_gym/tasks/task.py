@@ -320,7 +320,7 @@ class Task(Generic[ConfigT, FactsT]):
         """
         raise self._missing("expert", " or play another policy, such as random")
 
-    def styled(self, sim: Sim, facts: FactsT, style: str) -> dict[str, Motion]:
+    def styled(self, sim: Sim, facts: FactsT, *, style: str) -> dict[str, Motion]:
         """Return what the expert does in one of its `styles`."""
         raise self._missing("styled")
 
