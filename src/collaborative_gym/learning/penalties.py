@@ -56,6 +56,8 @@ class Penalties:
             arms that come to the ends of their ranges while they learn stay there.
         """
         charged = dict(rewards)
+        contact = share * self._contact
+        contacts = contact * self._depth() if contact else None
         for agent in charged:
             if self._range:
                 charged[agent] = charged[agent] - self._range * self._ends(agent)
@@ -69,9 +71,8 @@ class Penalties:
                 change = actions[agent] - previous[agent]
                 cost = share * self._change * _mean_square(change)
                 charged[agent] = charged[agent] - cost
-            if self._contact:
-                cost = share * self._contact * self._depth()
-                charged[agent] = charged[agent] - cost
+            if contacts is not None:
+                charged[agent] = charged[agent] - contacts
         return charged
 
     def _ends(self, agent: str) -> np.ndarray:
