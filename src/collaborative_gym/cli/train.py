@@ -69,6 +69,9 @@ class Train(Command):
         default. Of policies each episode draws one, and the learners play the other
         robots; robot_2=POLICY plays that robot only. With population all pairs of
         several policies for each robot learn.
+      start_from: trained policy to begin with, named as in evaluate, in place of
+        networks drawn by chance; also of another environment, if its spaces have the
+        same sizes.
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
       checkpoint_interval: environment steps between two checkpoints.
@@ -87,6 +90,7 @@ class Train(Command):
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
+    start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
     backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
@@ -115,6 +119,7 @@ class Train(Command):
                 hyperparameters=hyperparameters,
                 opponent=self.opponent or None,
                 partner=self.partner or None,
+                start_from=self.start_from,
                 backend=self.backend,
                 resources=self.resources,
                 checkpoint_interval=self.checkpoint_interval,
@@ -169,6 +174,7 @@ class Train(Command):
             self.output or Path("runs/baselines"),
             seeds=self.seeds or (0, 1, 2),
             changes=self._given(),
+            start_from=self.start_from,
             resources=self.resources,
             checkpoint_interval=self.checkpoint_interval,
             displays=Display,

@@ -11,7 +11,11 @@ from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collected, Collectors
 from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.policies.network import Weights
+from collaborative_gym.policies.network import NetworkPolicy, Weights
+
+_CRITIC_ALONE = 10
+"""Rollouts in which critics learn alone, where policies know something already: what a
+critic that knows nothing says would make them forget it."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class Backend:
       learners: a learner for each group of robots that the mode has.
       collectors: who has the worlds.
       assistance: share of the weight that is carried at first.
+      final_noise: share of the actions' noise that is left at full demand.
 
     Attributes:
       steps: environment steps done so far, over all worlds.
@@ -50,12 +55,21 @@ class Backend:
         collectors: Collectors,
         *,
         assistance: float = 0.0,
+        final_noise: float = 1.0,
     ):
         self.steps = 0
         self._iteration = 0
         self._learners = {each.learner.name: each for each in learners}
         self._collectors = collectors
         self._assistance = Assistance(assistance)
+        self._final_noise = final_noise
+        self._has_policy = False
+
+    def start(self, policy: NetworkPolicy) -> None:
+        """Let all learners begin with what a policy has learned."""
+        self._has_policy = True
+        for learner in self._learners.values():
+            learner.start(policy)
 
     def collect(self, invitation: Invitation = NOBODY) -> list[Collected]:
         """Return one rollout of every collector that lives; the worlds go on."""
@@ -74,11 +88,18 @@ class Backend:
         """
         collected = self.collect(invitation)
         episodes = [row for each in collected for row in each.episodes]
+        before = self._assistance.demand
         self._assistance.adapt(episodes)
+        quieter = self._final_noise ** (self._assistance.demand - before)
+        critic_alone = self._has_policy and self._iteration < _CRITIC_ALONE
         updates = {
-            name: learner.learn([each.rollouts[name] for each in collected])
+            name: learner.learn(
+                [each.rollouts[name] for each in collected], critic_alone=critic_alone
+            )
             for name, learner in self._learners.items()
         }
+        for learner in self._learners.values():
+            learner.quieten(quieter)
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
         seated = [names for each in collected for names in each.seated]
@@ -111,6 +132,7 @@ class Backend:
             "steps": self.steps,
             "iteration": self._iteration,
             "assistance": self._assistance.state_dict(),
+            "has_policy": self._has_policy,
             "learners": {name: each.state_dict() for name, each in learners},
             "generator": torch.get_rng_state(),
             "cuda_generators": torch.cuda.get_rng_state_all() if cuda else [],
@@ -127,6 +149,7 @@ class Backend:
         self._collectors.load_state_dict(state["worlds"])
         self.steps, self._iteration = state["steps"], state["iteration"]
         self._assistance.load_state_dict(state["assistance"])
+        self._has_policy = state["has_policy"]
         torch.set_rng_state(state["generator"])
         if torch.cuda.is_initialized() and state["cuda_generators"]:
             torch.cuda.set_rng_state_all(state["cuda_generators"])

@@ -24,6 +24,7 @@ from collaborative_gym.learning.config import (
 )
 from collaborative_gym.learning.folder import CURVE, LAST
 from collaborative_gym.learning.run import OnRow, Result
+from collaborative_gym.learning.settings import Settings
 from collaborative_gym.learning.train import train
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.tasks.registry import as_task
@@ -67,6 +68,7 @@ def train_baselines(
     *,
     seeds: Sequence[int] = (0, 1, 2),
     changes: Mapping[str, Any] | None = None,
+    start_from: str | Path | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     displays: Displays | None = None,
@@ -84,6 +86,8 @@ def train_baselines(
       seeds: of each environment's runs.
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name; None for none.
+      start_from: a policy to begin with, "baseline" for the shipped one of each
+        environment; None for networks drawn by chance.
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
       displays: makes what shows a run; None for no display.
@@ -113,6 +117,7 @@ def train_baselines(
                     output=None if is_there else folder,
                     resume=folder if is_there else None,
                     hyperparameters=hyperparameters,
+                    start_from=start_from,
                     resources=resources,
                     checkpoint_interval=checkpoint_interval,
                     on_row=on_row,
@@ -187,8 +192,8 @@ def write_card(
     lines = [
         f"# {env_id}: baseline",
         "",
-        f"A policy for each robot ({robots}), trained from scratch by PPO"
-        " on the thesis's reward, mode collaborative: no demonstrations, no shaping,"
+        f"A policy for each robot ({robots}), trained by PPO on the thesis's reward,"
+        f" {_beginning(settings)}, mode collaborative: no demonstrations, no shaping,"
         f" {_curriculum(hyperparameters)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
@@ -198,7 +203,7 @@ def write_card(
         f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {hyperparameters.validation_episodes} validation episodes that are not those"
         " below",
-        f"- command: `{_command(env_id, best.seed, hyperparameters, resources)}`",
+        f"- command: `{_command(env_id, settings, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -249,18 +254,31 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
     )
 
 
-def _command(
-    env_id: str, seed: int, hyperparameters: Hyperparameters, resources: Resources
-) -> str:
+def _beginning(settings: Settings) -> str:
+    if not settings.start_from:
+        return "from scratch"
+    start = settings.start
+    return (
+        f"beginning with the policy {settings.start_from} of then (digest"
+        f" {start['digest'][:12]}, seed {start['metadata']['seed']} after"
+        f" {start['metadata']['steps'] / 1e6:.2f} M steps)"
+    )
+
+
+def _command(env_id: str, settings: Settings, resources: Resources) -> str:
     """Return the command that trains such a run again."""
-    others = changed(hyperparameters, recipe(env_id))
+    others = changed(settings.hyperparameters, recipe(env_id))
+    if settings.start_from:
+        others["start_from"] = settings.start_from
     if resources.torch_threads != Resources.torch_threads:
         # Another number may change the last bits.
         others["torch_threads"] = resources.torch_threads
     options = [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
-    return " ".join([f"collaborative-gym train {env_id} --seed {seed}", *options])
+    return " ".join(
+        [f"collaborative-gym train {env_id} --seed {settings.seed}", *options]
+    )
 
 
 def _option(value: Any) -> str:

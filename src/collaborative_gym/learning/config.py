@@ -60,6 +60,8 @@ class Hyperparameters:
       max_learning_rate: the learning rate never rises above this.
       initial_std: standard deviation of the first actions.
       initial_grip_std: standard deviation of their grip component.
+      final_noise: share of these that is left in the end. They shrink with each rollout
+        after which penalties grow; 1 leaves them as they are learned.
       grip_limit: greatest mean of a grip's command, 0 for any. Its noise then reaches
         both sides of zero for as long as it is about half as large: a robot that holds
         on can still find out what it gains by letting go.
@@ -71,7 +73,8 @@ class Hyperparameters:
         by 0.01 after each rollout in which half of the episodes are completed. In
         validations nothing is carried.
       torque_penalty: what a control step costs a robot while its servos ask for their
-        torque limits: this times the mean square of asked torque over limit.
+        torque limits: this times the mean square of asked torque over limit; beyond
+        the limit it grows evenly.
       change_penalty: what a change of action costs it: this times its mean square.
         Penalties are never part of a reported return. These, late actions and lost
         grips begin with nothing, and grow by 2 % after each rollout in which half of
@@ -133,6 +136,7 @@ class Hyperparameters:
     max_learning_rate: float = bounded(3e-3, 0.0, 1.0)
     initial_std: float = bounded(0.2, 1e-3, 7.0)
     initial_grip_std: float = bounded(0.3, 1e-3, 7.0)
+    final_noise: float = bounded(1.0, 0.01, 1.0)
     grip_limit: float = bounded(0.0, 0.0, 100.0)
     grip_persistence: float = bounded(0.9, 0.0, 0.999)
     assistance: float = bounded(0.0, 0.0, 1.0)

@@ -1,5 +1,8 @@
 """The networks of a learner, in torch."""
 
+from collections.abc import Mapping
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -62,6 +65,23 @@ class Actor(nn.Module):
             return mean
         limited = self._grip_limit * torch.tanh(mean / self._grip_limit)
         return torch.where(self.is_grip, limited, mean)
+
+    def load(self, weights: Mapping[str, Weights]) -> tuple[Tensor, Tensor]:
+        """Take over networks, by name; return their normalization of a row.
+
+        Returns:
+          What is taken from a row of observations, and what it is divided by then.
+        """
+        own = [weights[name] for name in self._names]
+        for net, each in zip(self.nets, own, strict=True):
+            linear = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
+            for layer, (weight, bias) in zip(linear, each.layers, strict=True):
+                layer.weight.data.copy_(torch.from_numpy(weight))
+                layer.bias.data.copy_(torch.from_numpy(bias))
+        mean, std = ([getattr(each, name) for each in own] for name in ("mean", "std"))
+        return torch.from_numpy(np.concatenate(mean)), torch.from_numpy(
+            np.concatenate(std)
+        )
 
     def weights(self, mean: Tensor, std: Tensor) -> dict[str, Weights]:
         """Return the networks as arrays, by name.

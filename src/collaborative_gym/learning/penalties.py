@@ -14,10 +14,6 @@ them, and how much more of any contact is counted, in mm."""
 _INNER = 0.9
 """Share of a joint's range, in its middle, in which a posture costs nothing."""
 
-_MOST_TORQUE = 3.0
-"""Share of its limit above which a torque costs no more. A servo may ask for many times
-what its motor has, and less would not change what the arm does at once."""
-
 
 class Penalties:
     """What each robot pays for its torques, changes and joints, and all for contacts.
@@ -64,8 +60,7 @@ class Penalties:
             if not share:
                 continue
             if self._torque:
-                asked = np.minimum(self._asked(agent), _MOST_TORQUE)
-                cost = share * self._torque * _mean_square(asked)
+                cost = share * self._torque * _mean_torque(self._asked(agent))
                 charged[agent] = charged[agent] - cost
             if self._change:
                 change = actions[agent] - previous[agent]
@@ -104,3 +99,14 @@ class Penalties:
 
 def _mean_square(columns: np.ndarray) -> np.ndarray:
     return np.square(columns).mean(axis=1)
+
+
+def _mean_torque(asked: np.ndarray) -> np.ndarray:
+    """Return what torques cost that are asked for, as shares of their limits.
+
+    Up to the limit it is the square. Beyond, where a servo may ask for many times what
+    its motor has, it is the tangent: it still tells where less is, and does not dwarf
+    the task.
+    """
+    within = np.minimum(asked, 1.0)
+    return (within * (2.0 * asked - within)).mean(axis=1)

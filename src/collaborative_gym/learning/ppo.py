@@ -1,5 +1,6 @@
 """A learner on skrl's PPO."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,7 +24,11 @@ from collaborative_gym.learning.networks import (
     perceptron,
 )
 from collaborative_gym.learning.team import Learner, Sizes
-from collaborative_gym.policies.network import OBSERVATION_LIMIT, Weights
+from collaborative_gym.policies.network import (
+    OBSERVATION_LIMIT,
+    NetworkPolicy,
+    Weights,
+)
 
 _LOSSES = {
     "policy_loss": "Loss / Policy loss",
@@ -88,8 +93,25 @@ class PPOLearner:
         mean, std = self._normalization()
         return {"actor": actor, "mean": mean.cpu(), "std": std.cpu()}
 
-    def learn(self, rollouts: Sequence[Rollout]) -> dict[str, float]:
-        """Learn from rollouts, one beside the other, and return losses and rates."""
+    def start(self, policy: NetworkPolicy) -> None:
+        """Begin with what a policy has learned."""
+        mean, std = self._policy.actor.load(policy.weights)
+        scaler = self._modules["observation_preprocessor"]
+        scaler.running_mean.copy_(mean)
+        scaler.running_variance.copy_((std - scaler.epsilon).square())
+        # As if it had seen as much as it remembers.
+        scaler.current_count.fill_(MEMORY)
+
+    def learn(
+        self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
+    ) -> dict[str, float]:
+        """Learn from rollouts, one beside the other, and return losses and rates.
+
+        Args:
+          rollouts: what was collected.
+          critic_alone: whether the policy stays as it is.
+        """
+        self._hold_policy(critic_alone)
         columns = [self._columns(rollout) for rollout in rollouts]
         joined = {
             name: torch.cat([each[name] for each in columns], dim=1)
@@ -114,6 +136,21 @@ class PPOLearner:
             weights = [*self._policy.parameters(), *self._value.parameters()]
             numbers["weight_norm"] = float(nn.utils.get_total_norm(weights))
         return numbers
+
+    def _hold_policy(self, held: bool) -> None:
+        """Keep the policy as it is during updates, or let it learn."""
+        scheduler = self._modules["scheduler"]
+        if scheduler.is_held and not held:
+            # A rate at which a new critic learns makes a policy forget all it knows.
+            for group in self._agent.optimizer.param_groups:
+                group["lr"] = scheduler.min_lr
+        self._policy.requires_grad_(not held)
+        for name in ("scheduler", "observation_preprocessor"):
+            self._modules[name].is_held = held
+
+    def quieten(self, factor: float) -> None:
+        """Multiply the standard deviation of the actions."""
+        self._policy.actor.log_std.data += math.log(factor)
 
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
@@ -225,22 +262,32 @@ class _Scheduler(KLAdaptiveLR):
 
     Attributes:
       kl: Kullback-Leibler divergence of the last epoch.
+      is_held: whether the learning rate stays as it is.
     """
 
     kl = 0.0
+    is_held = False
 
     def step(self, kl: torch.Tensor | float | None = None, *, epoch=None) -> None:
         if kl is None:  # torch's first step, which changes nothing.
             return
         self.kl = float(kl)
-        if self.kl_threshold:
+        if self.kl_threshold and not self.is_held:
             super().step(kl, epoch=epoch)
 
 
 class _Scaler(RunningStandardScaler):
-    """Standardizes by the last `MEMORY` rows or so, not by all since the beginning."""
+    """Standardizes by the last `MEMORY` rows or so, not by all since the beginning.
+
+    Attributes:
+      is_held: whether it stays as it is.
+    """
+
+    is_held = False
 
     def _parallel_variance(self, *args) -> None:
+        if self.is_held:
+            return
         super()._parallel_variance(*args)
         self.current_count = self.current_count.clamp(max=MEMORY)
 

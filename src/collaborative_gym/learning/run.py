@@ -19,7 +19,7 @@ from collaborative_gym.learning.monitor import Monitor, means_of, summarize
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.seeds import validation_seed
-from collaborative_gym.learning.settings import Settings
+from collaborative_gym.learning.settings import Settings, first_policy
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.validation import validate
 from collaborative_gym.policies.network import NetworkPolicy
@@ -95,6 +95,8 @@ class Run:
             if started is not None:
                 self._backend.load_state_dict(started.backend)
                 self._pool.load_state_dict(started.pool)
+            elif settings.start_from:
+                self._backend.start(first_policy(settings, task))
             rows = started.rows if started is not None else ()
             self._monitor = Monitor(folder, settings.title, rows)
             self._since = time.monotonic()
@@ -151,7 +153,16 @@ class Run:
     def _policy(self, member: str) -> NetworkPolicy:
         """Return a member's policy as it is now."""
         settings, content = self._settings, self._settings.to_dict()
-        kept = ("mode", "seed", "backend", "hyperparameters", "opponents", "partners")
+        kept = (
+            "mode",
+            "seed",
+            "backend",
+            "hyperparameters",
+            "opponents",
+            "partners",
+            "start_from",
+            "start",
+        )
         learners = [each for each in self._learners if each.member == member]
         return NetworkPolicy(
             [part for learner in learners for part in learner.parts],
@@ -269,6 +280,7 @@ def _make_backend(
         ],
         collectors,
         assistance=hyperparameters.assistance,
+        final_noise=hyperparameters.final_noise,
     )
 
 

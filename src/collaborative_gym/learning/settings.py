@@ -1,10 +1,12 @@
 """What a run is started with, and whether it may continue with what is asked."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_kind, check_name, unknown
 from collaborative_gym.learning.casting import (
     LEAGUE,
@@ -17,6 +19,8 @@ from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
 from collaborative_gym.learning.pool import read_guests
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import read_policy
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task
@@ -44,6 +48,9 @@ class Settings:
       hyperparameters: how it learns.
       opponents: who plays against what is learned, as `make_casting` knows them.
       partners: who plays with it.
+      start_from: the policy with which it began, as it was named; nothing for networks
+        drawn by chance.
+      start: that policy's `digest`, and how it was trained, its `metadata`.
     """
 
     identity: Identity
@@ -55,6 +62,8 @@ class Settings:
     hyperparameters: Hyperparameters
     opponents: tuple[str, ...] = ()
     partners: tuple[str, ...] = ()
+    start_from: str = ""
+    start: Mapping[str, Any] = field(default_factory=dict)
 
     def casting(self, task: Task) -> Casting:
         """Return who sits where in the run's worlds."""
@@ -135,6 +144,7 @@ def settle(
     hyperparameters: Hyperparameters | None,
     opponent: Named | None = None,
     partner: Named | None = None,
+    start_from: str | Path | None = None,
 ) -> Settings:
     """Return the settings of a run; what is None holds as it was, or as is usual.
 
@@ -147,6 +157,7 @@ def settle(
       hyperparameters: how it learns.
       opponent: who plays against what is learned.
       partner: who plays with it.
+      start_from: a policy to begin with.
 
     Raises:
       FileNotFoundError: if there is no such policy.
@@ -165,6 +176,7 @@ def settle(
         hyperparameters = hyperparameters or started.hyperparameters
         opponent = started.opponents if opponent is None else opponent
         partner = started.partners if partner is None else partner
+        start_from = started.start_from if start_from is None else start_from
     sizes = Sizes.of(task)
     opponents, partners = _words("opponent", opponent), _words("partner", partner)
     if len(task.sides) > 1:
@@ -179,6 +191,8 @@ def settle(
         hyperparameters=hyperparameters or recipe(task.name),
         opponents=opponents,
         partners=partners,
+        start_from=_name(start_from),
+        start={} if started is None else started.start,
     )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
@@ -186,7 +200,60 @@ def settle(
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
+    elif settings.start_from:
+        first = first_policy(settings, task)
+        start = {"digest": first.digest, "metadata": first.metadata}
+        settings = replace(settings, start=start)
     return settings
+
+
+def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
+    """Return the policy that a run begins with.
+
+    It may be for another environment, if its networks have the sizes of those that are
+    to learn.
+
+    Raises:
+      FileNotFoundError: if there is no such file.
+      KeyError: if there is no such policy.
+      ValueError: if it is no trained policy, or its networks are others than the run's.
+    """
+    with closing(VectorEnv(task, 1, num_threads=1)) as env:
+        policy = read_policy(settings.start_from, env)
+    if not isinstance(policy, NetworkPolicy):
+        raise ValueError(
+            f"start_from must be a trained policy, got {settings.start_from!r}; give"
+            " 'baseline', a policy file or the folder of a training run"
+        )
+    sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
+    numbers = settings.hyperparameters
+    wanted: dict[str, tuple[int, ...]] = {}
+    for learner in settings.learners(task):
+        for name, (inputs, outputs) in learner.networks(sizes).items():
+            wanted[name] = inputs, *numbers.hidden_sizes, outputs
+    found = {name: each.sizes for name, each in policy.weights.items()}
+    differences = [
+        f"{name} has layers of {found.get(name, 'nothing')}, not {own}"
+        for name, own in wanted.items()
+        if found.get(name) != own
+    ]
+    if policy.activation != numbers.activation:
+        differences.append(f"its activation is {policy.activation}")
+    if differences:
+        raise ValueError(
+            f"this run cannot start from {settings.start_from}:"
+            f" {'; '.join(differences)}. Choose the mode, hidden_sizes and activation"
+            " with which that policy was trained"
+        )
+    return policy
+
+
+def _name(start_from: str | Path | None) -> str:
+    if start_from is None:
+        return ""
+    check_kind("start_from", start_from, (str, Path), "a policy's name")
+    check_name("start_from", str(start_from))
+    return str(start_from)
 
 
 def _words(name: str, given: Any) -> tuple[str, ...]:
@@ -253,6 +320,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
         "action_sizes",
         "opponents",
         "partners",
+        "start_from",
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)

@@ -41,6 +41,7 @@ def train(
     hyperparameters: Hyperparameters | None = None,
     opponent: Named | None = None,
     partner: Named | None = None,
+    start_from: str | Path | None = None,
     backend: str | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
@@ -74,6 +75,10 @@ def train(
         policies, of which each episode draws one while the learners play the other
         robots by turns, or those that `{"robot_2": "idle"}` leaves; or "population", of
         which all pairs learn together.
+      start_from: a trained policy to begin with, as `load_policy` knows it, in place of
+        networks drawn by chance; also of another environment, if its spaces have the
+        same sizes. Its noise is drawn from `initial_std` anew, and critics learn alone
+        during the first rollouts.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
@@ -109,6 +114,7 @@ def train(
             hyperparameters=hyperparameters,
             opponent=opponent,
             partner=partner,
+            start_from=start_from,
         )
         folder = folder or _begin(settings, output, stack)
         stack.enter_context(_torch(settings.seed, resources.torch_threads))

@@ -67,6 +67,11 @@ class Weights:
     std: np.ndarray
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
 
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of its inputs, and of what comes out of each layer."""
+        return len(self.mean), *(len(bias) for _, bias in self.layers)
+
 
 class NetworkPolicy:
     """A trained policy, without its noise: from observations to the mean actions.
@@ -89,6 +94,8 @@ class NetworkPolicy:
       observation_sizes: by agent.
       action_sizes: by agent.
       metadata: how it was trained.
+      weights: of its networks, by name.
+      activation: between their layers.
 
     Raises:
       ValueError: if the parts do not fit the weights or the sizes.
@@ -110,14 +117,14 @@ class NetworkPolicy:
         self.identity = identity
         self.metadata = dict(metadata)
         self._parts = tuple(parts)
-        self._weights = dict(weights)
-        self._activation = activation
+        self.weights = dict(weights)
+        self.activation = activation
         self.observation_sizes = dict(observation_sizes)
         self.action_sizes = dict(action_sizes)
         if len(set(self.agents)) != len(self.agents):
             raise ValueError("two networks command one agent")
         for part in parts:
-            _check_widths(self._weights[part.weights], *self._widths(part))
+            _check_widths(self.weights[part.weights], *self._widths(part))
 
     def __call__(self, observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
         """Return actions by agent, (num_envs, k) float32 in [-1, 1].
@@ -126,7 +133,7 @@ class NetworkPolicy:
         """
         actions = {}
         for part in self._parts:
-            weights = self._weights[part.weights]
+            weights = self.weights[part.weights]
             rows = np.concatenate(
                 [np.asarray(observations[agent], np.float32) for agent in part.agents],
                 axis=1,
@@ -147,7 +154,7 @@ class NetworkPolicy:
         x = x[:, None]
         for i, (weight, bias) in enumerate(weights.layers):
             if i:
-                x = ACTIVATIONS[self._activation](x)
+                x = ACTIVATIONS[self.activation](x)
             x = x @ weight.T + bias
         return x[:, 0]
 
@@ -236,7 +243,7 @@ class NetworkPolicy:
     def _content(self) -> tuple[str, dict[str, np.ndarray]]:
         """Return its description and its arrays, as they go into a file."""
         tensors = {}
-        for name, weights in self._weights.items():
+        for name, weights in self.weights.items():
             tensors |= {f"{name}/mean": weights.mean, f"{name}/std": weights.std}
             for i, (weight, bias) in enumerate(weights.layers):
                 tensors |= {f"{name}/{i}/weight": weight, f"{name}/{i}/bias": bias}
@@ -247,7 +254,7 @@ class NetworkPolicy:
         description = {
             "format": _FORMAT,
             "parts": [asdict(part) for part in self._parts],
-            "activation": self._activation,
+            "activation": self.activation,
             "identity": self.identity.to_dict(),
             "observation_sizes": self.observation_sizes,
             "action_sizes": self.action_sizes,
