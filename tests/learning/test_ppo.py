@@ -331,3 +331,13 @@ def test_a_learner_goes_on_where_its_state_was_taken(make, same, mode):
     practise(others, updates=1)
     for learner, other in zip(learners, others, strict=True):
         assert same(learner.state_dict(), other.state_dict())
+
+
+def test_statistics_tell_of_the_last_half(make):
+    (learner,) = make("collaborative")
+    scaler = learner._modules["observation_preprocessor"]
+    count, columns = 8_000, learner.learner.observation_size(SIZES)
+    for i in range(200):
+        scaler(torch.full((count, columns), float(i)), train=True)
+    assert float(scaler.current_count) == pytest.approx(100 * count, rel=0.01)
+    assert 120.0 < float(scaler.running_mean[0]) < 180.0

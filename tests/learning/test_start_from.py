@@ -35,9 +35,9 @@ def test_the_policy_stays_while_the_critic_learns_and_is_changed_then(
         weights = result.policy().weights
         for name, own in first.weights.items():
             assert same(own.layers, weights[name].layers) is stays
-            kept = np.allclose(own.mean, weights[name].mean, atol=1e-7)
-            assert kept is stays
-            assert np.allclose(own.std, weights[name].std, rtol=1e-3)
+            # What it learned leans on these.
+            assert np.allclose(own.mean, weights[name].mean, atol=1e-7)
+            assert np.allclose(own.std, weights[name].std, rtol=1e-6)
     assert result.policy().metadata["start"]["digest"] == first.digest
     assert result.policy().metadata["start"]["metadata"] == first.metadata
 

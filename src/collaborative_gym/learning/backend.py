@@ -150,6 +150,9 @@ class Backend:
         self.steps, self._iteration = state["steps"], state["iteration"]
         self._assistance.load_state_dict(state["assistance"])
         self._has_policy = state["has_policy"]
+        if self._has_policy:
+            for learner in self._learners.values():
+                learner.hold_statistics()
         torch.set_rng_state(state["generator"])
         if torch.cuda.is_initialized() and state["cuda_generators"]:
             torch.cuda.set_rng_state_all(state["cuda_generators"])

@@ -99,8 +99,15 @@ class PPOLearner:
         scaler = self._modules["observation_preprocessor"]
         scaler.running_mean.copy_(mean)
         scaler.running_variance.copy_((std - scaler.epsilon).square())
-        # As if it had seen as much as it remembers.
-        scaler.current_count.fill_(MEMORY)
+        self.hold_statistics()
+
+    def hold_statistics(self) -> None:
+        """Standardize observations as now for good.
+
+        What is learned already leans on it: where a policy is sure of itself, a drift
+        of 2 % changes its actions more than an update may.
+        """
+        self._modules["observation_preprocessor"].is_held = True
 
     def learn(
         self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
@@ -145,8 +152,7 @@ class PPOLearner:
             for group in self._agent.optimizer.param_groups:
                 group["lr"] = scheduler.min_lr
         self._policy.requires_grad_(not held)
-        for name in ("scheduler", "observation_preprocessor"):
-            self._modules[name].is_held = held
+        scheduler.is_held = held
 
     def quieten(self, factor: float) -> None:
         """Multiply the standard deviation of the actions."""
@@ -279,17 +285,27 @@ class _Scheduler(KLAdaptiveLR):
 class _Scaler(RunningStandardScaler):
     """Standardizes by the last `MEMORY` rows or so, not by all since the beginning.
 
+    Later it is the last half of them: a policy that has become sure of itself is
+    changed by statistics that drift.
+
     Attributes:
       is_held: whether it stays as it is.
     """
 
     is_held = False
 
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.seen: torch.Tensor
+        self.register_buffer("seen", self.current_count.clone())
+
     def _parallel_variance(self, *args) -> None:
         if self.is_held:
             return
         super()._parallel_variance(*args)
-        self.current_count = self.current_count.clamp(max=MEMORY)
+        self.seen = self.seen + args[2]
+        most = (self.seen / 2.0).clamp(min=MEMORY)
+        self.current_count = torch.minimum(self.current_count, most)
 
 
 def _config(
