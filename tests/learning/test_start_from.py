@@ -64,6 +64,12 @@ def test_it_goes_on_bit_for_bit(begin, train_tiny, tiny, tmp_path, same):
         train_tiny(resume=part.folder, start_from="expert")
 
 
+def test_a_run_from_scratch_goes_on_without_it(train_tiny, tiny):
+    folder = train_tiny().folder
+    again = train_tiny(resume=folder, hyperparameters=tiny(total_steps=160))
+    assert again.settings.start_from == ""
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

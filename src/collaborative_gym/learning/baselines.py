@@ -193,7 +193,7 @@ def write_card(
         f"# {env_id}: baseline",
         "",
         f"A policy for each robot ({robots}), trained by PPO on the thesis's reward,"
-        f" {_beginning(settings)}, mode collaborative: no demonstrations, no shaping,"
+        f" {_beginning(settings)}, mode collaborative: no shaping,"
         f" {_curriculum(hyperparameters)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
@@ -256,7 +256,7 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
 
 def _beginning(settings: Settings) -> str:
     if not settings.start_from:
-        return "from scratch"
+        return "from scratch, without demonstrations"
     start = settings.start
     return (
         f"beginning with the policy {settings.start_from} of then (digest"

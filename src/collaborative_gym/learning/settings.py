@@ -176,7 +176,7 @@ def settle(
         hyperparameters = hyperparameters or started.hyperparameters
         opponent = started.opponents if opponent is None else opponent
         partner = started.partners if partner is None else partner
-        start_from = started.start_from if start_from is None else start_from
+        start_from = (started.start_from or None) if start_from is None else start_from
     sizes = Sizes.of(task)
     opponents, partners = _words("opponent", opponent), _words("partner", partner)
     if len(task.sides) > 1:
