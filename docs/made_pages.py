@@ -35,6 +35,7 @@ COMMANDS = (
     "train",
     "evaluate",
     "tournament",
+    "compare",
     "reproduce",
     "certify",
     "benchmark",

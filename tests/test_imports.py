@@ -28,7 +28,7 @@ ROOMS = [
     {"evaluation"},
     {"tournaments"},
     {"learning"},
-    {"certificate"},
+    {"certificate", "comparisons"},
     {"pictures.recording"},
     {"viewer"},
     {"testing"},

@@ -36,6 +36,8 @@ from collaborative_gym.tasks.task import (  # noqa: E402
 if TYPE_CHECKING:
     from collaborative_gym.certificate.budget import Budget
     from collaborative_gym.certificate.certify import certify
+    from collaborative_gym.comparisons.compare import compare
+    from collaborative_gym.comparisons.result import Comparison
     from collaborative_gym.evaluation import Report, evaluate
     from collaborative_gym.learning.config import Hyperparameters
     from collaborative_gym.learning.train import train
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LEVEL",
     "Budget",
+    "Comparison",
     "EnvSpec",
     "Gripper",
     "Hyperparameters",
@@ -60,6 +63,7 @@ __all__ = [
     "Tournament",
     "VectorEnv",
     "certify",
+    "compare",
     "evaluate",
     "get_robot",
     "list_envs",
@@ -79,10 +83,12 @@ __all__ = [
 # Imported on first use, so that `import collaborative_gym` stays quick.
 _LATER = {
     "Budget": "collaborative_gym.certificate.budget",
+    "Comparison": "collaborative_gym.comparisons.result",
     "Hyperparameters": "collaborative_gym.learning.config",
     "Report": "collaborative_gym.evaluation",
     "Tournament": "collaborative_gym.tournaments.result",
     "certify": "collaborative_gym.certificate.certify",
+    "compare": "collaborative_gym.comparisons.compare",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
     "tournament": "collaborative_gym.tournaments.play",

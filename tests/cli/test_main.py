@@ -266,6 +266,7 @@ def test_environments_are_optional_where_help_says_so(capsys):
         "evaluate",
         "tournament",
         "certify",
+        "compare",
         "reproduce",
         "view",
         "benchmark",

@@ -67,7 +67,7 @@ def ctrl_c_after(steps):
 @pytest.fixture
 def curve(read_progress):
     """Return a function that gives a run's rows without what a clock says."""
-    times = ("seconds", "steps_per_second")
+    times = ("seconds", "core_seconds", "steps_per_second")
     return lambda folder: [
         {name: value for name, value in row.items() if name not in times}
         for row in read_progress(folder)

@@ -17,7 +17,7 @@ from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.seeds import training_seed, validation_seed
 from collaborative_gym.policies.network import NetworkPolicy
 
-TIMES = ("seconds", "steps_per_second")
+TIMES = ("seconds", "core_seconds", "steps_per_second")
 
 WITHOUT_TORCH = """
 import sys

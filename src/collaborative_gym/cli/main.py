@@ -25,6 +25,7 @@ from collaborative_gym.cli.commands import (
     Reproduce,
     View,
 )
+from collaborative_gym.cli.compare import Compare
 from collaborative_gym.cli.terminal import Command, tell
 from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import Train
@@ -78,6 +79,7 @@ _Command = (
     | Annotated[Train, tyro.conf.subcommand("train")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Tournament, tyro.conf.subcommand("tournament")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
     | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]

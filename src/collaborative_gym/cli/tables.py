@@ -13,6 +13,7 @@ from collaborative_gym.certificate.report import (
     Certificate,
     lines,
 )
+from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.report import (
     Report,
@@ -212,6 +213,24 @@ def _measured(measure: str, statistic: Statistic) -> Text:
     ends = (format_measure(name, end) for end in (statistic.low, statistic.high))
     low, high = (end.removesuffix(" %") for end in ends)
     return mean.append(f"\n{low} to {high}", "dim")
+
+
+def comparison_tables(comparison: Comparison) -> list[Table]:
+    """Return what came of a comparison of runs, with intervals below the numbers."""
+    tables = []
+    for title, heads, rows in comparison.tables():
+        table = _table(
+            "\n".join(heads[:2]), *(h.replace(" (", "\n(") for h in heads[2:])
+        )
+        for cells in rows:
+            numbers = (cell.rstrip(")").partition(" (") for cell in cells[2:])
+            table.add_row(
+                "\n".join(cells[:2]),
+                *(Text.assemble(one, "\n", (rest, "dim")) for one, _, rest in numbers),
+            )
+        table.title, table.title_justify = title, "left"
+        tables.append(table)
+    return tables
 
 
 def certificates_table(certificates: Sequence[Certificate]) -> Table:

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-_RESAMPLES = 2000
-"""Draws of the bootstrap; more would change an interval by less than a tenth."""
+from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample
 
 _STRAIN_FORMS = {
     "contact_depth": (1e3, " mm"),
@@ -50,16 +49,11 @@ class Statistic:
         array = array[~np.isnan(array)]
         if not len(array):
             return cls(*[math.nan] * 5)
-        # The same resamples every time, so that equal episodes give equal intervals.
-        rng = np.random.default_rng(0)
-        means = array[rng.integers(0, len(array), (_RESAMPLES, len(array)))].mean(
-            axis=1
-        )
-        ends = np.quantile(means, (0.025, 0.975)) if len(array) > 1 else [math.nan] * 2
-        cut = len(array) // 4
-        middle = array[cut : len(array) - cut]
-        values = array.mean(), *ends, middle.mean(), np.median(array)
-        return cls(*map(float, values))
+        ends = [math.nan] * 2
+        if len(array) > 1:
+            ends = bounds(resample(array)[0].mean(axis=1))
+        numbers = array.mean(), *ends, iqm(array), np.median(array)
+        return cls(*map(float, numbers))
 
 
 @dataclass(frozen=True)
@@ -331,20 +325,34 @@ def format_statistic(
       percent: whether it is a share from 0 to 1.
       unit: what to put after the mean.
     """
-    if math.isnan(statistic.mean):
+    ends = statistic.mean, statistic.low, statistic.high
+    return format_interval(*ends, percent=percent, unit=unit)
+
+
+def format_interval(
+    value: float, low: float, high: float, *, percent: bool = False, unit: str = ""
+) -> str:
+    """Return a number and its interval as `format_statistic` does.
+
+    Args:
+      value: the number; for NaN it is a dash.
+      low: lower end; NaN for no interval.
+      high: upper end.
+      percent: whether they are shares from 0 to 1.
+      unit: what to put after the number.
+    """
+    if math.isnan(value):
         return "-"
-    ends = [statistic.low, statistic.high]
-    if math.isnan(statistic.low):
-        ends = [statistic.mean]
+    ends = [value] if math.isnan(low) else [low, high]
     digits = 1 if percent or max(map(abs, ends)) < 1000 else 0
-    mean = format_number(statistic.mean, percent=percent, unit=unit, digits=digits)
+    middle = format_number(value, percent=percent, unit=unit, digits=digits)
     if len(ends) == 1:
-        return mean
-    low, high = (
+        return middle
+    first, last = (
         format_number(end, percent=percent, digits=digits).removesuffix(" %")
         for end in ends
     )
-    return f"{mean} ({low} to {high})"
+    return f"{middle} ({first} to {last})"
 
 
 def format_number(
@@ -366,9 +374,9 @@ def format_number(
 
 
 def without_nan(value: Any) -> Any:
-    """Return dictionaries and lists with None in the place of NaN."""
+    """Return dictionaries and lists with None for NaN and what is infinite."""
     if isinstance(value, dict):
         return {name: without_nan(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

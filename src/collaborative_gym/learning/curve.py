@@ -23,7 +23,7 @@ _INK = "#222222"
 _INKS = (_INK, "#999999")
 """Colours of all robots together, or of the sides."""
 
-_COLOURS = (
+COLOURS = (
     "#0072b2",
     "#d55e00",
     "#009e73",
@@ -121,7 +121,7 @@ def draw_ratings(
       OSError: if the file cannot be written.
     """
     figure, (axes,) = _blank(1)
-    for (name, points), colour in zip(lines.items(), cycle(_COLOURS), strict=False):
+    for (name, points), colour in zip(lines.items(), cycle(COLOURS), strict=False):
         steps, ratings = np.array(sorted(points), float).reshape(-1, 2).T
         axes.plot(steps / 1e6, ratings, color=colour, marker="o", label=name)
     _finish(figure, [axes], title)
@@ -160,7 +160,7 @@ def _draw_returns(axes: "Axes", rows: _Rows) -> None:
         validated = f"{label}, validation"
         _draw_dots(axes, rows, f"validation/{side}return", validated, ink)
     for i, robot in enumerate(robots_of(columns)):
-        colour = _COLOURS[i % len(_COLOURS)]
+        colour = COLOURS[i % len(COLOURS)]
         # Every other one is dashed: robots that earn the same lie on one another.
         style = "dashed" if i % 2 else "solid"
         _draw_line(axes, rows, f"{robot}/return", robot, colour, 1.5, style=style)

@@ -100,6 +100,8 @@ class Run:
             rows = started.rows if started is not None else ()
             self._monitor = Monitor(folder, settings.title, rows)
             self._since = time.monotonic()
+            self._cores_before = rows[-1].get("core_seconds") if rows else 0.0
+            self._cores_since = time.process_time()
             if started is None:
                 self._save(LAST)
         except BaseException:
@@ -122,6 +124,7 @@ class Run:
             is_due = _crosses(before, steps, hyperparameters.validation_interval)
             validation = self._validate() if is_due or is_last else None
             row = summarize(steps, self._seconds, rate, iteration, validation)
+            row |= self._core_seconds()
             self._monitor.log(row)
             if validation is not None:
                 self._keep_best(row)
@@ -149,6 +152,16 @@ class Run:
     @property
     def _seconds(self) -> float:
         return self._before + time.monotonic() - self._since
+
+    def _core_seconds(self) -> Mapping[str, float]:
+        """Return the CPU time so far, of all threads, unless it is not known.
+
+        Ray's collectors take theirs elsewhere.
+        """
+        before = self._cores_before
+        if before is None or self._settings.backend == "ray":
+            return {}
+        return {"core_seconds": before + time.process_time() - self._cores_since}
 
     def _policy(self, member: str) -> NetworkPolicy:
         """Return a member's policy as it is now."""

@@ -1,0 +1,1 @@
+"""Training runs beside one another: what differs, and how sure that is."""

@@ -1,0 +1,224 @@
+"""The picture of a comparison, in a size that a two-column paper takes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from collaborative_gym.comparisons.result import Comparison, is_share
+from collaborative_gym.evaluation.bootstrap import Estimate
+from collaborative_gym.files import replacing
+from collaborative_gym.learning.curve import COLOURS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WIDTH, _HEIGHT, _COLUMNS = 7.16, 2.2, 3
+"""Size of a line of panels, in inches: across both columns of an IEEE paper; and how
+many panels stand in it."""
+
+_LEGEND = 0.3
+"""Height of the names above them, in inches."""
+
+_STYLES = ("solid", "dashed", "dashdot", "dotted")
+"""Beside colours, for eyes and printers that have none."""
+
+_LOOK: Any = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "legend.fontsize": 7,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "lines.linewidth": 1.2,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "pdf.fonttype": 42,  # Fonts whole, which publishers ask for.
+    "svg.hashsalt": "collaborative-gym",  # The same bytes every time.
+}
+
+
+def draw_comparison(comparison: Comparison, *paths: str | Path) -> None:
+    """Draw a comparison into files, each whole or not at all.
+
+    Args:
+      comparison: what came of it.
+      paths: the files, whose suffixes say the kind: .svg, .pdf or .png.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if a file cannot be written.
+    """
+    figure, look = comparison_figure(comparison), _looking()
+    for path in map(Path, paths):
+        # The same comparison is the same file, whenever it is drawn.
+        dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+        with replacing(path) as unfinished, look():
+            figure.savefig(unfinished, dpi=300, metadata=dates.get(path.suffix))
+
+
+def comparison_figure(comparison: Comparison) -> "Figure":
+    """Return the panels of a comparison, 7.16 in wide, that belong to no window.
+
+    First come the learning curves, interquartile means of validations with their 95 %
+    intervals: a panel for each environment, or one where only environments differ. Then
+    come the performance profile, the share of runs that score at least so much; and the
+    probabilities of improvement.
+
+    Args:
+      comparison: what came of it.
+
+    Raises:
+      ImportError: if the extra `train` is not installed.
+    """
+    with _looking()():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        many = len(comparison.methods) > 1
+        places = comparison.environments if many else ("",)
+        names = comparison.methods if many else comparison.environments
+        styles = dict(zip(names, _lines(), strict=False))
+        drawings = [
+            partial(_draw_curves, comparison=comparison, place=place, styles=styles)
+            for place in places
+        ]
+        if comparison.contestants:
+            drawings.append(
+                partial(_draw_profiles, comparison=comparison, styles=styles)
+            )
+        if comparison.improvements:
+            drawings.append(partial(_draw_improvements, comparison=comparison))
+        columns = min(len(drawings), _COLUMNS)
+        lines = math.ceil(len(drawings) / columns)
+        size = _WIDTH * columns / _COLUMNS, _HEIGHT * lines + _LEGEND
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = list(figure.subplots(lines, columns, squeeze=False).flat)
+        for own, draw in zip(axes, drawings, strict=False):
+            draw(own)
+        for unused in axes[len(drawings) :]:
+            unused.remove()
+        if len(names) > 1:
+            _name(figure, styles)
+        return figure
+
+
+def _name(figure: "Figure", styles: Mapping[str, Any]) -> None:
+    """Name the lines above all panels."""
+    from matplotlib.lines import Line2D
+
+    widest = 0.5 + 0.07 * max(map(len, styles))  # Inches, nearly.
+    figure.legend(
+        [Line2D([], [], **style) for style in styles.values()],
+        list(styles),
+        loc="outside upper left",
+        ncols=max(1, int(figure.get_figwidth() / widest)),
+        frameon=False,
+    )
+
+
+def _looking() -> Any:
+    """Return what makes a context in which Matplotlib draws as papers want it."""
+    try:
+        from matplotlib import rc_context
+    except ImportError:
+        raise ImportError(
+            "pictures of comparisons need matplotlib, which is not installed;"
+            " pip install 'collaborative-gym[train]'"
+        ) from None
+    return lambda: rc_context(_LOOK)
+
+
+def _lines() -> Any:
+    """Yield how to draw one contestant after the other."""
+    for i, colour in enumerate(cycle(COLOURS)):
+        yield {"color": colour, "linestyle": _STYLES[i % len(_STYLES)]}
+
+
+def _draw_curves(
+    axes: "Axes", comparison: Comparison, place: str, styles: Mapping[str, Any]
+) -> None:
+    """Draw the learning curves of an environment, or of all where none is named."""
+    measure = comparison.measure
+    for group in comparison.groups:
+        if place in ("", group.environment):
+            name = group.method if place else group.environment
+            curve = comparison.curve(group, measure)
+            steps = group.steps / 1e6
+            _draw_band(axes, steps, curve, measure, styles[name], name)
+    axes.set_xlabel("environment steps (millions)")
+    axes.set_ylabel(_label(measure))
+    axes.set_xlim(left=0.0)
+    if is_share(measure):
+        axes.set_ylim(-2, 102)
+    only = comparison.environments[0] if len(comparison.environments) == 1 else ""
+    axes.set_title(place or only)
+
+
+def _draw_band(
+    axes: "Axes",
+    places: np.ndarray,
+    estimates: Sequence[Estimate],
+    measure: str,
+    style: Mapping[str, Any],
+    name: str,
+) -> None:
+    """Draw values as a line and their intervals as a band."""
+    values, low, high = (
+        _factor(measure)
+        * np.array([(each.value, each.low, each.high) for each in estimates]).T
+    )
+    marker = "o" if len(values) == 1 else None  # A single point makes no line.
+    axes.plot(places, values, label=name, marker=marker, **style)
+    axes.fill_between(places, low, high, color=style["color"], alpha=0.2, linewidth=0)
+
+
+def _draw_profiles(
+    axes: "Axes", comparison: Comparison, styles: Mapping[str, Any]
+) -> None:
+    levels = _factor(comparison.measure) * comparison.levels
+    for name, profile in comparison.profiles.items():
+        _draw_band(axes, levels, profile, "completion", styles[name], name)
+    axes.set_ylim(-2, 102)
+    axes.set_xlabel(f"at least this {_label(comparison.measure)}")
+    axes.set_ylabel("share of runs (%)")
+    axes.set_title(_of("profile", comparison))
+
+
+def _draw_improvements(axes: "Axes", comparison: Comparison) -> None:
+    """Draw each probability and its interval, with who beats whom above it."""
+    for i, ((one, other), chance) in enumerate(comparison.improvements.items()):
+        ends = 100 * np.array([chance.low, chance.high])
+        axes.plot(ends, [i, i], color=COLOURS[0], linewidth=2.0)
+        axes.plot(100 * chance.value, i, "o", color=COLOURS[0], markersize=4)
+        axes.text(0, i - 0.15, f"{one} over {other}", fontsize=7, va="bottom")
+    axes.axvline(50, color="#7f7f7f", linewidth=0.8, linestyle="dashed", zorder=1)
+    axes.set_yticks([])
+    axes.set_ylim(len(comparison.improvements) - 0.6, -0.8)
+    axes.set_xlim(-4, 104)
+    axes.set_xlabel("probability (%)")
+    axes.set_title(_of("improvement", comparison))
+
+
+def _of(what: str, comparison: Comparison) -> str:
+    """Return a title, with how many environments it tells of where there are more."""
+    count = len(next(iter(comparison.contestants.values())).groups)
+    return f"{what}, {count} environments" if count > 1 else what
+
+
+def _label(measure: str) -> str:
+    name = measure.replace("/", " ")
+    return f"{name} (%)" if is_share(measure) else name
+
+
+def _factor(measure: str) -> float:
+    return 100.0 if is_share(measure) else 1.0
