@@ -2,13 +2,11 @@
 
 import os
 import re
-import runpy
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -135,36 +133,3 @@ def test_the_table_names_every_example():
         r"^\| `(\w+\.py)` \|", (EXAMPLES / "README.md").read_text(), re.M
     )
     assert sorted(names) == sorted(path.name for path in EXAMPLES.glob("*.py"))
-
-
-def test_stable_baselines3_is_told_of_worlds_as_of_its_own():
-    pytest.importorskip("stable_baselines3")
-    import gymnasium
-    from stable_baselines3.common.env_util import make_vec_env
-
-    example = runpy.run_path(str(EXAMPLES / "train_stable_baselines3.py"))
-    settings = {"max_episode_steps": 5}
-    batch = gymnasium.make_vec("PokeTaskSawyers-v0", num_envs=1, **settings)
-    worlds = example["Worlds"](batch)
-    own = make_vec_env("PokeTaskSawyers-v0", n_envs=1, env_kwargs=settings)
-    for envs in (worlds, own):
-        envs.seed(3)
-    np.testing.assert_array_equal(worlds.reset(), own.reset())
-    rng = np.random.default_rng(0)
-    for step in range(12):
-        actions = rng.uniform(-1, 1, (1, 14)).astype(np.float32)
-        found, expected = worlds.step(actions), own.step(actions)
-        for mine, theirs in zip(found[:3], expected[:3], strict=True):
-            np.testing.assert_allclose(mine, theirs, rtol=1e-6)
-        (info,), (other,) = found[3], expected[3]
-        is_last = step % 5 == 4
-        assert found[2].tolist() == [is_last]
-        assert info.get("TimeLimit.truncated", False) == is_last
-        assert other["TimeLimit.truncated"] == is_last
-        assert ("terminal_observation" in info) == is_last
-        if is_last:
-            np.testing.assert_array_equal(
-                info["terminal_observation"], other["terminal_observation"]
-            )
-    worlds.close()
-    own.close()

@@ -4,13 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import gymnasium
 import numpy as np
+from gymnasium.spaces import Box
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, look_up, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.predicting import predicting
 from collaborative_gym.policies.scripted import (
     RandomPolicy,
     expert_policy,
@@ -52,11 +53,13 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         "random", uniform actions, the same for an episode of a seed in any batch;
         "idle", which holds still with an open grip, "gripping", with a closed one, and
         "frozen", which keeps hold of what it holds; a function from observations to
-        actions; or one of these for each agent, such as
+        actions; a model of Stable-Baselines3 that commands all robots; or one of these
+        for each agent, such as
         `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
       env: what it is to play: a `VectorEnv`, or an environment of this package under
-        PettingZoo's or Gymnasium's contract, whose observations and actions it then
-        takes and returns. Only an id and a path do without; they play a `VectorEnv`.
+        the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose observations
+        and actions it then takes and returns. Only an id and a path do without; they
+        play a `VectorEnv`.
       any_env: whether a trained policy may play another environment than the one that
         it is for, if the sizes of its spaces are the same.
 
@@ -81,10 +84,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     act = as_policy(policy, vector_env, any_env=any_env)
     if own is vector_env:
         return act
-    if isinstance(own, gymnasium.Env | gymnasium.vector.VectorEnv):
+    # Where one agent commands all robots, there is one space and not one for each.
+    if isinstance(getattr(own, "observation_space", None), Box):
         act = _joined(act, vector_env)
-    is_batch = isinstance(own, gymnasium.vector.VectorEnv)
-    return act if is_batch else _for_one_world(act)
+    return act if hasattr(own, "num_envs") else _for_one_world(act)
 
 
 def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Policy:
@@ -145,6 +148,8 @@ def commanding(
         policy.check(env, any_env=any_env)
     if callable(policy):
         return cast(Policy, policy)
+    if hasattr(policy, "predict"):
+        return predicting(policy, env)
     raise TypeError(
         f"policy must be one of {', '.join(map(repr, _NAMES))}, a path, a function from"
         " observations to actions, or one of these for each agent, got"
