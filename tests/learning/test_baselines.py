@@ -17,10 +17,10 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
     four = dict.fromkeys(baselines._EPISODES, 4)
     monkeypatch.setattr(baselines, "_EPISODES", four)
 
-    def train_both(changes=None, **options):
+    def train_both(changes=None, output=tmp_path, **options):
         changes = changes or changed(tiny(total_steps=64))
         given = {"seeds": (0, 1), "changes": changes, "resources": alone}
-        return list(train_baselines([carry_id], tmp_path, **given, **options))
+        return list(train_baselines([carry_id], output, **given, **options))
 
     return train_both
 
@@ -58,6 +58,19 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
         report = cg.evaluate(carry_id, policy, episodes=4, num_threads=1, **options)
         (row,) = [row for row in shown if f"| {starts} |" in row]
         assert f"| {format_statistic(report.mean_reward)} |" in row
+
+
+def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
+    (card,) = train_both()
+    assert ", from scratch, without demonstrations; mode" in card.read_text()
+    first = cg.load_policy(card.with_suffix(".safetensors"))
+    monkeypatch.chdir(tmp_path)
+    start = card.with_suffix(".safetensors").name
+    (card,) = train_both(output=tmp_path / "more", start_from=start)
+    text = card.read_text()
+    began = f"beginning with the policy `{start}` of then (digest {first.digest[:12]}"
+    assert began in text and "0.00 M steps from scratch, without" in text
+    assert f"--start-from {start}" in text
 
 
 def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):

@@ -73,12 +73,7 @@ def test_a_run_leaves_what_it_promises(read_progress, trained, mode, carry):
     assert validated == [64, 128]
     for row in rows:
         assert all(np.isfinite(value) for value in row.values())
-    returns = {
-        row["steps"]: row["validation/return"]
-        for row in rows
-        if "validation/return" in row
-    }
-    assert result.best["steps"] == max(returns, key=returns.__getitem__)
+    assert result.best["steps"] in validated
     policy = result.policy()
     assert policy.metadata["steps"] == result.best["steps"]
     assert policy.metadata["mode"] == mode and policy.metadata["backend"] == "skrl"
@@ -388,7 +383,14 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
         return report
 
     monkeypatch.setattr(running, "evaluate", as_given)
-    result = train_tiny(hyperparameters=tiny(validation_interval=32))
+    numbers = tiny(
+        validation_interval=32,
+        torque_penalty=0.0,
+        change_penalty=0.0,
+        contact_penalty=0.0,
+        range_penalty=0.0,
+    )
+    result = train_tiny(hyperparameters=numbers)
     assert result.best["validation/return"] == 3.0
     assert result.best["steps"] == 64
     best = Checkpoint.load(result.folder / BEST)
@@ -396,3 +398,21 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
     assert Checkpoint.load(result.folder / LAST).best == result.best
     policy = NetworkPolicy.load(result.folder / "policy.safetensors")
     assert policy.metadata["steps"] == 64
+
+
+def test_where_more_is_charged_the_latest_of_the_equally_good_is_best(
+    train_tiny, tiny, monkeypatch
+):
+    evaluate = running.evaluate
+    given = iter([(0.5, 9.0), (1.0, 3.0), (0.997, 2.0), (0.9, 5.0)])
+
+    def as_given(*arguments, **options):
+        report = evaluate(*arguments, **options)
+        completion, score = next(given)
+        object.__setattr__(report.completion, "mean", completion)
+        object.__setattr__(report.mean_reward, "mean", score)
+        return report
+
+    monkeypatch.setattr(running, "evaluate", as_given)
+    result = train_tiny(hyperparameters=tiny(validation_interval=32))
+    assert result.best["steps"] == 96 and result.best["validation/return"] == 2.0

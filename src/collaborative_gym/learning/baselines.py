@@ -193,8 +193,8 @@ def write_card(
         f"# {env_id}: baseline",
         "",
         f"A policy for each robot ({robots}), trained by PPO on the thesis's reward,"
-        f" {_beginning(settings)}, mode collaborative: no shaping,"
-        f" {_curriculum(hyperparameters)}.",
+        f" {_beginning(settings.start_from, settings.start)}; mode collaborative, no"
+        f" shaping, {_curriculum(hyperparameters)}.",
         "",
         f"- environment: `{env_id}`, randomization `default`",
         f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
@@ -254,14 +254,16 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
     )
 
 
-def _beginning(settings: Settings) -> str:
-    if not settings.start_from:
+def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
+    """Return with what a run began, and that with what, back to networks by chance."""
+    if not start_from:
         return "from scratch, without demonstrations"
-    start = settings.start
+    own = start["metadata"]
+    before = _beginning(own.get("start_from", ""), own.get("start", {}))
     return (
-        f"beginning with the policy {settings.start_from} of then (digest"
-        f" {start['digest'][:12]}, seed {start['metadata']['seed']} after"
-        f" {start['metadata']['steps'] / 1e6:.2f} M steps)"
+        f"beginning with the policy `{start_from}` of then (digest"
+        f" {start['digest'][:12]}, seed {own['seed']}, {own['steps'] / 1e6:.2f} M"
+        f" steps {before})"
     )
 
 

@@ -191,6 +191,17 @@ class Hyperparameters:
         return np.where(is_grip, self.grip_persistence, 0.0)
 
     @property
+    def has_prices(self) -> bool:
+        """Whether training charges for more than the reward."""
+        prices = (
+            self.torque_penalty,
+            self.change_penalty,
+            self.contact_penalty,
+            self.range_penalty,
+        )
+        return any(prices)
+
+    @property
     def steps_per_update(self) -> int:
         """Environment steps between two updates."""
         return self.num_envs * self.rollout_steps

@@ -207,7 +207,11 @@ class Run:
         # Of opponents one gains what another loses: the latest policies count as best,
         # unless their opponents stay as they are.
         is_latest_best = {SELF, LEAGUE} & set(self._settings.opponents)
-        if self._best and not is_latest_best and _rank(row) <= _rank(self._best):
+        if (
+            self._best
+            and not is_latest_best
+            and self._rank(row) <= self._rank(self._best)
+        ):
             return
         self._best = {
             column: value
@@ -220,6 +224,20 @@ class Run:
             for name in members:
                 self._policy(name).save(self._folder / player_file(name))
         self._save(BEST)
+
+    def _rank(self, row: Mapping[str, float]) -> tuple[float, ...]:
+        """Return by what the best validation is chosen.
+
+        Against opponents it is the points, then the return; else the return. Where
+        training charges for more than the reward, returns are best before it does:
+        there it is completion and performance in percent, and of equals the latest.
+        """
+        if "validation/points" in row:
+            return row["validation/points"], row["validation/return"]
+        if not self._settings.hyperparameters.has_prices:
+            return (row["validation/return"],)
+        shares = row["validation/completion"], row["validation/performance"]
+        return *(round(share, 2) for share in shares), row["steps"]
 
     def _save(self, name: str) -> None:
         Checkpoint(
@@ -295,11 +313,6 @@ def _make_backend(
         assistance=hyperparameters.assistance,
         final_noise=hyperparameters.final_noise,
     )
-
-
-def _rank(row: Mapping[str, float]) -> tuple[float, float]:
-    """Return by what the best validation is chosen: games won, then the return."""
-    return row.get("validation/points", 0.0), row["validation/return"]
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:
