@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from collaborative_gym.comparisons.result import Comparison
     from collaborative_gym.evaluation import Report, evaluate
     from collaborative_gym.learning.config import Hyperparameters
+    from collaborative_gym.learning.many import Outcome, train_all
     from collaborative_gym.learning.train import train
     from collaborative_gym.policies import load_policy
     from collaborative_gym.tournaments.play import tournament
@@ -53,6 +54,7 @@ __all__ = [
     "Gripper",
     "Hyperparameters",
     "Motion",
+    "Outcome",
     "Placement",
     "Randomization",
     "Report",
@@ -78,6 +80,7 @@ __all__ = [
     "register_task",
     "tournament",
     "train",
+    "train_all",
 ]
 
 # Imported on first use, so that `import collaborative_gym` stays quick.
@@ -85,6 +88,7 @@ _LATER = {
     "Budget": "collaborative_gym.certificate.budget",
     "Comparison": "collaborative_gym.comparisons.result",
     "Hyperparameters": "collaborative_gym.learning.config",
+    "Outcome": "collaborative_gym.learning.many",
     "Report": "collaborative_gym.evaluation",
     "Tournament": "collaborative_gym.tournaments.result",
     "certify": "collaborative_gym.certificate.certify",
@@ -93,6 +97,7 @@ _LATER = {
     "load_policy": "collaborative_gym.policies",
     "tournament": "collaborative_gym.tournaments.play",
     "train": "collaborative_gym.learning.train",
+    "train_all": "collaborative_gym.learning.many",
 }
 
 

@@ -11,11 +11,13 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.cli.main import main
-from collaborative_gym.learning import baselines
+from collaborative_gym.cli.train import read_seeds
+from collaborative_gym.learning import baselines, many
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import RECIPES
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import LAST
+from collaborative_gym.learning.many import Outcome
 
 THREADS = ["--num-threads", "1", "--torch-threads", "1"]
 SIZES = """
@@ -31,6 +33,7 @@ sys.path.insert(0, sys.argv.pop(1))
 import collaborative_gym as cg
 from conftest import Carry
 from collaborative_gym.cli.main import main
+from collaborative_gym.cli.train import read_seeds
 from collaborative_gym.learning import monitor
 
 monitor.draw_curve = lambda *_: None
@@ -183,8 +186,15 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("", "name one environment to train, or pass --all"),
-        ("Carry Poke", "name one environment to train, or pass --all"),
+        ("", "name environments to train, or pass --all"),
+        ("--seeds 0 1", "name environments to train, or pass --all"),
+        ("Carry --seeds 0-x", "numbers and ranges, as 0-9; got '0-x'"),
+        ("Carry --seeds 3-1", "--seeds 3-1 must go up"),
+        ("Carry --seeds 0-1 1", "seed1 is asked for twice"),
+        ("Carry --seeds 0 --seed 1", "--seed is of one run; give --seeds instead"),
+        ("Carry --jobs 2 --resume run", "--resume is of one run; give the same comm"),
+        ("Carry --modes shared --mode shared", "--mode or --modes, not both"),
+        ("Carry --jobs -1", "jobs must be at least 0"),
         ("Cary", "did you mean 'Carry'?"),
         ("Carry --device gpu", "no device 'gpu'; give cpu or cuda"),
         ("Carry --backend jax", "backends: ray, skrl"),
@@ -198,9 +208,9 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Poke --resume run", "environment is Poke, not Carry; task is"),
         ("--resume run --discount 0.5", "discount is 0.5, not"),
         ("--resume run --mode shared", "mode is shared, not collaborative"),
-        ("Carry --seeds 0 1", "--seeds goes with --all; one run has one --seed"),
         ("--all --mode shared", "mode does not go with --all"),
         ("--all --seed 0", "seed does not go with --all"),
+        ("--all --jobs 2", "jobs does not go with --all"),
         ("--all --resume run", "resume does not go with --all"),
     ],
 )
@@ -271,3 +281,44 @@ def test_all_trains_one_after_the_other_and_goes_on(
         folder = tmp_path / carry_id / f"seed{seed}"
         assert Checkpoint.load(folder / LAST).backend["steps"] == 96
         assert len(curve(folder)) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "seeds"),
+    [("", ()), ("3", (3,)), ("0-3", (0, 1, 2, 3)), ("7 0-1 4", (7, 0, 1, 4))],
+)
+def test_seeds_are_numbers_and_ranges(words, seeds):
+    assert read_seeds(words.split()) == seeds
+
+
+def test_several_runs_in_one_command_and_what_failed(
+    carry_id, tmp_path, capsys, monkeypatch
+):
+    """The runs themselves are those of `train_all`, and tested there."""
+    asked = []
+
+    def finish(plans, *, jobs, resources, on_row):
+        asked.extend(plans)
+        on_row(plans[0], {"steps": 64}, {})
+        yield Outcome(plans[0].folder, object())
+        yield Outcome(plans[1].folder, None, "no memory")
+        for plan in plans[2:]:
+            yield Outcome(plan.folder, object())
+
+    monkeypatch.setattr(many, "finish", finish)
+    line = f"train {carry_id} --modes independent shared --seeds 0-1 --discount 0.5"
+    arguments = [*line.split(), "--total-steps", "64", "--output", str(tmp_path)]
+    assert main(arguments) == 1
+    names = [f"{carry_id}-{m}-seed{s}" for m in ("independent", "shared") for s in "01"]
+    assert [plan.folder for plan in asked] == [tmp_path / name for name in names]
+    assert asked[0].given["hyperparameters"].discount == 0.5
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        f"wrote {tmp_path / name}" for name in names if name != names[1]
+    ]
+    assert "1 of 4 runs done, 0 begun, 64 of 256 steps" in printed.err
+    last = printed.err.splitlines()[-2:]
+    assert last == [
+        "error: 1 of 4 runs failed:",
+        f"{tmp_path / names[1]}: no memory",
+    ]

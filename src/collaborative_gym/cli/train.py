@@ -1,6 +1,7 @@
 """The command that trains."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,9 @@ from collaborative_gym.learning.config import (
 
 _Own = tyro.conf.arg(help_behavior_hint="")
 """Of an option whose help says itself what holds where it is not given."""
+
+_MOST_SEEDS = 10_000
+"""More runs of one kind than anybody trains."""
 
 _Flat = tyro.conf.arg(name="")
 
@@ -46,17 +50,23 @@ class Train(Command):
     below.
 
     Attributes:
-      envs: environment id, or a task's name; with --resume that of the run.
+      envs: environment ids, or tasks' names; with --resume that of the run.
       all: train the baselines of all environments, or of those named, one after the
         other, and write their cards; continues the runs that exist already.
+      modes: train in each of these; see --mode.
+      jobs: of several runs, those that are trained at a time, each in a process of its
+        own with one physics thread (default: one per CPU). Ctrl-C ends all of them, and
+        the same command goes on.
       mode: who learns what. collaborative (default): a policy for each robot and one
         critic that sees all observations; independent: a policy and a critic each;
         shared: one policy and critic for robots with equal spaces (default for these
         against given policies and in a league); centralized: one policy for all robots.
       seed: of the run (default: 0).
-      seeds: of the runs of each baseline, with --all (default: 0 1 2).
+      seeds: of several runs, such as 0 1 2 or 0-9, one for each in each environment
+        and mode; with --all of each baseline (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS, before the mode also
-        league, population or guests), or of all baselines (default: runs/baselines).
+        league, population or guests); the folder of all of several runs (default:
+        runs), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much the starts of episodes differ: default, or paper for the
@@ -83,7 +93,9 @@ class Train(Command):
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     mode: Annotated[Mode | None, tyro.conf.arg(metavar="MODE"), _Own] = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
-    seeds: Annotated[tuple[int, ...], tyro.conf.arg(metavar="INT ..."), _Own] = ()
+    seeds: Annotated[tuple[str, ...], tyro.conf.arg(metavar="INT | A-B ..."), _Own] = ()
+    modes: Annotated[tuple[Mode, ...], tyro.conf.arg(metavar="MODE ..."), _Own] = ()
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
     robots: Robots = ()
@@ -102,6 +114,9 @@ class Train(Command):
         """Train, showing how it goes."""
         if self.all:
             self._train_all()
+            return
+        if len(self.envs) > 1 or self.modes or self.seeds or self.jobs is not None:
+            self._train_several()
             return
         from collaborative_gym.learning.display import Display
         from collaborative_gym.learning.train import train
@@ -139,15 +154,13 @@ class Train(Command):
         from collaborative_gym.learning.checkpoint import Checkpoint
         from collaborative_gym.learning.folder import LAST
 
-        if self.seeds:
-            raise ValueError("--seeds goes with --all; one run has one --seed")
         envs, own = self.envs, None
         if self.resume is not None:
             settings = Checkpoint.load(self.resume / LAST).settings
             envs = envs or (settings.identity.name,)
             own = settings.hyperparameters
         if len(envs) != 1:
-            raise ValueError("name one environment to train, or pass --all")
+            raise ValueError("name environments to train, or pass --all")
         return envs[0], replace(own or recipe(envs[0]), **self._given())
 
     def _given(self) -> dict[str, Any]:
@@ -158,21 +171,69 @@ class Train(Command):
             if not isinstance(value, _NotGiven)
         }
 
+    def _train_several(self) -> None:
+        """Train several runs; what fails is told in the end."""
+        from collaborative_gym.learning.display_many import ManyDisplay
+        from collaborative_gym.learning.many import finish, plan_runs
+
+        for option, other in (("seed", "--seeds"), ("resume", "the same command")):
+            if getattr(self, option) is not None:
+                raise ValueError(f"--{option} is of one run; give {other} instead")
+        if self.mode is not None and self.modes:
+            raise ValueError("give --mode or --modes, not both")
+        if not self.envs:
+            raise ValueError("name environments to train, or pass --all")
+        plans = plan_runs(
+            self.envs,
+            self.modes or ((self.mode,) if self.mode else None),
+            seeds=read_seeds(self.seeds) or (0,),
+            output=self.output or Path("runs"),
+            changes=self._given(),
+            shared={
+                "robots": self.robots or None,
+                "randomization": self.randomization,
+                "opponent": self.opponent or None,
+                "partner": self.partner or None,
+                "start_from": self.start_from,
+                "backend": self.backend,
+            },
+            checkpoint_interval=self.checkpoint_interval,
+        )
+        with ManyDisplay(plans) as display:
+            outcomes = list(
+                finish(
+                    plans,
+                    jobs=self.jobs or 0,
+                    resources=self.resources,
+                    on_row=display.show,
+                )
+            )
+        failed = [each for each in outcomes if each.result is None]
+        for outcome in outcomes:
+            if outcome.result is not None:
+                tell(f"wrote {outcome.folder}")
+        if failed:
+            told = "".join(f"\n{each.folder}: {each.reason}" for each in failed)
+            raise RuntimeError(f"{len(failed)} of {len(plans)} runs failed:{told}")
+
     def _train_all(self) -> None:
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import train_baselines
         from collaborative_gym.learning.display import Display
 
-        own = "mode seed resume robots randomization opponent partner backend"
+        own = (
+            "mode modes jobs seed resume robots randomization opponent partner backend"
+        )
         for option in own.split():
             if getattr(self, option) not in (None, ()):
                 raise ValueError(
                     f"{option} does not go with --all: all baselines are trained alike"
                 )
+        seeds = read_seeds(self.seeds) or (0, 1, 2)
         for card in train_baselines(
             self.envs or list_envs(),
             self.output or Path("runs/baselines"),
-            seeds=self.seeds or (0, 1, 2),
+            seeds=seeds,
             changes=self._given(),
             start_from=self.start_from,
             resources=self.resources,
@@ -180,3 +241,24 @@ class Train(Command):
             displays=Display,
         ):
             tell(f"wrote {card}")
+
+
+def read_seeds(words: Sequence[str]) -> tuple[int, ...]:
+    """Return the seeds that words such as "3" and "0-9" name.
+
+    Raises:
+      ValueError: if a word is no seed and no range of seeds.
+    """
+    found: list[int] = []
+    for word in words:
+        first, dash, last = word.partition("-")
+        ends = [first, last if dash else first]
+        if not all(end.isdecimal() and end.isascii() and len(end) < 20 for end in ends):
+            raise ValueError(f"--seeds takes numbers and ranges, as 0-9; got {word!r}")
+        low, high = map(int, ends)
+        if not low <= high < low + _MOST_SEEDS:
+            raise ValueError(
+                f"--seeds {word} must go up, by at most {_MOST_SEEDS:,} seeds"
+            )
+        found += range(low, high + 1)
+    return tuple(found)

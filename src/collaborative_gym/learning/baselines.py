@@ -100,7 +100,7 @@ def train_baselines(
     """
     if not seeds:
         raise ValueError("give at least one seed")
-    recipes = _recipes(env_ids, changes)
+    recipes = changed_recipes(env_ids, changes)
     output = Path(output)
     resources = resources or Resources()
     for env_id, hyperparameters in recipes.items():
@@ -128,10 +128,18 @@ def train_baselines(
         yield _ship(env_id, candidates, output, resources)
 
 
-def _recipes(
+def changed_recipes(
     env_ids: Sequence[str], changes: Mapping[str, Any] | None
 ) -> dict[str, Hyperparameters]:
-    """Return how each environment is learned; what is wrong shows before the work."""
+    """Return how each environment is learned; what is wrong shows before the work.
+
+    Args:
+      env_ids: which environments.
+      changes: what to use instead of their recipes', by name; None for nothing.
+
+    Raises:
+      KeyError: if there is no such environment, or hyperparameter.
+    """
     changes = {} if changes is None else changes
     check_kind("changes", changes, Mapping, "a mapping, or None")
     for name in changes:

@@ -83,7 +83,7 @@ class Display:
         for where, known in (("", self._known), ("validation/", row)):
             for name in self._measures():
                 if where + name in known:
-                    told = _result(known, where + name)
+                    told = format_result(known, where + name)
                     cells.append(f"{where}{name} {told}".replace("/", " "))
         line = ", ".join(cells)
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -117,19 +117,21 @@ class Display:
         steps, rate = known["steps"], known["steps_per_second"]
         words = [
             # The last update may go past the total.
-            f"{_steps(steps)} of {_steps(total)} steps"
+            f"{format_steps(steps)} of {format_steps(total)} steps"
             f" ({min(100.0, 100 * steps / total):.0f} %)",
             f"{rate:,.0f} steps/s",
         ]
         if steps >= total:
-            return [*words, f"took {_duration(known['seconds'])}"]
+            return [*words, f"took {format_duration(known['seconds'])}"]
         # The latest rate jumps about; that since the first row foretells better.
         assert self._first is not None, "a row is known"
         seconds = known["seconds"] - self._first["seconds"]
         if seconds > 0:
             rate = (steps - self._first["steps"]) / seconds
         return (
-            [*words, f"{_duration((total - steps) / rate)} left"] if rate > 0 else words
+            [*words, f"{format_duration((total - steps) / rate)} left"]
+            if rate > 0
+            else words
         )
 
     def _measures(self) -> list[str]:
@@ -143,9 +145,9 @@ class Display:
         for name in self._measures():
             table.add_row(
                 name.replace("/", " "),
-                _result(self._known, name),
-                _result(self._known, f"validation/{name}"),
-                _result(best, f"validation/{name}"),
+                format_result(self._known, name),
+                format_result(self._known, f"validation/{name}"),
+                format_result(best, f"validation/{name}"),
             )
         return table
 
@@ -161,7 +163,7 @@ class Display:
         for term in terms:
             columns = [f"{robot}/{term}" for robot in robots]
             table.add_row(
-                term, *(_result(self._known, name, absent="") for name in columns)
+                term, *(format_result(self._known, name, absent="") for name in columns)
             )
         return table
 
@@ -190,7 +192,7 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
+def format_result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
     """Return a return, a reward term or a share as one reads it."""
     value = row.get(column)
     if value is None:
@@ -200,11 +202,13 @@ def _result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
     return f"{value:,.1f}" if abs(value) < 1e5 else f"{value:.3g}"
 
 
-def _steps(steps: float) -> str:
+def format_steps(steps: float) -> str:
+    """Return a number of steps as one reads it, such as "1.50 M"."""
     return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,.0f}"
 
 
-def _duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
+    """Return a time as one reads it, such as "1 min 30 s"."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

@@ -117,6 +117,8 @@ def train(
             start_from=start_from,
         )
         folder = folder or _begin(settings, output, stack)
+        # Also of a run that goes on, whose total_steps may have grown.
+        write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
         pressed = stack.enter_context(ctrl_c())
@@ -182,7 +184,6 @@ def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> P
             f"there is a run in {folder} already; continue it (--resume), or choose"
             " another output"
         )
-    write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")
     return folder
 
 

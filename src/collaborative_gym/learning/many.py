@@ -1,0 +1,351 @@
+"""Many runs, several at a time, each in a process of its own."""
+
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, Queue
+from tempfile import TemporaryFile
+from threading import Event, Thread
+from typing import Any
+
+from collaborative_gym.errors import check_callback, check_count, check_kind, check_name
+from collaborative_gym.evaluation.machine import cores
+from collaborative_gym.learning.baselines import changed_recipes
+from collaborative_gym.learning.config import Mode, Resources
+from collaborative_gym.learning.folder import LAST
+from collaborative_gym.learning.run import Result
+from collaborative_gym.learning.settings import Named, settle
+from collaborative_gym.learning.stopping import ctrl_c
+from collaborative_gym.learning.train import train
+from collaborative_gym.plugins import load_modules, loaded_files
+from collaborative_gym.tasks.registry import as_task
+
+_COMMAND = [sys.executable, "-m", "collaborative_gym.learning.many"]
+"""What trains one run, as standard input tells it."""
+
+_HEED = 0.2
+"""Longest time until Ctrl-C is heeded, in s."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that is to be trained, or to go on.
+
+    Attributes:
+      folder: where its files go; its name says what it is.
+      total_steps: environment steps of the whole run.
+      given: what `train` takes.
+    """
+
+    folder: Path
+    total_steps: int
+    given: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes:
+      folder: where its files are.
+      result: the finished run; None where it failed.
+      reason: why it failed; empty where it did not.
+    """
+
+    folder: Path
+    result: Result | None
+    reason: str = ""
+
+
+OnRow = Callable[[Plan, Mapping[str, float], Mapping[str, float]], object]
+"""Gets a run, an iteration's row, and that of the best validation so far."""
+
+
+def train_all(
+    envs: str | Sequence[str],
+    modes: Mode | Sequence[Mode] | None = None,
+    *,
+    seeds: Sequence[int] = (0,),
+    jobs: int = 0,
+    output: str | Path = "runs",
+    robots: Sequence[str] | None = None,
+    randomization: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+    opponent: Named | None = None,
+    partner: Named | None = None,
+    start_from: str | Path | None = None,
+    backend: str | None = None,
+    resources: Resources | None = None,
+    checkpoint_interval: int = 100_000,
+    on_row: OnRow | None = None,
+) -> tuple[Outcome, ...]:
+    """Train every environment in every mode with every seed, several at a time.
+
+    Each run has a folder of its own in `output`, named after environment, mode and
+    seed, and a process of its own. A run that fails does not end the others. Ctrl-C
+    ends all, each after its current update; the same call goes on with those that are
+    not finished. What is wrong with the arguments shows before the work.
+
+    Args:
+      envs: environment ids or tasks' names; tasks of your own come from `load_module`.
+      modes: who learns what, as in `train`; None for the usual one.
+      seeds: of the runs in each mode.
+      jobs: processes at a time, 0 for one per CPU. Where there are several, each has
+        one physics thread unless `resources` say otherwise.
+      output: the folder of all runs.
+      robots: as in `train`, for all runs; and so are the next ones.
+      randomization: how starts are drawn.
+      changes: hyperparameters to use instead of those of each environment's recipe, by
+        name.
+      opponent: who plays against what is learned.
+      partner: who plays with it.
+      start_from: a trained policy to begin with.
+      backend: what collects.
+      resources: device and threads of each run.
+      checkpoint_interval: environment steps between two checkpoints.
+      on_row: called with a plan after each of its iterations, with its numbers.
+
+    Returns:
+      What became of each run, in the order of environments, modes and seeds.
+
+    Raises:
+      KeyboardInterrupt: once all runs are saved, after Ctrl-C; at once if it comes
+        again, which loses what came after their last checkpoints.
+      KeyError: if a name is unknown.
+      TypeError: if something is of another kind.
+      ValueError: if the runs cannot be so; a run that is there already and was started
+        otherwise fails when its turn comes.
+    """
+    check_callback("on_row", on_row)
+    plans = plan_runs(
+        envs,
+        modes,
+        seeds=seeds,
+        output=output,
+        changes=changes,
+        shared={
+            "robots": robots,
+            "randomization": randomization,
+            "opponent": opponent,
+            "partner": partner,
+            "start_from": start_from,
+            "backend": backend,
+        },
+        checkpoint_interval=checkpoint_interval,
+    )
+    show = on_row or (lambda *_: None)
+    return tuple(finish(plans, jobs=jobs, resources=resources, on_row=show))
+
+
+def plan_runs(
+    envs: str | Sequence[str],
+    modes: Mode | Sequence[Mode] | None,
+    *,
+    seeds: Sequence[int],
+    output: str | Path,
+    changes: Mapping[str, Any] | None,
+    shared: Mapping[str, Any],
+    checkpoint_interval: int = 100_000,
+) -> list[Plan]:
+    """Return the runs of `train_all`, whose arguments these are.
+
+    Args:
+      envs: their names.
+      modes: who learns what.
+      seeds: of the runs.
+      output: the folder of all.
+      changes: hyperparameters in place of the recipes'.
+      shared: what else `settle` takes, `robots` and `randomization`.
+      checkpoint_interval: environment steps between two checkpoints.
+
+    Raises:
+      Exception: what `train_all` raises before the work.
+    """
+    check_kind("output", output, (str, Path), "a folder's name")
+    check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+    world = {name: shared[name] for name in ("robots", "randomization")}
+    others = {name: value for name, value in shared.items() if name not in world}
+    plans: dict[Path, Plan] = {}
+    for env in _several("environment", envs):
+        check_name("each environment", env)
+        (numbers,) = changed_recipes([env], changes).values()
+        task = as_task(env, **world)
+        for mode in (None,) if modes is None else _several("mode", modes):
+            for seed in _several("seed", seeds):
+                own = {"mode": mode, "seed": seed, "hyperparameters": numbers}
+                settings = settle(task, None, **own, **others)
+                folder = Path(output) / settings.folder.name
+                if folder in plans:
+                    raise ValueError(f"{folder.name} is asked for twice; ask once")
+                given = {"env": env, **own, **shared}
+                given["checkpoint_interval"] = checkpoint_interval
+                plans[folder] = Plan(folder, numbers.total_steps, given)
+    return list(plans.values())
+
+
+def finish(
+    plans: Sequence[Plan], *, jobs: int, resources: Resources | None, on_row: OnRow
+) -> Iterator[Outcome]:
+    """Train runs, and yield what became of each, in their order, at the end.
+
+    Args:
+      plans: the runs.
+      jobs: processes at a time, 0 for one per CPU.
+      resources: device and threads of each.
+      on_row: called after each iteration.
+
+    Raises:
+      KeyboardInterrupt: as `train_all`.
+    """
+    check_count("jobs", jobs, at_most=1024)
+    resources = resources or Resources()
+    check_kind("resources", resources, Resources, "Resources(...)")
+    jobs = min(jobs or cores(), len(plans))
+    if jobs > 1:
+        # Runs side by side keep the cores busy; more threads would only wait.
+        resources = replace(resources, num_threads=resources.num_threads or 1)
+    with ctrl_c() as pressed:
+        outcomes = _Crew(plans, resources, on_row).work(jobs, pressed)
+    if pressed.is_set():
+        done = sum(each.result is not None for each in outcomes.values())
+        raise KeyboardInterrupt(
+            f"stopped with {done} of {len(plans)} runs finished; the same command goes"
+            " on"
+        )
+    yield from (outcomes[plan.folder] for plan in plans)
+
+
+class _Crew:
+    """Processes that train runs, one each."""
+
+    def __init__(self, plans: Sequence[Plan], resources: Resources, on_row: OnRow):
+        self._waiting = list(plans)
+        self._resources = resources
+        self._on_row = on_row
+        self._inbox: Queue[tuple[Plan, Any]] = Queue()
+        self._under_way: dict[Path, subprocess.Popen[bytes]] = {}
+        self._outcomes: dict[Path, Outcome] = {}
+
+    def work(self, jobs: int, pressed: Event) -> dict[Path, Outcome]:
+        """Return what became of the runs; of those that Ctrl-C stopped, nothing."""
+        try:
+            while self._under_way or (self._waiting and not pressed.is_set()):
+                while self._waiting and len(self._under_way) < jobs:
+                    if pressed.is_set():
+                        break
+                    self._start(self._waiting.pop(0))
+                if pressed.is_set():
+                    for process in self._under_way.values():
+                        process.stdin.close()  # type: ignore[union-attr]
+                with suppress(Empty):
+                    self._heed(*self._inbox.get(timeout=_HEED))
+        finally:
+            for process in self._under_way.values():
+                process.kill()
+        return self._outcomes
+
+    def _start(self, plan: Plan) -> None:
+        """Start a run, out of reach of the terminal's Ctrl-C."""
+        is_there = (plan.folder / LAST).exists()
+        given = dict(plan.given) | {"resources": self._resources}
+        given["resume" if is_there else "output"] = plan.folder
+        said = TemporaryFile()  # noqa: SIM115  # The process has it, too.
+        process = subprocess.Popen(
+            _COMMAND,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
+            process_group=0,
+        )
+        assert process.stdin is not None
+        self._under_way[plan.folder] = process
+        with suppress(BrokenPipeError):  # It is gone already; `_read` says why.
+            pickle.dump((loaded_files(), given), process.stdin)
+            process.stdin.flush()
+        Thread(target=self._read, args=(plan, process, said), daemon=True).start()
+
+    def _read(self, plan: Plan, process: subprocess.Popen[bytes], said: Any) -> None:
+        """Hand on what a process sends, and at last its outcome, None if stopped."""
+        outcome: Outcome | None = None
+        try:
+            while True:
+                message = pickle.load(process.stdout)  # type: ignore[arg-type]
+                if not isinstance(message, tuple):
+                    outcome = message
+                    break
+                self._inbox.put((plan, message))
+        except (EOFError, pickle.UnpicklingError):
+            said.seek(0)
+            last = said.read().decode(errors="replace").strip().splitlines()[-1:]
+            words = f"its process ended with status {process.wait()}"
+            outcome = Outcome(plan.folder, None, ": ".join([words, *last]))
+        process.wait()
+        said.close()
+        self._inbox.put((plan, outcome))
+
+    def _heed(self, plan: Plan, message: Any) -> None:
+        if isinstance(message, tuple):
+            self._on_row(plan, *message)
+            return
+        process = self._under_way.pop(plan.folder)
+        for stream in (process.stdin, process.stdout):
+            with suppress(OSError):
+                stream.close()  # type: ignore[union-attr]
+        if message is not None:
+            self._outcomes[plan.folder] = message
+
+
+def _several(kind: str, given: Any) -> Sequence[Any]:
+    """Return what was given as a sequence of at least one."""
+    if isinstance(given, str):
+        return [given]
+    a = f"one {kind} or several"
+    check_kind(f"{kind}s", given, Sequence, a)
+    if not given:
+        raise ValueError(f"give at least one {kind}")
+    return given
+
+
+def _work() -> None:
+    """Train the run that standard input tells of, until it is done or that ends."""
+    # What prints on standard output must not come between the messages.
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    modules, given = pickle.load(sys.stdin.buffer)
+
+    def send(message: Any) -> None:
+        pickle.dump(message, out)
+        out.flush()
+
+    def on_row(row: Mapping[str, float], best: Mapping[str, float]) -> None:
+        # Input ends when the run is to stop, and also when nobody is there any more.
+        with suppress(BrokenPipeError):
+            send((dict(row), dict(best)))
+        if select.select([sys.stdin], [], [], 0.0)[0]:
+            signal.raise_signal(signal.SIGINT)
+
+    folder = given.get("output") or given["resume"]
+    try:
+        load_modules(modules)
+        message = Outcome(folder, train(**given, on_row=on_row))
+    except KeyboardInterrupt:
+        message = None
+    except Exception as error:
+        message = Outcome(folder, None, str(error) or repr(error))
+    with suppress(BrokenPipeError):
+        send(message)
+
+
+if __name__ == "__main__":
+    # By its own name, so that what is sent is the same class there and here.
+    from collaborative_gym.learning import many
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    many._work()
