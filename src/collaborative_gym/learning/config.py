@@ -236,10 +236,24 @@ class Resources:
             check_kind("ray_address", self.ray_address, str, "a text, or None")
 
 
+_GENTLE: Mapping[str, Any] = {
+    "torque_penalty": 0.1,
+    "contact_penalty": 0.05,
+    "range_penalty": 1.0,
+    "delayed": 0.5,
+}
+"""Prices that make robots gentle, and late actions that make them sturdy."""
+
 RECIPES: Mapping[str, Mapping[str, Any]] = {
-    "PokeTaskSawyers-v0": {"total_steps": 1_500_000},
-    "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000},
-    "BalanceTaskSawyers-v0": {"total_steps": 1_500_000},
+    "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
+    "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
+    # Larger noise dithers the board, and hides that the ball would rest off the middle.
+    "BalanceTaskSawyers-v0": {
+        "total_steps": 3_000_000,
+        "initial_std": 0.1,
+        "torque_penalty": 0.05,
+        "delayed": 0.25,
+    },
     "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
     # Noise that shifts most of a joint's torque limit at every step seldom lifts; this
     # shifts a third of it. Assistance harms Sawyers: arms that lift a light pot come to
