@@ -68,6 +68,12 @@ RUNS = {
         "--policy expert --episodes 2",
         "-m collaborative_gym evaluate SimplePick-v0 --module",
     ),
+    "train_benchmarl.py": Run(
+        (r"mean return = -[\d.]+.*1/1",),
+        "--total-steps 6000",
+        needs=("benchmarl",),
+        is_slow=True,
+    ),
     "train_modes.py": Run(
         (r"(?s)collaborative\W+-.*independent\W+-.*shared\W+-.*centralized\W+-",),
         "--total-steps 256 --num-envs 1 --episodes 1 --output runs",

@@ -19,6 +19,7 @@ ENV = "PokeTaskSawyers-v0"
 NO_ROBOTS = (3, "panda", {"panda"}, THING, [], ["panda"], ["panda", "x"])
 NO_RANDOMIZATION = (3, [], {}, THING, "", "papr", True)
 NO_CALLBACK = (3, "print", [], THING)
+NO_FLAG = (1, 0, "yes", [], THING)
 NO_GUESTS = (
     3,
     THING,
@@ -382,6 +383,7 @@ TRAIN = [
         "train", "checkpoint_interval", _train("checkpoint_interval"), NO_COUNT, [0, -1]
     ),
     *table("train", "on_row", _train("on_row"), NO_CALLBACK),
+    *table("train", "progress", _train("progress"), NO_FLAG),
     *table("train", "resume", _resumed, NO_PATH, ["", "nowhere", "\0"]),
     *table("train", "resume", _train("resume"), ["nowhere"]),
 ]

@@ -77,6 +77,10 @@ def test_markdown_is_a_table_of_all_statistics(report):
     assert cells[5][4] == f"{report.time_to_success.iqm:.1f} s"
 
 
+def test_a_notebook_shows_the_table(report):
+    assert report._repr_markdown_() == report.to_markdown()
+
+
 def test_markdown_has_dashes_where_nothing_succeeded(carry):
     failed = cg.evaluate(carry(height=5.0), episodes=1, num_threads=1)
     assert "| Carry | time to success | - | - | - |\n" in failed.to_markdown()

@@ -330,6 +330,13 @@ def test_a_loss_that_is_not_finite_stops_the_run(
     assert not list(last.parent.glob(".*"))
 
 
+def test_progress_is_shown_beside_what_else_gets_the_rows(train_tiny, capsys):
+    steps = []
+    train_tiny(on_row=lambda row, best: steps.append(row["steps"]), progress=True)
+    assert len(steps) > 1
+    assert f"Carry, {steps[-1]} of {steps[-1]} steps (100 %)" in capsys.readouterr().err
+
+
 def test_a_full_disk_names_the_file_and_leaves_what_was_there(
     train_tiny, tiny, tmp_path, monkeypatch
 ):

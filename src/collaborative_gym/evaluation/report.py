@@ -193,6 +193,10 @@ class Report:
         """Return the statistics as a Markdown table."""
         return reports_to_markdown([self])
 
+    def _repr_markdown_(self) -> str:
+        """Return what a notebook shows."""
+        return self.to_markdown()
+
 
 def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
     """Return whether rows differ by the episode's number alone."""

@@ -1,7 +1,7 @@
 """The call that trains: a new run, or one that goes on."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,17 @@ except ImportError as error:
         " pip install 'collaborative-gym[train]'"
     ) from error
 
-from collaborative_gym.errors import check_callback, check_count, check_kind
+from collaborative_gym.errors import (
+    check_callback,
+    check_count,
+    check_flag,
+    check_kind,
+)
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import write_text
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
+from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
 from collaborative_gym.learning.settings import Named, Settings, settle
@@ -46,6 +52,7 @@ def train(
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
+    progress: bool = False,
 ) -> Result:
     """Train policies by PPO, and return the finished run.
 
@@ -82,7 +89,9 @@ def train(
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
-      on_row: called after each iteration with its numbers.
+      on_row: called after each iteration with two dictionaries: its line of
+        `progress.csv`, and that of the best validation so far.
+      progress: whether to show how it goes, as the command line does.
 
     Raises:
       BlockingIOError: if a run is under way in the folder.
@@ -100,6 +109,7 @@ def train(
     """
     resources = Resources() if resources is None else resources
     _check(resources, checkpoint_interval, on_row)
+    progress = check_flag("progress", progress)
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
@@ -122,10 +132,25 @@ def train(
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
         pressed = stack.enter_context(ctrl_c())
+        if progress:
+            total = settings.hyperparameters.total_steps
+            display = stack.enter_context(Display(task.name, total))
+            on_row = _both(display.show, on_row)
         with closing(run):
             return run.finish(
                 pressed, checkpoint_interval=checkpoint_interval, on_row=on_row
             )
+
+
+def _both(first: OnRow, second: OnRow | None) -> OnRow:
+    """Return what calls one after the other."""
+
+    def call(row: Mapping[str, float], best: Mapping[str, float]) -> None:
+        first(row, best)
+        if second is not None:
+            second(row, best)
+
+    return call
 
 
 def _check(

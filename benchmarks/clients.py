@@ -1,0 +1,124 @@
+"""How fast other libraries' contracts are beside `VectorEnv`.
+
+    python benchmarks/clients.py --seconds 2
+
+All step the same worlds with the same actions, taking turns, so that other work on the
+machine slows down all of them. Prints each one's speed as a share of that of
+`VectorEnv`, the median of the rounds. Libraries that are not installed are left out.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+
+import gymnasium
+import numpy as np
+import tyro
+
+import collaborative_gym as cg
+
+Step = Callable[[], object]
+
+
+def clients(env_id: str, num_envs: int) -> Iterator[tuple[str, int, Step]]:
+    """Yield names, steps of worlds in a call, and what does such a call."""
+    worlds = cg.make_vec(env_id, num_envs, num_threads=1)
+    spaces = worlds.single_action_spaces
+    rng = np.random.default_rng(0)
+    actions = {
+        agent: rng.uniform(-1, 1, (num_envs, *space.shape)).astype(np.float32)
+        for agent, space in spaces.items()
+    }
+    joined = np.concatenate([*actions.values()], axis=1)
+    worlds.reset()
+    yield "VectorEnv", num_envs, lambda: worlds.step(actions)
+
+    batch = gymnasium.make_vec(env_id, num_envs=num_envs, num_threads=1)
+    batch.reset(seed=0)
+    yield "gymnasium.make_vec", num_envs, lambda: batch.step(joined)
+
+    single = cg.make(env_id)
+    first = {agent: rows[0] for agent, rows in actions.items()}
+
+    def step_single() -> None:
+        if not single.agents:
+            single.reset()
+        single.step(first)
+
+    yield "PettingZoo, one world", 1, step_single
+    try:
+        from collaborative_gym.adapters.sb3 import SB3VecEnv
+    except ImportError:
+        return
+    sb3 = SB3VecEnv(cg.make_vec(env_id, num_envs, num_threads=1))
+    sb3.reset()
+    yield "SB3VecEnv", num_envs, lambda: sb3.step(joined)
+    yield from torch_clients(env_id, num_envs, actions)
+
+
+def torch_clients(
+    env_id: str, num_envs: int, actions: dict[str, np.ndarray]
+) -> Iterator[tuple[str, int, Step]]:
+    """Yield those whose actions are tensors."""
+    import torch
+
+    torch.set_num_threads(1)
+    tensors = {agent: torch.as_tensor(rows) for agent, rows in actions.items()}
+    try:
+        from collaborative_gym.adapters.skrl import SkrlEnv
+    except ImportError:
+        return
+    skrl = SkrlEnv(cg.make_vec(env_id, num_envs, num_threads=1))
+    skrl.reset()
+    yield "SkrlEnv", num_envs, lambda: skrl.step(tensors)
+    try:
+        from collaborative_gym.adapters.torchrl import TorchRLEnv
+    except ImportError:
+        return
+    torchrl = TorchRLEnv(cg.make_vec(env_id, num_envs, num_threads=1))
+    state = {"now": torchrl.reset()}
+
+    def step_torchrl() -> None:
+        now = state["now"]
+        for agent, rows in tensors.items():
+            now[agent, "action"] = rows[:, None]
+        _, state["now"] = torchrl.step_and_maybe_reset(now)
+
+    yield "TorchRLEnv", num_envs, step_torchrl
+
+
+def rate(step: Step, seconds: float) -> float:
+    """Return calls per second."""
+    calls, started = 0, time.perf_counter()
+    while (spent := time.perf_counter() - started) < seconds:
+        step()
+        calls += 1
+    return calls / spent
+
+
+def main(
+    env: str = "PokeTaskSawyers-v0",
+    num_envs: int = 64,
+    seconds: float = 1.0,
+    rounds: int = 5,
+) -> None:
+    """Measure all that is installed.
+
+    Args:
+      env: an environment id.
+      num_envs: worlds beside one another.
+      seconds: for each client in a round.
+      rounds: in each of which all take a turn.
+    """
+    steps = list(clients(env, num_envs))
+    shares = {name: [] for name, *_ in steps}
+    for _ in range(rounds):
+        rates = {name: worlds * rate(step, seconds) for name, worlds, step in steps}
+        for name, own in rates.items():
+            shares[name].append(own / rates["VectorEnv"])
+    print("| client | share of VectorEnv's speed |\n|---|---:|")
+    for name, own in shares.items():
+        print(f"| {name} | {100 * np.median(own):.0f} % |")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,123 @@
+"""Every environment as a task of BenchMARL."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from benchmarl.environments.common import TaskClass
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+from torchrl.envs import EnvBase
+
+from collaborative_gym.adapters.torchrl import METRICS, TorchRLEnv
+from collaborative_gym.envs.make import make_vec
+from collaborative_gym.learning.seeds import training_seed, validation_seed
+
+
+class BenchMARLTask(TaskClass):
+    """An environment as a task of BenchMARL, in one batch of worlds.
+
+    Each robot is a group by itself; critics see the observations of all. Evaluations
+    play other episodes than the training does. BenchMARL's logs have `completion` and
+    `performance`, in the mean over the agents.
+
+    Args:
+      name: an environment id or a task's name.
+      config: arguments for `make_vec`, such as `{"randomization": "paper"}`; BenchMARL
+        pickles it with the experiment.
+    """
+
+    def __init__(self, name: str, config: dict[str, Any] | None = None):
+        super().__init__(name, {} if config is None else config)
+        self._has_evaluation = False
+
+    def get_env_fun(
+        self,
+        num_envs: int,
+        continuous_actions: bool,
+        seed: int | None,
+        device: Any,
+    ) -> Callable[[], EnvBase]:
+        """Return a function that makes the worlds; BenchMARL's first evaluate."""
+        # It asks for both with one seed.
+        draw = training_seed if self._has_evaluation else validation_seed
+        self._has_evaluation = True
+        own = draw(0 if seed is None else seed)
+        name, config = self.name, {"num_threads": 1, **self.config}
+        return lambda: TorchRLEnv(
+            make_vec(name, num_envs, seed=own, **config), device=device
+        )
+
+    def supports_continuous_actions(self) -> bool:
+        """Return True."""
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        """Return False."""
+        return False
+
+    def has_render(self, env: EnvBase) -> bool:
+        """Return False; `collaborative-gym record` films policies."""
+        return False
+
+    def max_steps(self, env: Any) -> int:
+        """Return the control steps of an episode."""
+        return env.vector_env.task.config.max_episode_steps
+
+    def group_map(self, env: Any) -> dict[str, list[str]]:
+        """Return the agents of each group."""
+        return env.group_map
+
+    def observation_spec(self, env: Any) -> Composite:
+        """Return what the agents observe."""
+        return self._by_group(env, "observation")
+
+    def info_spec(self, env: Any) -> Composite:
+        """Return what is told besides."""
+        return self._by_group(env, "info")
+
+    def state_spec(self, env: Any) -> Composite:
+        """Return what critics see."""
+        state = env.full_observation_spec_unbatched["state"]
+        return Composite(state=state.clone())
+
+    def action_spec(self, env: Any) -> Composite:
+        """Return what the agents do."""
+        return env.full_action_spec_unbatched
+
+    def action_mask_spec(self, env: Any) -> None:
+        """Return None: every action is allowed."""
+        return None
+
+    @staticmethod
+    def env_name() -> str:
+        """Return what BenchMARL calls the collection of tasks."""
+        return "collaborative_gym"
+
+    @staticmethod
+    def log_info(batch: TensorDictBase) -> dict[str, float]:
+        """Return completion and performance of the episodes that ended."""
+        ended, after = batch["next", "done"].squeeze(-1), batch["next"]
+        if not ended.any():
+            return {}
+        return {
+            name: torch.stack(
+                [
+                    value[ended].mean()
+                    for key, value in after.items(True, True)
+                    if key[-1] == name
+                ]
+            )
+            .mean()
+            .item()
+            for name in METRICS
+        }
+
+    def _by_group(self, env: Any, name: str) -> Composite:
+        spec = env.full_observation_spec_unbatched.clone()
+        del spec["state"]
+        for group in env.group_map:
+            for key in list(spec[group].keys()):
+                if key != name:
+                    del spec[group, key]
+        return spec
