@@ -1,5 +1,8 @@
 """Every environment as a task of BenchMARL."""
 
+# Not installed everywhere where types are checked.
+# pyright: reportMissingImports=false
+
 from collections.abc import Callable
 from typing import Any
 

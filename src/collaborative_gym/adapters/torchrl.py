@@ -1,5 +1,8 @@
 """A `VectorEnv` as a batched environment of TorchRL."""
 
+# Not installed everywhere where types are checked.
+# pyright: reportMissingImports=false
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 
