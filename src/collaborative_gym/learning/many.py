@@ -27,7 +27,11 @@ from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import as_task
 
-_COMMAND = [sys.executable, "-m", "collaborative_gym.learning.many"]
+_COMMAND = [
+    sys.executable,
+    "-c",
+    "from collaborative_gym.learning.many import train_one; train_one()",
+]
 """What trains one run, as standard input tells it."""
 
 _HEED = 0.2
@@ -313,8 +317,10 @@ def _several(kind: str, given: Any) -> Sequence[Any]:
     return given
 
 
-def _work() -> None:
+def train_one() -> None:
     """Train the run that standard input tells of, until it is done or that ends."""
+    # A parent may have told its children to ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     # What prints on standard output must not come between the messages.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -341,11 +347,3 @@ def _work() -> None:
         message = Outcome(folder, None, str(error) or repr(error))
     with suppress(BrokenPipeError):
         send(message)
-
-
-if __name__ == "__main__":
-    # By its own name, so that what is sent is the same class there and here.
-    from collaborative_gym.learning import many
-
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    many._work()
