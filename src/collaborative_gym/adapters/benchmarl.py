@@ -100,7 +100,8 @@ class BenchMARLTask(TaskClass):
     @staticmethod
     def log_info(batch: TensorDictBase) -> dict[str, float]:
         """Return completion and performance of the episodes that ended."""
-        ended, after = batch["next", "done"].squeeze(-1), batch["next"]
+        after: Any = batch["next"]
+        ended = after["done"].squeeze(-1)
         if not ended.any():
             return {}
         return {

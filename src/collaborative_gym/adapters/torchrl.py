@@ -70,23 +70,24 @@ class TorchRLEnv(EnvBase):
         env, n = self.vector_env, self.vector_env.num_envs
         observed, acted, rewarded = {}, {}, {}
         for group, agents in self.group_map.items():
-            shape = (n, len(agents))
+            shape = torch.Size((n, len(agents)))
             seen = env.single_observation_spaces[agents[0]].shape
             done = env.single_action_spaces[agents[0]].shape
-            info = {name: Unbounded((*shape, 1)) for name in METRICS}
+            info = {name: Unbounded(torch.Size((*shape, 1))) for name in METRICS}
             observed[group] = Composite(
-                observation=Unbounded((*shape, *seen)),
+                observation=Unbounded(torch.Size((*shape, *seen))),
                 info=Composite(info, shape=shape),
                 shape=shape,
             )
             acted[group] = Composite(
-                action=Bounded(-1.0, 1.0, (*shape, *done)), shape=shape
+                action=Bounded(-1.0, 1.0, torch.Size((*shape, *done))), shape=shape
             )
-            rewarded[group] = Composite(reward=Unbounded((*shape, 1)), shape=shape)
+            reward = Unbounded(torch.Size((*shape, 1)))
+            rewarded[group] = Composite(reward=reward, shape=shape)
         sizes = [space.shape[0] for space in env.single_observation_spaces.values()]
-        observed["state"] = Unbounded((n, sum(sizes)))
+        observed["state"] = Unbounded(torch.Size((n, sum(sizes))))
         ends = ("done", "terminated", "truncated")
-        flags = {name: Binary(1, (n, 1), dtype=torch.bool) for name in ends}
+        flags = {name: Binary(1, torch.Size((n, 1)), dtype=torch.bool) for name in ends}
         self.observation_spec = Composite(observed, shape=(n,)).to(self.device)
         self.action_spec = Composite(acted, shape=(n,)).to(self.device)
         self.reward_spec = Composite(rewarded, shape=(n,)).to(self.device)
@@ -112,7 +113,7 @@ class TorchRLEnv(EnvBase):
         return TensorDict(content, self.batch_size, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        actions = {
+        actions: Any = {
             agent: tensordict[group, "action"][:, i].cpu().numpy()
             for group, agents in self.group_map.items()
             for i, agent in enumerate(agents)
