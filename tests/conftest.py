@@ -3,7 +3,9 @@
 import csv
 import os
 import signal
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -12,7 +14,7 @@ import pytest
 from array_api_compat import array_namespace
 
 import collaborative_gym as cg
-from collaborative_gym import math
+from collaborative_gym import math, plugins
 from collaborative_gym.motion import reach
 from collaborative_gym.tasks import registry
 
@@ -181,6 +183,18 @@ def cube():
     for agent, side in zip(AGENTS, (-0.1, 0.1), strict=True):
         body.add_site(name=agent, pos=[0, side, 0])
     return spec
+
+
+@pytest.fixture
+def simple_pick(monkeypatch):
+    """Return the module of the tutorial's task; its id is forgotten afterwards."""
+    file = Path(__file__).parents[1] / "examples" / "simple_pick.py"
+    for name in ("_ENVS", "_TASKS"):
+        monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
+    monkeypatch.setattr(plugins, "_loaded", {})
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield cg.load_module(str(file))
+    del gymnasium.registry["SimplePick-v0"], sys.modules["simple_pick"]
 
 
 @pytest.fixture

@@ -9,23 +9,10 @@ import gymnasium
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym import plugins
-from collaborative_gym.tasks import registry
 from collaborative_gym.testing import check_task
 
 FILE = Path(__file__).parents[1] / "examples" / "simple_pick.py"
 ID = "SimplePick-v0"
-
-
-@pytest.fixture
-def simple_pick(monkeypatch):
-    """Return the module of the example; its id is forgotten afterwards."""
-    for name in ("_ENVS", "_TASKS"):
-        monkeypatch.setattr(registry, name, dict(getattr(registry, name)))
-    monkeypatch.setattr(plugins, "_loaded", {})
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    yield cg.load_module(str(FILE))
-    del gymnasium.registry[ID], sys.modules["simple_pick"]
 
 
 def test_it_is_short():

@@ -40,7 +40,7 @@ else:
     (folder / "ended").write_text(str(time.monotonic()))
     send({"folder": str(folder)})
 """
-"""What does as `_work` does, but trains nothing."""
+"""What does as `train_one` does, but trains nothing."""
 
 
 @pytest.fixture
@@ -137,9 +137,8 @@ def test_a_run_that_goes_on_writes_how_long_it_is_to_be(train_tiny, tiny):
 
 
 @pytest.mark.slow
-def test_real_runs_end_as_those_that_train_alone(tiny, alone, tmp_path, request):
+def test_real_runs_end_as_those_that_train_alone(tiny, alone, tmp_path, simple_pick):
     """Also with a task of the user's own, and after one that cannot go on."""
-    cg.load_module(str(request.path.parents[2] / "examples" / "simple_pick.py"))
     numbers = vars(tiny(total_steps=64))
     (tmp_path / "SimplePick-v0-shared-seed1").mkdir()
     (tmp_path / "SimplePick-v0-shared-seed1" / LAST).write_text("damaged")

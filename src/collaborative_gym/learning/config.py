@@ -249,7 +249,6 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
     # Larger noise dithers the board, and hides that the ball would rest off the middle.
     "BalanceTaskSawyers-v0": {
-        "total_steps": 3_000_000,
         "initial_std": 0.1,
         "torque_penalty": 0.05,
         "delayed": 0.25,
