@@ -394,7 +394,7 @@ class Demo:
     """
 
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out")
-    episodes: int = 20
+    episodes: int = 100
 
     def run(self) -> None:
         """Print two tables; write them, a video each and a contact sheet."""
