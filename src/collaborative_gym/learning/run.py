@@ -20,7 +20,7 @@ from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.seeds import validation_seed
 from collaborative_gym.learning.settings import Settings, first_policy
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.team import Learner
 from collaborative_gym.learning.validation import validate
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
@@ -285,7 +285,7 @@ def _make_backend(
     casting: Casting,
 ) -> Backend:
     hyperparameters = settings.hyperparameters
-    sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
+    sizes = settings.sizes(task)
     job = Job(
         task,
         tuple(learners),

@@ -65,6 +65,10 @@ class Settings:
     start_from: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
 
+    def sizes(self, task: Task) -> Sizes:
+        """Return the sizes of the agents' spaces."""
+        return Sizes(self.observation_sizes, self.action_sizes, task.gripping)
+
     def casting(self, task: Task) -> Casting:
         """Return who sits where in the run's worlds."""
         return make_casting(
@@ -80,7 +84,7 @@ class Settings:
         Raises:
           ValueError: if the robots do not fit the mode.
         """
-        sizes = Sizes(self.observation_sizes, self.action_sizes, task.gripping)
+        sizes = self.sizes(task)
         casting = self.casting(task)
         return tuple(
             learner
@@ -225,7 +229,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
             f"start_from must be a trained policy, got {settings.start_from!r}; give"
             " 'baseline', a policy file or the folder of a training run"
         )
-    sizes = Sizes(settings.observation_sizes, settings.action_sizes, task.gripping)
+    sizes = settings.sizes(task)
     numbers = settings.hyperparameters
     wanted: dict[str, tuple[int, ...]] = {}
     for learner in settings.learners(task):
