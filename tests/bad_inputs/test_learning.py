@@ -11,7 +11,6 @@ import collaborative_gym as cg
 from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.evaluation.speed import benchmark
 from collaborative_gym.evaluation.table11 import reproduce_table11
-from collaborative_gym.learning.baselines import train_baselines
 from collaborative_gym.learning.config import Hyperparameters, Resources
 from collaborative_gym.pictures.recording import record
 
@@ -325,16 +324,14 @@ LEARN = [
 ]
 
 
-def _baselines(shared, value):
-    output, resources = shared.folder / "baselines", Resources(num_threads=1)
-    given = {"seeds": (0,), "changes": value, "resources": resources}
-    next(train_baselines([ENV], output, **given, displays=accepted))
+def _many(shared, value):
+    cg.train_all(ENV, output=shared.folder / "many", changes=value, on_row=accepted)
 
 
 LEARN += [
-    *table("baselines", "changes", _baselines, [3, "fast", [1], THING]),
-    *table("baselines", "hyperparameter", _baselines, [{"typo": 1}, {3: 1}]),
-    *table("baselines", "epochs", _baselines, [{"epochs": "two"}, {"epochs": 0}]),
+    *table("many", "changes", _many, [3, "fast", [1], THING]),
+    *table("many", "hyperparameter", _many, [{"typo": 1}, {3: 1}]),
+    *table("many", "epochs", _many, [{"epochs": "two"}, {"epochs": 0}]),
 ]
 
 

@@ -5,9 +5,9 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.evaluation.report import format_statistic
 from collaborative_gym.learning import baselines, config
-from collaborative_gym.learning.baselines import train_baselines
+from collaborative_gym.learning.baselines import write_baseline
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.config import changed
+from collaborative_gym.learning.config import changed, changed_recipe
 from collaborative_gym.learning.folder import LAST
 
 
@@ -19,28 +19,37 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
 
     def train_both(changes=None, output=tmp_path, **options):
         changes = changes or changed(tiny(total_steps=64))
-        given = {"seeds": (0, 1), "changes": changes, "resources": alone}
-        return list(train_baselines([carry_id], output, **given, **options))
+        results = [
+            cg.train(
+                carry_id,
+                "collaborative",
+                seed=seed,
+                output=output / f"seed{seed}",
+                hyperparameters=changed_recipe(carry_id, changes),
+                resources=alone,
+                **options,
+            )
+            for seed in (0, 1)
+        ]
+        return write_baseline(results, output, alone)
 
     return train_both
 
 
 def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path):
-    assert train_both() == [tmp_path / f"{carry_id}.md"]
+    assert train_both() == tmp_path / f"{carry_id}.md"
     names = {entry.name for entry in tmp_path.iterdir()}
-    suffixes = ("", ".md", ".png", ".safetensors")
-    assert names == {f"{carry_id}{suffix}" for suffix in suffixes}
+    files = {f"{carry_id}{suffix}" for suffix in (".md", ".png", ".safetensors")}
+    assert names == {"seed0", "seed1"} | files
     scores = {
-        seed: Checkpoint.load(tmp_path / carry_id / f"seed{seed}" / LAST).best[
-            "validation/return"
-        ]
+        seed: Checkpoint.load(tmp_path / f"seed{seed}" / LAST).best["validation/return"]
         for seed in (0, 1)
     }
     best = max(scores, key=scores.__getitem__)
     shipped = tmp_path / f"{carry_id}.safetensors"
     policy = cg.load_policy(shipped)
     assert policy.metadata["seed"] == best
-    own = tmp_path / carry_id / f"seed{best}" / "policy.safetensors"
+    own = tmp_path / f"seed{best}" / "policy.safetensors"
     assert shipped.read_bytes() == own.read_bytes()
     card = (tmp_path / f"{carry_id}.md").read_text()
     assert f"--seed {best} " in card and "--hidden-sizes 16 16" in card
@@ -61,54 +70,16 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
 
 
 def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
-    (card,) = train_both()
+    card = train_both()
     assert ", from scratch, without demonstrations; mode" in card.read_text()
     first = cg.load_policy(card.with_suffix(".safetensors"))
     monkeypatch.chdir(tmp_path)
     start = card.with_suffix(".safetensors").name
-    (card,) = train_both(output=tmp_path / "more", start_from=start)
+    card = train_both(output=tmp_path / "more", start_from=start)
     text = card.read_text()
     began = f"beginning with the policy `{start}` of then (digest {first.digest[:12]}"
     assert began in text and "0.00 M steps from scratch, without" in text
     assert f"--start-from {start}" in text
-
-
-def test_it_goes_on_and_trains_nothing_twice(train_both, carry_id, tmp_path, hashes):
-    train_both()
-    runs = tmp_path / carry_id
-    before = hashes(runs)
-    kept = [name for name in before if not name.endswith((".csv", "curve.png"))]
-    rows = []
-
-    class Shown:
-        def __init__(self, title, total_steps):
-            assert title in (f"{carry_id}, seed 0", f"{carry_id}, seed 1")
-            assert total_steps == 64
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-        def show(self, row, best=None):
-            rows.append(row)
-
-    train_both(displays=Shown)
-    assert rows == []
-    after = hashes(runs)
-    assert all(after[name] == before[name] for name in kept)
-
-
-def test_runs_with_other_hyperparameters_are_refused(train_both, tiny):
-    train_both()
-    with pytest.raises(ValueError, match=r"discount is 0\.5, not "):
-        train_both(changed(tiny(total_steps=64, discount=0.5)))
-    # Also where they are the defaults, so that no card tells of others.
-    with pytest.raises(
-        ValueError, match=r"leave out what differs, or start another run"
-    ):
-        train_both({"total_steps": 64})
 
 
 def test_what_is_changed_is_laid_over_the_recipe(
@@ -116,17 +87,9 @@ def test_what_is_changed_is_laid_over_the_recipe(
 ):
     recipes = {carry_id: {"assistance": 0.5, "discount": 0.9}}
     monkeypatch.setattr(config, "RECIPES", recipes)
-    (card,) = train_both(changed(tiny(total_steps=64, discount=0.8)))
-    settings = Checkpoint.load(tmp_path / carry_id / "seed0" / LAST).settings
+    card = train_both(changed(tiny(total_steps=64, discount=0.8)))
+    settings = Checkpoint.load(tmp_path / "seed0" / LAST).settings
     assert settings.hyperparameters.assistance == 0.5
     assert settings.hyperparameters.discount == 0.8
     assert "a curriculum: at first 50 % of the weight" in card.read_text()
     assert "--discount 0.8" in card.read_text()
-
-
-def test_bad_input_shows_before_the_work(carry_id, tmp_path):
-    with pytest.raises(ValueError, match="give at least one seed"):
-        next(train_baselines([carry_id], tmp_path, seeds=()))
-    with pytest.raises(KeyError, match="did you mean 'Carry'"):
-        next(train_baselines([carry_id, "Cary"], tmp_path))
-    assert not list(tmp_path.iterdir())

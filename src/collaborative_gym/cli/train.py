@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -15,6 +15,9 @@ from collaborative_gym.learning.config import (
     Resources,
     recipe,
 )
+
+if TYPE_CHECKING:
+    from collaborative_gym.learning.many import Outcome
 
 _Own = tyro.conf.arg(help_behavior_hint="")
 """Of an option whose help says itself what holds where it is not given."""
@@ -51,8 +54,8 @@ class Train(Command):
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.
-      all: train the baselines of all environments, or of those named, one after the
-        other, and write their cards; continues the runs that exist already.
+      all: train the baselines of all environments, or of those named, each with
+        several seeds, and write their cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
       jobs: of several runs, those that are trained at a time, each in a process of its
         own with one physics thread (default: one per CPU). Ctrl-C ends all of them, and
@@ -173,9 +176,6 @@ class Train(Command):
 
     def _train_several(self) -> None:
         """Train several runs; what fails is told in the end."""
-        from collaborative_gym.learning.display_many import ManyDisplay
-        from collaborative_gym.learning.many import finish, plan_runs
-
         for option, other in (("seed", "--seeds"), ("resume", "the same command")):
             if getattr(self, option) is not None:
                 raise ValueError(f"--{option} is of one run; give {other} instead")
@@ -183,11 +183,49 @@ class Train(Command):
             raise ValueError("give --mode or --modes, not both")
         if not self.envs:
             raise ValueError("name environments to train, or pass --all")
+        modes = self.modes or ((self.mode,) if self.mode else None)
+        outcomes = self._finish(self.envs, modes, (0,), Path("runs"))
+        for outcome in outcomes:
+            if outcome.result is not None:
+                tell(f"wrote {outcome.folder}")
+        _tell_failures(outcomes)
+
+    def _train_all(self) -> None:
+        """Train all baselines, and write their cards."""
+        from collaborative_gym import list_envs
+        from collaborative_gym.learning.baselines import write_baseline
+
+        own = "mode modes seed resume robots randomization opponent partner backend"
+        for option in own.split():
+            if getattr(self, option) not in (None, ()):
+                raise ValueError(
+                    f"{option} does not go with --all: all baselines are trained alike"
+                )
+        envs, output = self.envs or list_envs(), self.output or Path("runs/baselines")
+        outcomes = self._finish(envs, ("collaborative",), (0, 1, 2), output)
+        results = [each.result for each in outcomes if each.result is not None]
+        for env in envs:
+            runs = [each for each in results if each.settings.identity.name == env]
+            if runs:
+                tell(f"wrote {write_baseline(runs, output, self.resources)}")
+        _tell_failures(outcomes)
+
+    def _finish(
+        self,
+        envs: Sequence[str],
+        modes: Sequence[Mode] | None,
+        seeds: Sequence[int],
+        output: Path,
+    ) -> "list[Outcome]":
+        """Train several runs, showing how they go; return what became of each."""
+        from collaborative_gym.learning.display_many import ManyDisplay
+        from collaborative_gym.learning.many import finish, plan_runs
+
         plans = plan_runs(
-            self.envs,
-            self.modes or ((self.mode,) if self.mode else None),
-            seeds=read_seeds(self.seeds) or (0,),
-            output=self.output or Path("runs"),
+            envs,
+            modes,
+            seeds=read_seeds(self.seeds) or seeds,
+            output=self.output or output,
             changes=self._given(),
             shared={
                 "robots": self.robots or None,
@@ -199,48 +237,19 @@ class Train(Command):
             },
             checkpoint_interval=self.checkpoint_interval,
         )
+        jobs = self.jobs or 0
         with ManyDisplay(plans) as display:
-            outcomes = list(
-                finish(
-                    plans,
-                    jobs=self.jobs or 0,
-                    resources=self.resources,
-                    on_row=display.show,
-                )
+            return list(
+                finish(plans, jobs=jobs, resources=self.resources, on_row=display.show)
             )
-        failed = [each for each in outcomes if each.result is None]
-        for outcome in outcomes:
-            if outcome.result is not None:
-                tell(f"wrote {outcome.folder}")
-        if failed:
-            told = "".join(f"\n{each.folder}: {each.reason}" for each in failed)
-            raise RuntimeError(f"{len(failed)} of {len(plans)} runs failed:{told}")
 
-    def _train_all(self) -> None:
-        from collaborative_gym import list_envs
-        from collaborative_gym.learning.baselines import train_baselines
-        from collaborative_gym.learning.display import Display
 
-        own = (
-            "mode modes jobs seed resume robots randomization opponent partner backend"
-        )
-        for option in own.split():
-            if getattr(self, option) not in (None, ()):
-                raise ValueError(
-                    f"{option} does not go with --all: all baselines are trained alike"
-                )
-        seeds = read_seeds(self.seeds) or (0, 1, 2)
-        for card in train_baselines(
-            self.envs or list_envs(),
-            self.output or Path("runs/baselines"),
-            seeds=seeds,
-            changes=self._given(),
-            start_from=self.start_from,
-            resources=self.resources,
-            checkpoint_interval=self.checkpoint_interval,
-            displays=Display,
-        ):
-            tell(f"wrote {card}")
+def _tell_failures(outcomes: "Sequence[Outcome]") -> None:
+    """Raise what tells which runs failed, if any did."""
+    failed = [each for each in outcomes if each.result is None]
+    if failed:
+        told = "".join(f"\n{each.folder}: {each.reason}" for each in failed)
+        raise RuntimeError(f"{len(failed)} of {len(outcomes)} runs failed:{told}")
 
 
 def read_seeds(words: Sequence[str]) -> tuple[int, ...]:

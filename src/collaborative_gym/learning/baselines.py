@@ -1,13 +1,11 @@
-"""The baselines: several runs for each environment, the best one with its card."""
+"""The baseline of an environment: the best of its runs, and its card."""
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.evaluation import Report, evaluate
 from collaborative_gym.evaluation.machine import describe_machine
 from collaborative_gym.evaluation.report import (
@@ -22,28 +20,14 @@ from collaborative_gym.learning.config import (
     changed,
     recipe,
 )
-from collaborative_gym.learning.folder import CURVE, LAST
-from collaborative_gym.learning.run import OnRow, Result
+from collaborative_gym.learning.folder import CURVE
+from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Settings
-from collaborative_gym.learning.train import train
 from collaborative_gym.policies.policy import POLICY_FILE
-from collaborative_gym.tasks.registry import as_task
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
 """What a card reports on; no run is trained on these episodes or chosen by them. Where
 they are late, each action is done one control step late."""
-
-
-class _Display(Protocol):
-    """Shows how a run goes, while its context lasts."""
-
-    def show(
-        self, row: Mapping[str, float], best: Mapping[str, float] | None = None
-    ) -> None: ...
-
-
-Displays = Callable[[str, int], AbstractContextManager[_Display]]
-"""Makes a display of a title and a run's total steps."""
 
 
 @dataclass(frozen=True)
@@ -51,102 +35,39 @@ class Candidate:
     """One of an environment's runs, whose best policy may be shipped.
 
     Attributes:
-      seed: of the run.
       result: what came of the training.
       reports: by the starts that they tell of, "paper", "default", and "default, late"
         for actions that are done one control step late.
     """
 
-    seed: int
     result: Result
     reports: Mapping[str, Report]
 
 
-def train_baselines(
-    env_ids: Sequence[str],
-    output: str | Path,
-    *,
-    seeds: Sequence[int] = (0, 1, 2),
-    changes: Mapping[str, Any] | None = None,
-    start_from: str | Path | None = None,
-    resources: Resources | None = None,
-    checkpoint_interval: int = 100_000,
-    displays: Displays | None = None,
-) -> Iterator[Path]:
-    """Train baselines one after the other, and yield each one's card.
+def write_baseline(
+    results: Sequence[Result], output: str | Path, resources: Resources | None = None
+) -> Path:
+    """Write the baseline that the best of an environment's runs gives; return its card.
 
-    For each environment there are in `output`: a folder with a run for each seed; the
-    policy of the run with the best validation, as `ID.safetensors`; its curve,
-    `ID.png`; and the card, `ID.md`, with all runs' results. Runs that are there already
-    are continued or, where they are complete, taken as they are.
+    In `output` there are then the policy of the run with the best validation, as
+    `ID.safetensors`; its curve, `ID.png`; and the card, `ID.md`, with all runs'
+    results.
 
     Args:
-      env_ids: which environments.
+      results: of the environment's runs, whose seeds differ.
       output: the folder.
-      seeds: of each environment's runs.
-      changes: hyperparameters to use instead of those of each environment's recipe, by
-        name; None for none.
-      start_from: a policy to begin with, "baseline" for the shipped one of each
-        environment; None for networks drawn by chance.
-      resources: device and threads.
-      checkpoint_interval: environment steps between two checkpoints.
-      displays: makes what shows a run; None for no display.
-
-    Raises:
-      KeyError: if there is no such environment, or hyperparameter.
-      ValueError: if there are no seeds, or a run that is there has other
-        hyperparameters.
-      Exception: what `train` raises.
+      resources: that they used.
     """
-    if not seeds:
-        raise ValueError("give at least one seed")
-    recipes = changed_recipes(env_ids, changes)
-    output = Path(output)
-    resources = resources or Resources()
-    for env_id, hyperparameters in recipes.items():
-        candidates = []
-        for seed in seeds:
-            folder = output / env_id / f"seed{seed}"
-            is_there = (folder / LAST).exists()
-            title = f"{env_id}, seed {seed}"
-            with _shown(displays, title, hyperparameters.total_steps) as on_row:
-                result = train(
-                    env_id,
-                    "collaborative",
-                    seed=seed,
-                    output=None if is_there else folder,
-                    resume=folder if is_there else None,
-                    hyperparameters=hyperparameters,
-                    start_from=start_from,
-                    resources=resources,
-                    checkpoint_interval=checkpoint_interval,
-                    on_row=on_row,
-                )
-            candidates.append(
-                Candidate(seed, result, _measure(env_id, result, resources))
-            )
-        yield _ship(env_id, candidates, output, resources)
-
-
-def changed_recipes(
-    env_ids: Sequence[str], changes: Mapping[str, Any] | None
-) -> dict[str, Hyperparameters]:
-    """Return how each environment is learned; what is wrong shows before the work.
-
-    Args:
-      env_ids: which environments.
-      changes: what to use instead of their recipes', by name; None for nothing.
-
-    Raises:
-      KeyError: if there is no such environment, or hyperparameter.
-    """
-    changes = {} if changes is None else changes
-    check_kind("changes", changes, Mapping, "a mapping, or None")
-    for name in changes:
-        look_up("hyperparameter", name, vars(Hyperparameters()))
-    for env_id in env_ids:
-        as_task(env_id)
-    return {env_id: replace(recipe(env_id), **changes) for env_id in env_ids}
+    output, resources = Path(output), resources or Resources()
+    env_id = results[0].settings.identity.name
+    candidates = [Candidate(r, _measure(env_id, r, resources)) for r in results]
+    best = max(candidates, key=_validation)
+    for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
+        with replacing(output / f"{env_id}{suffix}") as partial:
+            shutil.copyfile(best.result.folder / name, partial)
+    card = output / f"{env_id}.md"
+    write_text(card, write_card(env_id, candidates, best, resources))
+    return card
 
 
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
@@ -164,19 +85,8 @@ def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Rep
     }
 
 
-def _ship(
-    env_id: str, candidates: Sequence[Candidate], output: Path, resources: Resources
-) -> Path:
-    """Write the policy, the curve and the card of the best run; return the card."""
-    best = max(
-        candidates, key=lambda candidate: candidate.result.best["validation/return"]
-    )
-    for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
-        with replacing(output / f"{env_id}{suffix}") as partial:
-            shutil.copyfile(best.result.folder / name, partial)
-    card = output / f"{env_id}.md"
-    write_text(card, write_card(env_id, candidates, best, resources))
-    return card
+def _validation(candidate: Candidate) -> float:
+    return candidate.result.best["validation/return"]
 
 
 def write_card(
@@ -208,7 +118,7 @@ def write_card(
         f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
         f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
-        f"- shipped: seed {best.seed} at {steps / 1e6:.2f} M steps, chosen by"
+        f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {hyperparameters.validation_episodes} validation episodes that are not those"
         " below",
         f"- command: `{_command(env_id, settings, resources)}`",
@@ -239,7 +149,7 @@ def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
     """Yield the lines of a card's table that tell of a run."""
     for starts, report in candidate.reports.items():
         cells = [
-            f"{candidate.seed} (shipped)" if is_best else f"{candidate.seed}",
+            f"{candidate.result.settings.seed}" + " (shipped)" * is_best,
             f"{candidate.result.steps / 1e6:.1f} M",
             f"{candidate.result.seconds / 60:.0f} min",
             starts,
@@ -293,15 +203,3 @@ def _command(env_id: str, settings: Settings, resources: Resources) -> str:
 
 def _option(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-@contextmanager
-def _shown(
-    displays: Displays | None, title: str, total_steps: int
-) -> Iterator[OnRow | None]:
-    """Yield what shows the rows of a run, if anything does."""
-    if displays is None:
-        yield None
-        return
-    with displays(title, total_steps) as display:
-        yield display.show

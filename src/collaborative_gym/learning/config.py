@@ -1,12 +1,12 @@
 """What training can be told."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from collaborative_gym.errors import MOST_THREADS, check_count, check_kind
+from collaborative_gym.errors import MOST_THREADS, check_count, check_kind, look_up
 from collaborative_gym.policies.network import check_activation
 from collaborative_gym.tasks.settings import bounded, check_settings
 
@@ -282,3 +282,20 @@ def changed(
         for field in fields(hyperparameters)
         if getattr(hyperparameters, field.name) != getattr(others, field.name)
     }
+
+
+def changed_recipe(env: str, changes: Mapping[str, Any] | None) -> Hyperparameters:
+    """Return an environment's hyperparameters, but for what is given in their place.
+
+    Args:
+      env: its name.
+      changes: hyperparameters by name; None for none.
+
+    Raises:
+      KeyError: if there is no such hyperparameter.
+    """
+    changes = {} if changes is None else changes
+    check_kind("changes", changes, Mapping, "a mapping, or None")
+    for name in changes:
+        look_up("hyperparameter", name, vars(Hyperparameters()))
+    return replace(recipe(env), **changes)

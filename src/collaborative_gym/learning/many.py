@@ -17,8 +17,7 @@ from typing import Any
 
 from collaborative_gym.errors import check_callback, check_count, check_kind, check_name
 from collaborative_gym.evaluation.machine import cores
-from collaborative_gym.learning.baselines import changed_recipes
-from collaborative_gym.learning.config import Mode, Resources
+from collaborative_gym.learning.config import Mode, Resources, changed_recipe
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Named, settle
@@ -179,8 +178,8 @@ def plan_runs(
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):
         check_name("each environment", env)
-        (numbers,) = changed_recipes([env], changes).values()
         task = as_task(env, **world)
+        numbers = changed_recipe(env, changes)
         for mode in (None,) if modes is None else _several("mode", modes):
             for seed in _several("seed", seeds):
                 own = {"mode": mode, "seed": seed, "hyperparameters": numbers}
