@@ -93,6 +93,15 @@ def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path)
     assert (settings["seed"], settings["policy"]) == (5, "robot_1=random robot_2=idle")
 
 
+def test_all_leaves_out_what_has_no_baseline(capsys, monkeypatch):
+    ids = ["BalancePathSawyers-v0", "PokeTaskSawyers-v0"]
+    monkeypatch.setattr(cg, "list_envs", lambda: ids)
+    assert main("evaluate --all --policy baseline --episodes 1".split()) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("left out, as they have no baseline: BalancePathSawyers-v0")
+    assert "PokeTaskSawyers-v0" in told and told.count("BalancePath") == 1
+
+
 def test_all_commands_play_the_same_policy_unless_told_otherwise():
     played = Record(env="Poke", output=Path("a.gif")), Evaluate(), View(env="Poke")
     assert {command.policy for command in played} == {("expert",)}

@@ -125,7 +125,8 @@ class Evaluate(_World):
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: evaluate every environment; then name none.
+      all: evaluate every environment, or with the policy baseline all that have one;
+        then name none.
       episodes: number of episodes in each environment.
       delay: number of control steps by which each action comes late.
       num_envs: worlds that play at the same time; the results do not depend on it.
@@ -151,10 +152,18 @@ class Evaluate(_World):
         """Print a table and write the files."""
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
+        from collaborative_gym.policies.policy import has_baseline
 
         env_ids = _env_ids(self)
         policy = read_policy(self.policy)
         check_files(self.json, self.csv)
+        if self.all and "baseline" in (word.split("=")[-1] for word in self.policy):
+            without = [each for each in env_ids if not has_baseline(each)]
+            env_ids = [each for each in env_ids if each not in without]
+            tell(
+                f"left out, as they have no baseline: {', '.join(without)}",
+                besides=(self.json, self.csv),
+            )
         reports = []
         with progress_bars() as progress:
             for env_id in env_ids:

@@ -186,13 +186,12 @@ def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
 def _load_file(name: str | Path) -> NetworkPolicy:
     """Return the policy of an environment id or a path."""
     if name in list_envs():
-        path = BASELINES / f"{name}.safetensors"
-        if not path.exists():
+        if not has_baseline(str(name)):
             raise FileNotFoundError(
                 f"no baseline is shipped for {name}; give the path of a policy that you"
                 " trained"
             )
-        return NetworkPolicy.load(path)
+        return NetworkPolicy.load(_baseline_file(str(name)))
     path = Path(name)
     if path.is_dir():
         if not (path / POLICY_FILE).exists():
@@ -216,6 +215,15 @@ def _load_file(name: str | Path) -> NetworkPolicy:
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(f"no policy file {path}")
     raise UnknownName(unknown("policy", name, [*_NAMES, *list_envs()]))
+
+
+def has_baseline(env_id: str) -> bool:
+    """Return whether a trained policy is shipped for an environment."""
+    return _baseline_file(env_id).exists()
+
+
+def _baseline_file(env_id: str) -> Path:
+    return BASELINES / f"{env_id}.safetensors"
 
 
 def player_file(name: str) -> Path:
