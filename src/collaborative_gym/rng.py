@@ -18,6 +18,7 @@ class Stream(IntEnum):
 
     WORLD = 0
     POLICY = 1
+    DISTURBANCES = 2
 
 
 def check_seed(seed: int) -> int:
@@ -52,16 +53,17 @@ def episode_generator(seed: int, episode: int, stream: Stream) -> np.random.Gene
 
 
 class EpisodeRandom:
-    """The world generators of some episodes, drawn from side by side.
+    """The generators of some episodes, drawn from side by side.
 
     Args:
       seeds: one per episode.
       episodes: the episodes' indices.
+      stream: what the numbers are for.
     """
 
-    def __init__(self, seeds: Array, episodes: Array):
+    def __init__(self, seeds: Array, episodes: Array, stream: Stream = Stream.WORLD):
         self._generators = [
-            episode_generator(seed, episode, Stream.WORLD)
+            episode_generator(seed, episode, stream)
             for seed, episode in zip(seeds, episodes, strict=True)
         ]
 

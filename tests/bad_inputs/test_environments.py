@@ -1,7 +1,7 @@
 """Bad inputs to environments: how they are made, reset, stepped, saved and drawn."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import gymnasium
 import numpy as np
@@ -156,7 +156,7 @@ SETTINGS = [
     *table("settings", "yaw", lambda s, v: cg.Placement((0, 0, 0), v), NO_NUMBER),
     *(
         case
-        for name in ("joint_noise", "object_position", "object_yaw", "target_position")
+        for name in (field.name for field in fields(cg.Randomization))
         for case in table(
             "settings", name, _randomized(name), NO_NUMBER, BELOW, HUGE, [None]
         )

@@ -6,9 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from collaborative_gym import VectorEnv, math
+from collaborative_gym import Randomization, VectorEnv, math
 from collaborative_gym.objects.ball import RADIUS, ball
-from collaborative_gym.policies.delayed import DelayedPolicy
 from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.scene import Placement
 from collaborative_gym.tasks.registry import make_task
@@ -178,10 +177,8 @@ def test_variants_without_a_push_are_left_alone():
 @pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_expert_brings_the_ball_to_the_middle_and_rests(env_id, delay):
-    env = make(env_id, 6)
+    env = make(env_id, 6, randomization=Randomization(delay=delay))
     policy = expert_policy(env)
-    for _ in range(delay):
-        policy = DelayedPolicy(policy, env)
     for _ in range(60):
         actions = policy({})
         *_, infos = env.step(actions)

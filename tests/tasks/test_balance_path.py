@@ -5,7 +5,6 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.policies import load_policy
-from collaborative_gym.policies.delayed import DelayedPolicy
 
 IDS = ("BalancePathSawyers-v0", "BalancePathJacoSawyer-v0")
 LAP = 120  # control steps
@@ -132,8 +131,7 @@ def test_the_expert_follows_and_one_arm_does_not(env_id):
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_the_expert_follows_even_where_its_actions_come_late(env_id):
-    env = make(4, env_id)
-    late = DelayedPolicy(load_policy("expert", env), env)
+    env = make(4, env_id, randomization=cg.Randomization(delay=1))
     for _ in range(160):
-        env.step(late({}))
+        env.step(env.expert())
     assert (env.facts.followed > 12.0).all()

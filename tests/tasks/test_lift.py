@@ -10,12 +10,11 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.motion import greatest_load, strongest_way
 from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.objects.pot import pot
-from collaborative_gym.policies.delayed import DelayedPolicy
-from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.robots import get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.tasks.lift import Lift, LiftConfig, LiftFacts
 from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Randomization
 
 VARIANTS = ("LiftTaskSawyers-v0", "LiftTaskJacos-v0")
 LEVEL = [1.0, 0.0, 0.0, 0.0]
@@ -77,8 +76,8 @@ def test_expert_lifts_from_every_start_and_holds(env):
 @pytest.mark.parametrize("name", (*VARIANTS, "Lift"))
 def test_expert_lifts_gently_even_where_its_actions_come_late(name):
     robots = ("panda", "jaco") if name == "Lift" else None
-    env = VectorEnv(make_task(name, robots), num_envs=6, num_threads=1, strain=True)
-    metrics = play(env, policy=DelayedPolicy(expert_policy(env), env))["metrics"]
+    task = make_task(name, robots, Randomization(delay=1))
+    metrics = play(VectorEnv(task, 6, num_threads=1, strain=True))["metrics"]
     assert metrics["completion"].all()
     assert metrics["performance"].mean() > 0.95
     assert metrics["strain"]["torque_limit_share"].mean() < 0.05

@@ -4,11 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from collaborative_gym import Motion, VectorEnv, math
+from collaborative_gym import Motion, Randomization, VectorEnv, math
 from collaborative_gym.motion import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
-from collaborative_gym.policies.delayed import DelayedPolicy
 from collaborative_gym.policies.scripted import expert_policy
 from collaborative_gym.tasks.poke import Poke, PokeFacts, is_threaded
 from collaborative_gym.tasks.registry import make_task
@@ -124,10 +123,8 @@ def test_starts_differ_and_touch_nothing(env_id):
 @pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_expert_threads_the_stick_and_keeps_it_there(env_id, delay):
-    env = make(env_id, 6)
+    env = make(env_id, 6, randomization=Randomization(delay=delay))
     policy = expert_policy(env)
-    for _ in range(delay):
-        policy = DelayedPolicy(policy, env)
     for _ in range(40):
         env.step(policy({}))
         assert not any(env.sim.data(i).ncon for i in range(6))

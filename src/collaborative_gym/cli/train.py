@@ -72,8 +72,8 @@ class Train(Command):
         runs), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much the starts of episodes differ: default, or paper for the
-        thesis's fixed starts.
+      randomization: how much episodes differ: default, paper for the thesis's fixed
+        starts, or hard for starts twice as far off and disturbances.
       opponent: who plays against what is learned, where a task has several sides. By
         default it is self, the latest policies on all sides. Of policies, named as in
         evaluate, each episode draws one; side_2=POLICY plays that side only. With

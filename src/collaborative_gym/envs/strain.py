@@ -194,7 +194,6 @@ class Strain:
         arms = list(scene.arms.values())
         self._servos = np.r_[*(arm.servos for arm in arms)]
         self._dofs = np.r_[*(arm.dof for arm in arms)]
-        self._torque = np.concatenate([arm.robot.torque_limits for arm in arms])
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
         self._stiffness = np.concatenate([arm.robot.stiffness for arm in arms])
         self._damping = np.concatenate([arm.robot.damping for arm in arms])
@@ -237,7 +236,8 @@ class Strain:
                 greatest[f"contact_depth_{kind}"] = depth
                 force = math.norm(sensed[:, :, self._forces[kind]])
                 greatest[f"contact_force_{kind}"] = force
-        at_limit = np.abs(torque) >= _AT_LIMIT * self._torque
+        limit = self._sim.limits(self._servos)[:, None]
+        at_limit = np.abs(torque) >= _AT_LIMIT * limit
         sums = {
             "energy": self._power(torque, speed) * SIM_DT,
             "torque_limit_share": at_limit.mean(axis=2),
@@ -269,7 +269,8 @@ class Strain:
         before = self._records["actuator_velocity"][:, :, self._servos]
         yields = self._stiffness * SIM_DT * speed + self._damping * (speed - before)
         # At its limit a torque follows no state.
-        yields = np.where(np.abs(torque) < self._torque, yields, 0.0)
+        limit = self._sim.limits(self._servos)[:, None]
+        yields = np.where(np.abs(torque) < limit, yields, 0.0)
         return math.dot(np.abs(torque - yields), np.abs(speed))
 
     def _is_held(self, held: _Held) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from collaborative_gym.control import Controller, JointChanges, check_actions
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.definition import try_out
+from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
 from collaborative_gym.envs.strain import Strain, add_strain_sensors
@@ -113,10 +114,8 @@ class VectorEnv:
         self._options |= dict(auto_reset=auto_reset, strain=strain)
         # A copy of its own, so that one task may serve several environments.
         self.task = task = copy(task)
-        self.num_envs = num_envs
-        self.agents = task.agents
-        self.substeps = SUBSTEPS
-        self.control_dt = CONTROL_DT
+        self.num_envs, self.agents = num_envs, task.agents
+        self.substeps, self.control_dt = SUBSTEPS, CONTROL_DT
         self._build(num_threads, strain)
         self._turns = Turns()
         self._camera: Camera | None = None
@@ -133,6 +132,8 @@ class VectorEnv:
             reward_terms=self.reward_terms,
             has_strain=strain,
         )
+        parts = task, self.scene, self.sim, self._mode, self._progress
+        self._disturbances = Disturbances(*parts)
 
     def _build(self, num_threads: int, strain: bool) -> None:
         """Make the worlds, and find out what the task's definition comes to."""
@@ -255,15 +256,16 @@ class VectorEnv:
             actions = check_actions(
                 actions, xp, self._action_shapes, self.task.gripping
             )
+            actions = self._disturbances.deliver(actions, resting)
             diverged = self._advance(actions, resting)
             facts = self.task.measure(self.sim)
             lost = resting | diverged
             terms, rewards = self._reward(facts, actions, lost)
+            success = progress.count(facts, terms, diverged)
             last = self._observe(facts)
             if xp.any(lost):
                 for agent in self.agents:
                     last[agent][lost] = self._observations[agent][lost]
-            success = progress.count(facts, terms, diverged)
             infos = progress.infos(success, terms, resting, last)
             terminated, truncated = progress.endings(self.agents)
             observations, has_ended = last, infos["ended"] & ~resting
@@ -343,6 +345,7 @@ class VectorEnv:
             steps = self.task.config.max_episode_steps
             check_state(state, own, steps, from_another=from_another)
             put(state, *parts, rows)
+            self._disturbances.draw(np.sort(rows))
             self.facts = self.task.measure(self.sim)
             self._observations = self._observe(self.facts)
             self._is_started = True
@@ -413,6 +416,7 @@ class VectorEnv:
 
         def put_back() -> None:
             self.task.memory, self._progress.rows = memory, rows
+            self._disturbances.draw(np.arange(self.num_envs))
             self.sim.set_state(physics)
 
         return put_back
@@ -480,10 +484,11 @@ class VectorEnv:
             self.task.memory[name][env_ids] = array
         self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))
         self._controller.start(env_ids)
+        self._disturbances.start(env_ids)
         self.sim.forward(env_ids)
 
     def _observe(self, facts: Any) -> Observations:
-        xp = self.sim.xp
+        xp, facts = self.sim.xp, self._disturbances.see(facts)
         return {
             agent: xp.astype(xp.concat(list(blocks.values()), axis=1), xp.float32)
             for agent, blocks in self.task.observe(facts).items()

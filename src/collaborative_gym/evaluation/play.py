@@ -19,11 +19,10 @@ from collaborative_gym.evaluation.report import (
     are_one_episode,
 )
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
-from collaborative_gym.policies.delayed import DelayedPolicy
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.registry import as_task, disturbed
 from collaborative_gym.tasks.task import Randomization, Task
 
 _MOST_DELAY = 100
@@ -82,14 +81,14 @@ def evaluate(
     delay = check_count("delay", delay, 0, _MOST_DELAY)
     check_callback("on_progress", on_progress)
     task = as_task(env, robots, randomization)
+    if delay:
+        task = disturbed(task, delay=delay, delayed=1.0)
     num_envs = worlds_for(episodes, num_envs)
     vector_env = VectorEnv(
         task, num_envs, seed=seed, num_threads=num_threads, strain=True
     )
     with closing(vector_env):
         act = as_policy(policy, vector_env, any_env=any_env)
-        for _ in range(delay):
-            act = DelayedPolicy(act, vector_env)
         started = time.perf_counter()
         rows, steps = play_episodes(vector_env, act, episodes, seed, on_progress)
         rate = steps * num_envs / (time.perf_counter() - started)

@@ -2,6 +2,8 @@
 
 import ctypes
 import os
+from collections.abc import Mapping
+from copy import copy
 from weakref import WeakSet
 
 import mujoco
@@ -47,11 +49,15 @@ class CpuSim:
         self.sensordata = self._batch.bind("sensordata")
         self._switches = self.eq_active
         self._flags = self._batch.expand("opt.disableflags")
-        self._sensors: dict[str, np.ndarray] = {}
+        self._sensors = self._named()
+
+    def _named(self) -> dict[str, np.ndarray]:
+        """Return the columns of `sensordata` by the sensors' names."""
+        sensors, model = {}, self.model
         for i in range(model.nsensor):
             start, size = model.sensor_adr[i], model.sensor_dim[i]
-            name = model.sensor(i).name
-            self._sensors[name] = self.sensordata[:, start : start + size]
+            sensors[model.sensor(i).name] = self.sensordata[:, start : start + size]
+        return sensors
 
     def step(
         self,
@@ -152,6 +158,23 @@ class CpuSim:
         rows = slice(None) if env_ids is None else env_ids
         self._batch.state[rows] = state
         self.forward(env_ids)
+
+    def vary(self, env_ids: EnvIds, factors: Mapping[str, np.ndarray]) -> None:
+        for name, factor in factors.items():
+            varied = self._batch.expand(name)
+            varied[env_ids] = getattr(self.model, name) * factor
+        self._batch.set_const(env_ids)
+
+    def limits(self, servos: slice | np.ndarray) -> np.ndarray:
+        varied = self._batch.expanded("actuator_forcerange")
+        every = self.model.actuator_forcerange[None] if varied is None else varied
+        return every[:, servos, 1]
+
+    def seen(self, qpos: np.ndarray, sensordata: np.ndarray) -> "CpuSim":
+        view = copy(self)
+        view.qpos, view.sensordata = qpos, sensordata
+        view._sensors = view._named()
+        return view
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         return self._pair("pose", name, "position", "quat")

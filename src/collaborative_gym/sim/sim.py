@@ -1,6 +1,6 @@
 """What a physics backend offers to environments and tasks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import mujoco
@@ -89,6 +89,31 @@ class Sim(Protocol):
 
     def set_state(self, state: Array, env_ids: EnvIds = None) -> None:
         """Put rows from `get_state` into these worlds and refresh their sensors."""
+        ...
+
+    def vary(self, env_ids: EnvIds, factors: Mapping[str, Array]) -> None:
+        """Let numbers of these worlds' models be the model's times factors.
+
+        They stay so whatever is reset or put into the worlds.
+
+        Args:
+          env_ids: the worlds.
+          factors: by MuJoCo's names, such as `body_mass`, as many as the numbers, with
+            an axis for these worlds in front.
+        """
+        ...
+
+    def limits(self, servos: Any) -> Array:
+        """Return the greatest torques of some servos, in N m, (num_envs or 1, k)."""
+        ...
+
+    def seen(self, qpos: Array, sensordata: Array) -> "Sim":
+        """Return worlds that look like this, to measure and not to step.
+
+        Args:
+          qpos: (num_envs, nq) positions, in place of the worlds' own.
+          sensordata: (num_envs, nsensordata) sensor values, likewise.
+        """
         ...
 
     def pose(self, name: str) -> tuple[Array, Array]:

@@ -188,6 +188,15 @@ def as_task(
     return env
 
 
+def disturbed(task: Task, **changes: Any) -> Task:
+    """Return the same task with changes of its randomization's fields."""
+    randomization = replace(task.config.randomization, **changes)
+    config = replace(task.config, randomization=randomization)
+    other = type(task)(tuple(task.robots.values()), config)
+    other.name = task.name
+    return other
+
+
 def _check_task(task: Any) -> None:
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise TypeError(f"task must be a subclass of Task, got {shown(task)}")

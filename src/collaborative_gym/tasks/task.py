@@ -25,21 +25,43 @@ Terms = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class Randomization:
-    """How far an episode's start may differ from the nominal one.
+    """How far an episode may differ from the nominal one.
 
-    Each draw is uniform between minus and plus the bound.
+    Each draw is uniform between minus and plus the bound, unless said otherwise. The
+    first four are of the start; `envs.disturbances` does the others, which no policy is
+    told of.
 
     Attributes:
       joint_noise: of every arm joint, in rad.
       object_position: of the objects, along each free axis, in m.
       object_yaw: of the objects, about the vertical, in rad.
       target_position: of the target, along each axis, in m.
+      link_mass: of the links of each arm, as a share of their masses.
+      payload: of each loose thing and each tool, as a share of its mass.
+      friction: of all contacts, as a share of their coefficients.
+      lost_torque: what one arm, any of them, lacks of its torque limits, as a share.
+      delay: by which all actions of an episode come late, in control steps.
+      delayed: share of the episodes in which they do.
+      lost_actions: share of the actions of each arm that never arrive; it then holds
+        still, and holds what it has in its grip.
+      position_noise: of every observed place, along each axis, at every step, in m.
+      angle_noise: of every observed joint angle, and of every observed pose about each
+        axis, at every step, in rad.
     """
 
     joint_noise: float = bounded(0.05, 0.0, math.pi)
     object_position: float = bounded(0.05, 0.0, 1.0)
     object_yaw: float = bounded(float(np.radians(15)), 0.0, math.pi)
     target_position: float = bounded(0.05, 0.0, 1.0)
+    link_mass: float = bounded(0.0, 0.0, 0.9)
+    payload: float = bounded(0.0, 0.0, 0.9)
+    friction: float = bounded(0.0, 0.0, 0.9)
+    lost_torque: float = bounded(0.0, 0.0, 0.9)
+    delay: int = bounded(0, 0, 100)
+    delayed: float = bounded(1.0, 0.0, 1.0)
+    lost_actions: float = bounded(0.0, 0.0, 1.0)
+    position_noise: float = bounded(0.0, 0.0, 1.0)
+    angle_noise: float = bounded(0.0, 0.0, math.pi)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -51,8 +73,24 @@ LEVEL = np.array([1.0, 1.0, 0.0])
 RANDOMIZATIONS = {
     "default": Randomization(),
     "paper": Randomization(0.0, 0.0, 0.0, 0.0),
+    "hard": Randomization(
+        joint_noise=0.1,
+        object_position=0.1,
+        object_yaw=math.radians(30),
+        target_position=0.1,
+        link_mass=0.2,
+        payload=0.2,
+        friction=0.2,
+        lost_torque=0.2,
+        delay=1,
+        delayed=0.5,
+        lost_actions=0.05,
+        position_noise=0.005,
+        angle_noise=0.01,
+    ),
 }
-"""The presets: `paper` starts as the thesis does, `default` is drawn around it."""
+"""The presets: `paper` starts as the thesis does, `default` is drawn around it, `hard`
+twice as far off and with every disturbance."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,205 @@
+"""What disturbs episodes beside their starts, as `Randomization` describes it.
+
+All is drawn from the seed and the index of an episode alone, before its first step. So
+a state holds nothing of it but the actions that are on their way.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.control import ActionMode
+from collaborative_gym.envs.progress import Progress
+from collaborative_gym.math import Array
+from collaborative_gym.rng import EpisodeRandom, Stream
+from collaborative_gym.scene import Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.task import Task
+
+_OF_MODELS = ("link_mass", "payload", "friction", "lost_torque")
+_OF_STEPS = ("delay", "lost_actions", "position_noise", "angle_noise")
+
+
+class Disturbances:
+    """Changes models, actions and observations of worlds, and never their rewards.
+
+    A lost action counts as late or lost for the reward too: what an arm does is
+    charged, not what was asked of it.
+
+    Args:
+      task: what is done.
+      scene: its compiled world.
+      sim: the worlds.
+      mode: what actions mean.
+      progress: of the episodes; its rows get the actions that are on their way.
+    """
+
+    def __init__(
+        self, task: Task, scene: Scene, sim: Sim, mode: ActionMode, progress: Progress
+    ):
+        self._task, self._scene, self._sim = task, scene, sim
+        self._mode, self._progress = mode, progress
+        self._bounds = bounds = task.config.randomization
+        self._changes_models = any(getattr(bounds, name) for name in _OF_MODELS)
+        self._has_noise = bounds.position_noise > 0 or bounds.angle_noise > 0
+        self._is_on = self._changes_models or any(
+            getattr(bounds, name) for name in _OF_STEPS
+        )
+        if not self._is_on:
+            return
+        self._links, self._loads = _bodies(scene, sim.model)
+        self._joints = np.r_[*(arm.qpos for arm in scene.arms.values())]
+        self._places = _columns(sim.model, mujoco.mjtSensor.mjSENS_FRAMEPOS)
+        self._turns = _columns(sim.model, mujoco.mjtSensor.mjSENS_FRAMEQUAT)
+        self._sizes = len(self._joints), self._places.size, 3 * len(self._turns)
+        worlds, steps = sim.num_envs, task.config.max_episode_steps
+        self._is_late = np.zeros(worlds, bool)
+        self._is_lost = np.zeros((worlds, steps, len(task.agents)), bool)
+        if self._has_noise:
+            # Of single precision, as it is much, and what is observed is no better.
+            shape = worlds, steps + 1, sum(self._sizes)
+            self._noise = np.zeros(shape, np.float32)
+        if bounds.delay:
+            for agent, still in mode.idle(worlds).items():
+                queue = sim.xp.asarray(still)[:, None, :]
+                queue = sim.xp.repeat(queue, bounds.delay, axis=1)
+                progress.rows[_late(agent)] = queue
+
+    def start(self, env_ids: np.ndarray) -> None:
+        """Begin the episodes in which these worlds are, at their first step."""
+        if self._bounds.delay:
+            rows, still = self._progress.rows, self._mode.idle(len(env_ids))
+            for agent, action in still.items():
+                queue = self._sim.xp.asarray(rows[_late(agent)], copy=True)
+                queue[env_ids] = self._sim.xp.asarray(action)[:, None, :]
+                rows[_late(agent)] = queue
+        self.draw(env_ids)
+
+    def draw(self, env_ids: np.ndarray) -> None:
+        """Draw what disturbs the episodes in which these worlds are."""
+        if not self._is_on or not len(env_ids):
+            return
+        bounds, rows = self._bounds, self._progress.rows
+        where = rows["seed"][env_ids], rows["episode"][env_ids]
+        rng = EpisodeRandom(*where, Stream.DISTURBANCES)
+        # All are drawn, whatever there is of them: one does not change the others.
+        links = 1.0 + rng.within(bounds.link_mass, len(self._links))
+        loads = 1.0 + rng.within(bounds.payload, len(self._loads))
+        friction = 1.0 + rng.within(bounds.friction)
+        agents = len(self._task.agents)
+        weak = rng.uniform(0, agents).astype(int)
+        self._is_late[env_ids] = rng.uniform(0.0, 1.0) < bounds.delayed
+        lost = rng.uniform(0.0, 1.0, self._is_lost.shape[1:])
+        self._is_lost[env_ids] = lost < bounds.lost_actions
+        if self._has_noise:
+            bound = [bounds.angle_noise, bounds.position_noise, bounds.angle_noise]
+            size = self._noise.shape[1:]
+            self._noise[env_ids] = rng.within(np.repeat(bound, self._sizes), size)
+        if self._changes_models:
+            model = self._sim.model
+            masses = np.ones((len(env_ids), model.nbody))
+            for own, factors in (self._links, links), (self._loads, loads):
+                for bodies, factor in zip(own, factors.T, strict=True):
+                    masses[:, bodies] = factor[:, None]
+            torques = np.ones((len(env_ids), model.nu, 1))
+            for i, arm in enumerate(self._scene.arms.values()):
+                torques[weak == i, arm.servos] -= bounds.lost_torque
+            factors = {
+                "body_mass": masses,
+                "body_inertia": masses[:, :, None],
+                "geom_friction": friction[:, None, None],
+                "actuator_forcerange": torques,
+            }
+            self._sim.vary(env_ids, factors)
+
+    def deliver(
+        self, actions: Mapping[str, Array], resting: Array
+    ) -> Mapping[str, Array]:
+        """Return the actions by agent that arrive in this control step.
+
+        Args:
+          actions: those that were chosen for it, (num_envs, k).
+          resting: where no episode goes on.
+        """
+        rows, xp = self._progress.rows, self._sim.xp
+        if self._bounds.delay:
+            late, due = xp.asarray(self._is_late)[:, None], {}
+            for agent, action in actions.items():
+                queue = rows[_late(agent)]
+                due[agent] = xp.where(late, queue[:, 0], action)
+                queued = xp.concat([queue[:, 1:], action[:, None]], axis=1)
+                rows[_late(agent)] = xp.where(resting[:, None, None], queue, queued)
+            actions = due
+        if self._bounds.lost_actions:
+            lost = xp.asarray(self._now(self._is_lost))
+            able = {grip.agent for grip in self._scene.grips}
+            grips = {a: self._scene.holds(self._sim, a) for a in able}
+            still = self._mode.idle(self._sim.num_envs, grips)
+            actions = {
+                agent: xp.where(lost[:, i, None], xp.asarray(still[agent]), action)
+                for i, (agent, action) in enumerate(actions.items())
+            }
+        return actions
+
+    def see(self, facts: Any) -> Any:
+        """Return the facts as the robots see them, of the present state."""
+        if not (self._is_on and self._has_noise):
+            return facts
+        sim, task, xp = self._sim, self._task, self._sim.xp
+        ends = np.cumsum(self._sizes)[:-1]
+        noise = np.split(self._now(self._noise).astype(float), ends, axis=1)
+        angles, places, turns = (xp.asarray(each) for each in noise)
+        qpos = xp.asarray(sim.qpos, copy=True)
+        qpos[:, self._joints] = qpos[:, self._joints] + angles
+        sensed = xp.asarray(sim.sensordata, copy=True)
+        shape = (sim.num_envs, -1, 3)
+        sensed[:, self._places] = sensed[:, self._places] + places.reshape(shape)
+        turned = math.from_rotation_vector(turns.reshape(shape))
+        sensed[:, self._turns] = math.multiply(turned, sensed[:, self._turns])
+        # What a task remembers is what was, not what was seen.
+        memory = task.memory
+        task.memory = dict(memory)
+        try:
+            return task.measure(sim.seen(qpos, sensed))
+        finally:
+            task.memory = memory
+
+    def _now(self, drawn: np.ndarray) -> np.ndarray:
+        """Return what was drawn for the present step of each world."""
+        steps = np.asarray(self._progress.rows["step"])
+        # The worlds that rest at their episode's end have no next step.
+        steps = np.minimum(steps, drawn.shape[1] - 1)
+        return drawn[np.arange(len(drawn)), steps]
+
+
+def _late(agent: str) -> str:
+    """Return the name of the rows of an agent's actions that are on their way."""
+    return f"{agent}: late actions"
+
+
+def _columns(model: mujoco.MjModel, kind: mujoco.mjtSensor) -> np.ndarray:
+    """Return where the sensors of a kind are in `sensordata`, (sensors, values)."""
+    own = np.flatnonzero(model.sensor_type == kind)
+    size = 3 if kind == mujoco.mjtSensor.mjSENS_FRAMEPOS else 4
+    return model.sensor_adr[own][:, None] + np.arange(size)
+
+
+def _bodies(
+    scene: Scene, model: mujoco.MjModel
+) -> tuple[list[list[int]], list[list[int]]]:
+    """Return the bodies of each arm's links, and those of each tool and loose thing."""
+    links = {agent: [] for agent in scene.arms}
+    loads: dict[str, list[int]] = {}
+    for body in range(model.nbody):
+        agent, _, rest = model.body(body).name.partition("/")
+        tool = rest.partition("/")[0]
+        if tool and tool in scene.tools.get(agent, ()):
+            loads.setdefault(f"{agent}/{tool}", []).append(body)
+        elif agent in links:
+            links[agent].append(body)
+        elif model.body_treeid[body] >= 0:
+            loads.setdefault(f"tree {model.body_treeid[body]}", []).append(body)
+    return list(links.values()), list(loads.values())
