@@ -64,7 +64,9 @@ def digest(env_id: str, policy_name: str, episodes: int) -> str:
             total.update(infos["final_observation"][agent].tobytes())
             for each in (rewards, terminated, truncated):
                 total.update(np.ascontiguousarray(each[agent]).tobytes())
-        total.update(infos["success"].tobytes())
+        success = infos["success"]  # by side, where there are several
+        for each in success.values() if isinstance(success, dict) else [success]:
+            total.update(each.tobytes())
     metrics = infos["metrics"]
     for name in ("return", "completion", "performance", "length", "time_to_success"):
         total.update(np.ascontiguousarray(metrics[name]).tobytes())

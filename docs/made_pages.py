@@ -250,8 +250,8 @@ def _settings(config: type[cg.TaskConfig]) -> str:
     return (
         "Options of `cg.make`, `cg.make_vec` and `gymnasium.make`. The randomization is"
         ' the name of a preset, `"default"`, `"paper"` or `"hard"`, or a'
-        " [`Randomization`](../reference/python.md#collaborative_gym.Randomization).\n\n"
-        + _table(("setting", "meaning", "default"), rows)
+        " [`Randomization`](../reference/python.md#collaborative_gym.Randomization)."
+        "\n\n" + _table(("setting", "meaning", "default"), rows)
     )
 
 
