@@ -33,7 +33,7 @@ OPTIONS = [
     (EVALUATE, "--idle", ("robot_9", "")),
     (EVALUATE, "--module", ("nowhere.py", "no.such", "", "a/b")),
     (EVALUATE, "--colour", ("red",)),
-    (RECORD, "--episodes", (*NO_INTEGERS, "0")),
+    (RECORD, "--seconds", (*NO_NUMBERS, "0")),
     (RECORD, "--seed", NO_INTEGERS),
     (RECORD, "--size", ("1", "a b", "-2 2", "3 2", "100000 2", "2 2 2")),
     (RECORD, "--beside", ("nobody",)),

@@ -255,7 +255,7 @@ RECORD = [
         "record", "film", _record("output"), ["/dev/null/film.gif", "/proc/film.gif"]
     ),
     *table("record", "policy", _record("policy"), [None, 3, [], "no such", [3], ["x"]]),
-    *table("record", "episodes", _record("episodes"), NO_COUNT, [0, -1]),
+    *table("record", "seconds", _record("seconds"), NO_NUMBER, [0, -1]),
     *table("record", "seed", _record("seed"), NO_COUNT, [-1]),
     *table("record", "robots", _record("robots"), NO_ROBOTS),
     *table("record", "randomization", _record("randomization"), NO_RANDOMIZATION),

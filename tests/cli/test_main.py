@@ -168,7 +168,7 @@ def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp
 
 def test_record_writes_the_video(carry_id, capsys, tmp_path):
     file = tmp_path / "a.gif"
-    size = ["--size", "64", "48"]
+    size = ["--size", "64", "48", "--seconds", "1"]
     assert main(["record", carry_id, "--output", str(file), *size]) == 0
     assert file.stat().st_size > 0
     assert str(file) in capsys.readouterr().out
@@ -353,7 +353,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
 )
 def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
     module = [sys.executable, "-m", "collaborative_gym", "record"]
-    output = ["--output", str(tmp_path / "a.mp4"), "--episodes", "20"]
+    output = ["--output", str(tmp_path / "a.mp4"), "--seconds", "99"]
     process = subprocess.Popen([*module, "PokeTaskSawyers-v0", *output])
     try:
         deadline = time.monotonic() + 60

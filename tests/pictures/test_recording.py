@@ -36,10 +36,11 @@ def test_watching_needs_a_divisor_of_the_substeps(make_env):
 
 def test_mp4_plays_in_real_time(carry, tmp_path):
     task = carry(max_episode_steps=3)
-    path = recording.record(task, tmp_path / "new" / "a.mp4", episodes=2, size=SIZE)
+    path = recording.record(task, tmp_path / "new" / "a.mp4", seconds=1.5, size=SIZE)
     with imageio.get_reader(path) as video:
         frames, meta = list(video.iter_data()), video.get_meta_data()
-    assert len(frames) == 2 * (1 + 2 * 3)
+    # Two episodes, each with its start, and a second after its end.
+    assert len(frames) == 2 * (1 + 2 * (3 + 10))
     assert meta["fps"] == 20 and meta["codec"] == "h264"
     assert meta["pix_fmt"].startswith("yuv420p") and meta["size"] == SIZE
     assert frames[0].std() > 10
@@ -48,11 +49,13 @@ def test_mp4_plays_in_real_time(carry, tmp_path):
 
 def test_gif_plays_in_real_time(carry, tmp_path):
     task = carry(max_episode_steps=4)
-    path = recording.record(task, tmp_path / "a.GIF", policy="random", size=SIZE)
+    path = recording.record(
+        task, tmp_path / "a.GIF", policy="random", seconds=1.0, size=SIZE
+    )
     with Image.open(path) as video:
         durations = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
         assert video.size == SIZE
-    assert sum(durations) == 5 * 100
+    assert sum(durations) == 15 * 100
 
 
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
@@ -174,11 +177,34 @@ def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "_labelled", note)
     policies = [{"robot_1": "idle", "robot_2": "random"}, "expert"]
     path = recording.record(
-        carry(max_episode_steps=2), tmp_path / "a.gif", policy=policies, size=SIZE
+        carry(max_episode_steps=2),
+        tmp_path / "a.gif",
+        policy=policies,
+        seconds=1.0,
+        size=SIZE,
     )
-    assert set(named) == {"robot_1=idle robot_2=random", "expert"}
+    assert {text[7:] for text in named} == {"robot_1=idle robot_2=random", "expert"}
     with Image.open(path) as video:
         assert video.size == (2 * SIZE[0], SIZE[1])
+
+
+def test_the_next_start_comes_a_second_after_the_first_policys_success(
+    carry, tmp_path, monkeypatch
+):
+    told = []
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: told.append(text) or frame
+    )
+    recording.record(
+        carry(), tmp_path / "a.gif", policy=["expert", "idle"], seconds=3.0, size=SIZE
+    )
+    experts, others = told[::2], told[1::2]
+    starts = [i for i, text in enumerate(experts) if text.startswith("0.0 s")]
+    assert starts == [i for i, text in enumerate(others) if text.startswith("0.0 s")]
+    assert len(starts) > 1 and not any("success" in text for text in others)
+    for start, end in zip(starts, [*starts[1:], len(experts)], strict=True):
+        first = next(i for i in range(start, end) if "success" in experts[i])
+        assert end - first == 11
 
 
 def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
@@ -188,10 +214,10 @@ def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     )
     policies = {"robot_1": "expert", "robot_2": "idle"}
     path = recording.record(
-        "TugPandas-v0", tmp_path / "a.gif", policy=policies, size=SIZE
+        "TugPandas-v0", tmp_path / "a.gif", policy=policies, seconds=1.0, size=SIZE
     )
-    assert told[0] == "robot_1 expert 0 : 0 robot_2 idle"
-    assert told[-1] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
+    assert told[0] == "0.0 s  robot_1 expert 0 : 0 robot_2 idle"
+    assert told[-1][7:] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
     # The end is shown for a second.
     with Image.open(path) as video:
         ends = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
@@ -228,8 +254,8 @@ def test_bad_input_says_what_is_allowed(carry, tmp_path):
         recording.record(carry(), tmp_path / "a.mp4", size=(64, 1082))
     with pytest.raises(TypeError, match=r"size must be a width and a height, got 64"):
         recording.picture(carry(), size=64)
-    with pytest.raises(ValueError, match="episodes must be at least 1"):
-        recording.record(carry(), tmp_path / "a.mp4", episodes=0)
+    with pytest.raises(ValueError, match="seconds must be above 0, got 0"):
+        recording.record(carry(), tmp_path / "a.mp4", seconds=0)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -87,7 +87,8 @@ class Record(_World):
       output: the video, .mp4 or .gif.
       beside: other policies to show beside it, in the same episodes, each given as for
         --policy.
-      episodes: number of episodes, one after the other.
+      seconds: how long the film lasts at least. A second after a success, or after the
+        end of an episode, it shows the next start; the last one is shown to its end.
       size: width and height in pixels, of each policy's picture.
     """
 
@@ -96,7 +97,7 @@ class Record(_World):
     beside: Annotated[
         Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
-    episodes: int = 1
+    seconds: float = 10.0
     size: Size = OWN_SIZE
 
     def run(self) -> None:
@@ -109,7 +110,7 @@ class Record(_World):
                 self.output,
                 policy=[read_policy(self.policy), *read_policies(self.beside)],
                 any_env=self.any_env,
-                episodes=self.episodes,
+                seconds=self.seconds,
                 seed=self.seed,
                 robots=self.robots or None,
                 randomization=self.randomization,

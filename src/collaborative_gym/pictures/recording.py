@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import chain, zip_longest
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -18,6 +18,7 @@ from collaborative_gym.errors import (
     check_callback,
     check_count,
     check_kind,
+    check_number,
     shown,
     unknown,
 )
@@ -34,8 +35,8 @@ from collaborative_gym.timing import CONTROL_DT
 _SAME_SPREAD = 0.01
 """Differences of the robots' nearness that a picture does not show, in m."""
 
-_RESULT = 1.0
-"""How long a film stands still at the end of an episode of several sides, in s."""
+_HOLD = 1.0
+"""How long a film shows what came of an episode, in s."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
@@ -65,26 +66,29 @@ def record(
     *,
     policy: AnyPolicy | Sequence[AnyPolicy] = "expert",
     any_env: bool = False,
-    episodes: int = 1,
+    seconds: float = 10.0,
     seed: int = 0,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
     size: tuple[int, int] | None = None,
     on_progress: Callable[[float], object] | None = None,
 ) -> Path:
-    """Write a video of the first episodes of a seed, in real time, and return its path.
+    """Write a video of a seed's first episodes, in real time, and return its path.
 
-    The episodes are those that `evaluate` plays. After an error or Ctrl-C there is no
-    half-written file.
+    The episodes are those that `evaluate` plays. One second after a success, or after
+    the end of the episode, the film shows the next start. After an error or Ctrl-C
+    there is no half-written file.
 
     Args:
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
       policy: a name for `load_policy`, a function from observations to actions, or one
-        of these for each agent. Several are shown side by side, each at the same
-        episodes. Each picture says who plays and, of several sides, the score.
+        of these for each agent. Several are shown side by side, in the same
+        episodes; the first one decides when the next start comes. Each picture says
+        the time, who plays, and whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
-      episodes: how many, one after the other.
+      seconds: how long the film lasts at least. An episode that has begun by then is
+        shown to its end.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
@@ -100,7 +104,7 @@ def record(
       TypeError: if the policy or a number is of another kind.
       ValueError: if a number is out of range or the file has another suffix.
     """
-    check_count("episodes", episodes, at_least=1)
+    seconds = check_number("seconds", seconds, above=0.0)
     check_kind("output", output, (str, Path), "path")
     output = Path(output)
     kind = _format(output)
@@ -113,25 +117,14 @@ def record(
         raise ValueError("name at least one policy")
     task = as_task(env, robots, randomization)
     with ExitStack() as stack:
-        films = []
+        cast = []
         for each in policies:
-            vector_env = VectorEnv(task, 1, seed=seed, num_threads=1)
-            stack.callback(vector_env.close)
-            act = as_policy(each, vector_env, any_env=any_env)
-            # All films advance together, and the last one tells how far.
-            report = on_progress if len(films) == len(policies) - 1 else None
-            films.append(
-                _film(
-                    vector_env,
-                    act,
-                    episodes,
-                    kind.shots,
-                    (width, height),
-                    report,
-                    name_players(each, vector_env.sides),
-                )
-            )
-        frames = _side_by_side(films) if len(films) > 1 else films[0]
+            world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
+            stack.callback(world.close)
+            act = as_policy(each, world, any_env=any_env)
+            players = name_players(each, world.sides)
+            cast.append(_Player(world, act, players, kind.shots, (width, height)))
+        frames = _film(cast, seconds, on_progress)
         kind.write(output, frames, round(kind.shots / CONTROL_DT))
     return output
 
@@ -275,47 +268,65 @@ def _spread(env: VectorEnv) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
+class _Player:
+    """A policy that plays one world, and its camera."""
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        policy: Policy,
+        players: Mapping[str, str],
+        shots: int,
+        size: tuple[int, int],
+    ):
+        self._env, self._policy, self._players = env, policy, players
+        self._shots, self._draw = shots, _Painter(env, size)
+        self._frames: list[np.ndarray] = []
+        env.watch(lambda: self._frames.append(self._draw()), shots)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the goal was met, or the episode has ended."""
+        if self._infos["ended"][0] or len(self._players) > 1:
+            return bool(self._infos["ended"][0])
+        return not np.isnan(self._infos["metrics"]["time_to_success"][0])
+
+    def start(self) -> list[np.ndarray]:
+        """Start the next episode and return its first picture."""
+        self._observations, self._infos = self._env.reset()
+        return [_labelled(self._draw(), self._caption())]
+
+    def step(self) -> list[np.ndarray]:
+        """Do a control step and return its pictures; after the end all stands still."""
+        if self._infos["ended"][0]:
+            return [_labelled(self._draw(), self._caption())] * self._shots
+        self._frames.clear()
+        actions = self._policy(self._observations)
+        self._observations, *_, self._infos = self._env.step(actions)
+        return [_labelled(frame, self._caption()) for frame in self._frames]
+
+    def _caption(self) -> str:
+        seconds = self._infos["step"][0] * CONTROL_DT
+        return f"{seconds:.1f} s  {standing(self._players, self._infos)}"
+
+
 def _film(
-    env: VectorEnv,
-    policy: Policy,
-    episodes: int,
-    shots: int,
-    size: tuple[int, int],
+    cast: Sequence[_Player],
+    seconds: float,
     on_progress: Callable[[float], object] | None,
-    players: Mapping[str, str],
 ) -> Frames:
-    """Yield the frames of the coming episodes, each with its start and who plays."""
-    frames: list[np.ndarray] = []
-    draw = _Painter(env, size)
-    env.watch(lambda: frames.append(draw()), shots)
-    length = env.task.config.max_episode_steps
-    observations, start = env.reset()
-    for episode in range(episodes):
-        yield _labelled(draw(), standing(players, start))
-        is_over = False
-        while not is_over:
-            observations, _, _, _, infos = env.step(policy(observations))
-            is_over = bool(infos["ended"][0])
-            told = standing(players, infos)
-            yield from (_labelled(frame, told) for frame in frames)
-            if is_over and len(players) > 1:
-                shown = round(_RESULT * shots / CONTROL_DT)
-                yield from [_labelled(frames[-1], told)] * shown
-            frames.clear()
+    """Yield the players' pictures side by side, one start after the other."""
+    played = 0.0
+    while played < seconds:
+        rows, left = [player.start() for player in cast], round(_HOLD / CONTROL_DT)
+        while rows:
+            for frames in zip(*rows, strict=True):
+                yield np.concatenate(frames, axis=1)
+            played += CONTROL_DT
             if on_progress is not None:
-                on_progress((episode + infos["step"][0] / length) / episodes)
-
-
-def _side_by_side(films: Sequence[Frames]) -> Frames:
-    """Yield the films' frames beside one another."""
-    last: list[np.ndarray] = []
-    # A film that ends early, as of a world that diverged, stands still.
-    for frames in zip_longest(*films):
-        last = [
-            before if frame is None else frame
-            for frame, before in zip(frames, last or frames, strict=True)
-        ]
-        yield np.concatenate(last, axis=1)
+                on_progress(min(1.0, played / seconds))
+            left -= cast[0].is_done
+            rows = [player.step() for player in cast] if left >= 0 else []
 
 
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:

@@ -158,7 +158,7 @@ class Pass(Task[PassConfig, PassFacts]):
         picks, hands = self.config.picking_threshold, self.config.handover_threshold
         for agent, threshold in ((giver, picks), (taker, hands)):
             scene.add_grip(agent, _CUBE, threshold=threshold, width=_GRIP_WIDTH)
-        scene.add_camera((3.3, 0, 2.05), (0, 1, 0, -0.38, 0, 0.9))
+        scene.add_camera((2.8, 0, 1.85), (0, 1, 0, -0.38, 0, 0.9))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

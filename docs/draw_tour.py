@@ -1,0 +1,75 @@
+"""Draws the README's moving picture, `docs/media/tour.gif`: python docs/draw_tour.py.
+
+Six tasks play side by side. A second after a success each goes on to its next start.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+import collaborative_gym as cg
+
+SIZE = 288, 216
+BAND = 26
+STEPS, HOLD = 80, 10
+"""Pictures, which are control steps, and how long a success is shown."""
+
+TOUR = {
+    "PokeTaskPandaSawyer-v0": ("Poke: a stick through a ring", "baseline"),
+    "LiftTaskSawyers-v0": ("Lift: a pot that is too heavy for one", "baseline"),
+    "PassTaskJacoSawyer-v0": ("Pass: a cube from hand to hand", "baseline"),
+    "BalancePathSawyers-v0": ("BalancePath: a ball along an eight", "expert"),
+    "HockeyPandas-v0": ("Hockey: one against one", "expert"),
+    "TugPandas-v0": ("Tug: who pulls harder?", "expert"),
+}
+"""What is played, by environment: the caption, and who plays."""
+
+WHO = {"baseline": "trained", "expert": "scripted"}
+
+
+def film(env_id: str, caption: str, player: str) -> list[np.ndarray]:
+    """Return the pictures of some starts, (height, width, 3) uint8 each."""
+    env = cg.make_vec(env_id, 1, seed=1, num_threads=1)
+    policy = cg.load_policy(player, env)
+    observations, infos = env.reset()
+    frames, left = [], HOLD
+    for _ in range(STEPS):
+        pixels = env.render(width=SIZE[0], height=SIZE[1])
+        is_met = len(env.sides) == 1 and bool(infos["metrics"]["completion"][0])
+        frames.append(captioned(pixels, caption, "success" if is_met else WHO[player]))
+        left -= is_met
+        if left < 0:
+            (observations, infos), left = env.reset(), HOLD
+        else:
+            observations, _, _, _, infos = env.step(policy(observations))
+    env.close()
+    return frames
+
+
+def captioned(pixels: np.ndarray, caption: str, state: str) -> np.ndarray:
+    """Return a picture below a line of text."""
+    picture = Image.new("RGB", (SIZE[0], SIZE[1] + BAND), "white")
+    picture.paste(Image.fromarray(pixels), (0, BAND))
+    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(size=13)
+    middle = BAND // 2
+    pen.text((6, middle), caption, "black", font, anchor="lm")
+    ink = "#0a7a2f" if state == "success" else "#777777"
+    pen.text((SIZE[0] - 6, middle), state, ink, font, anchor="rm")
+    return np.asarray(picture)
+
+
+if __name__ == "__main__":
+    films = [film(env_id, *what) for env_id, what in TOUR.items()]
+    pictures = [
+        Image.fromarray(
+            np.concatenate(
+                [np.concatenate(row, axis=1) for row in (frames[:3], frames[3:])]
+            )
+        )
+        for frames in zip(*films, strict=True)
+    ]
+    first = pictures[STEPS // 2].quantize(192, dither=Image.Dither.NONE)
+    flat = [p.quantize(palette=first, dither=Image.Dither.NONE) for p in pictures]
+    path = Path(__file__).parent / "media" / "tour.gif"
+    flat[0].save(path, save_all=True, append_images=flat[1:], duration=100, loop=0)
