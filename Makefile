@@ -4,10 +4,9 @@ PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
 .PHONY: demo test check format docs serve-docs clean
 
-# Evaluate and film the baselines of the thesis's eight environments.
+# Draw, film and measure the baselines; the last line tells how to watch them.
 demo: .venv/demo
 	$(BIN)/collaborative-gym demo
-	@echo "To watch: $(BIN)/collaborative-gym view PassTaskSawyers-v0 --policy baseline --web"
 
 # Format, lint, types and tests.
 test: check

@@ -69,7 +69,10 @@ if __name__ == "__main__":
         )
         for frames in zip(*films, strict=True)
     ]
-    first = pictures[STEPS // 2].quantize(192, dither=Image.Dither.NONE)
-    flat = [p.quantize(palette=first, dither=Image.Dither.NONE) for p in pictures]
+    # One palette for all pictures, of colours that any has: else they flicker.
+    sample = np.concatenate([np.asarray(each) for each in pictures[::16]])
+    colours = Image.fromarray(sample).quantize(256, Image.Quantize.MAXCOVERAGE)
+    plain = Image.Dither.NONE
+    flat = [each.quantize(palette=colours, dither=plain) for each in pictures]
     path = Path(__file__).parent / "media" / "tour.gif"
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=100, loop=0)

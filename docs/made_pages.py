@@ -61,6 +61,9 @@ collaborative-gym --tyro-write-completion zsh ~/.zfunc/_collaborative-gym
 ```"""
 """How the shell learns what can follow; zsh's folder must be in its `fpath`."""
 
+_WHOSE = "thesis", "ours"
+"""Whose bars a chart has, by the names that the stylesheet knows."""
+
 _WIDTH = 78
 """Columns of the command line's help."""
 
@@ -78,10 +81,9 @@ def made_pages() -> dict[str, str]:
 def expanded(markdown: str, path: str = "index.md") -> str:
     """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
 
-    That is `arms`, `certificates`, `environments` or `examples`; a file of the
-    repository, such as `CHANGELOG.md`; a section of one, such as `README.md, Licence`;
-    or lines of Python, such as `examples/it.py:1:11`. Links in it are made to be from
-    the page.
+    That is one of `_MADE`; a file of the repository, such as `CHANGELOG.md`; a section
+    of one, such as `README.md, Licence`; or lines of Python, such as
+    `examples/it.py:1:11`. Links in it are made to be from the page.
 
     Args:
       markdown: the page.
@@ -107,14 +109,8 @@ def python_lines(what: str) -> str:
 
 
 def _put(what: str) -> str:
-    if what == "arms":
-        return _arms()
-    if what == "certificates":
-        return _certificates()
-    if what == "environments":
-        return _environments()
-    if what == "examples":
-        return _examples()
+    if what in _MADE:
+        return _MADE[what]()
     if ":" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -184,7 +180,7 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
     film = f"media/baselines/{env_id}.gif"
     if (ROOT / "docs" / film).exists():
         paragraphs.append(
-            f"![Random actions, and the baseline, in {env_id}](../{film})"
+            f"![{env_id}, played by those whom the picture names](../{film})"
         )
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
     card = BASELINES / f"{env_id}.md"
@@ -297,6 +293,55 @@ def _examples() -> str:
     """Return the examples' files, each under a title that opens it."""
     paths = sorted((ROOT / "examples").glob("*.py"))
     return "\n\n".join(_folded(path.name, path.read_text()) for path in paths)
+
+
+def _films() -> str:
+    """Return a film of each environment that has one, with links from the gallery."""
+    paragraphs = []
+    for name in _TASKS:
+        for env_id, _ in _envs(name):
+            film = f"media/baselines/{env_id}.gif"
+            if (ROOT / "docs" / film).exists():
+                page = f"tasks/{name.lower()}.md#{env_id.lower()}"
+                paragraphs += [
+                    f"### [{env_id}]({page})",
+                    f"![{env_id}, played by those whom the picture names]({film})",
+                ]
+    return "\n\n".join(paragraphs)
+
+
+def _chart() -> str:
+    """Return Table 11 as bars, drawn as SVG: the thesis above, ours below."""
+    rows = re.findall(
+        r"^\| (\S+-v\d) \| (completion|performance) \| (\S+) % \| (\S+) %",
+        (ROOT / "docs" / "tables" / "table11.md").read_text(),
+        re.M,
+    )
+    half = len(rows) // 2
+    lines = [
+        f'<svg class="chart" viewBox="0 0 760 {half * 34 + 24}" role="img"'
+        ' aria-label="Completion and performance, the thesis and ours">'
+    ]
+    for column, measure in enumerate(("completion", "performance")):
+        x = 190 + 290 * column
+        lines.append(f'<text x="{x}" y="14" class="head">{measure}, %</text>')
+        own = [row for row in rows if row[1] == measure]
+        for i, (env_id, _, *values) in enumerate(own):
+            y = 24 + 34 * i
+            if not column:
+                lines.append(f'<text x="0" y="{y + 18}">{env_id}</text>')
+            for j, (kind, value) in enumerate(zip(_WHOSE, values, strict=True)):
+                width, top = 2.2 * float(value), y + 13 * j
+                lines.append(
+                    f'<rect class="{kind}" x="{x}" y="{top}" width="{width:.1f}"'
+                    f' height="11"/><text x="{x + width + 5:.1f}" y="{top + 10}"'
+                    f' class="number">{value}</text>'
+                )
+    caption = (
+        '<figcaption><span class="thesis">■</span> the thesis'
+        ' <span class="ours">■</span> the baselines here</figcaption>'
+    )
+    return f"<figure>{''.join(lines)}</svg>{caption}</figure>"
 
 
 def _arm(robot: cg.Robot) -> str:
@@ -417,3 +462,14 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def _cell(value: object) -> str:
     return str(value).replace("|", "\\|")
+
+
+_MADE = {
+    "arms": _arms,
+    "certificates": _certificates,
+    "chart": _chart,
+    "environments": _environments,
+    "examples": _examples,
+    "films": _films,
+}
+"""What is put into a page by the name of what makes it."""

@@ -5,18 +5,22 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from importlib.metadata import version
+from multiprocessing import dummy
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import viewer
-from collaborative_gym.cli import tables, terminal
+from collaborative_gym.cli import demo, tables, terminal
 from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import progress_bars, read_policies
 from collaborative_gym.evaluation import table11
+from collaborative_gym.pictures import recording
 from collaborative_gym.policies import policy
 from collaborative_gym.tasks.identity import Identity
 
@@ -172,6 +176,30 @@ def test_record_writes_the_video(carry_id, capsys, tmp_path):
     assert main(["record", carry_id, "--output", str(file), *size]) == 0
     assert file.stat().st_size > 0
     assert str(file) in capsys.readouterr().out
+
+
+def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
+    carry_id, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(table11, "THESIS", {carry_id: table11.Thesis(-1.0, 0.5, 0.5)})
+    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    # Threads know the environment of this test, and may not heed signals.
+    threads = SimpleNamespace(get_context=lambda _: dummy)
+    monkeypatch.setattr(demo, "multiprocessing", threads)
+    monkeypatch.setattr(demo, "_begin_worker", lambda: None)
+    monkeypatch.setattr(demo, "BASELINES", tmp_path)
+    monkeypatch.setattr(demo, "_GAME", "TugPandas-v0")
+    small = partial(recording.record, size=(64, 48), seconds=0.5)
+    monkeypatch.setattr(recording, "record", small)
+    monkeypatch.setattr(sys, "argv", [".venv/bin/collaborative-gym", "demo"])
+    folder = tmp_path / "out"
+    assert main(["demo", "--episodes", "2", "--output", str(folder)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = ["contact_sheet.png", f"{carry_id}.mp4", "TugPandas-v0.mp4"]
+    assert lines[1:4] == [f"wrote {folder / name}" for name in names]
+    assert {path.name for path in folder.iterdir()} >= {*names, "table11.md"}
+    assert "2 episodes" in lines[4] and f"are in {folder}/." in lines[-2]
+    assert lines[-1].startswith(f"  .venv/bin/collaborative-gym view {carry_id} --")
 
 
 @pytest.mark.parametrize(

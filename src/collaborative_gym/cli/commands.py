@@ -1,6 +1,6 @@
 """The commands that play, measure and show."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -394,9 +394,11 @@ class View(_World):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Evaluate and film all baselines, and compare them with the thesis's Table 11.
+    """Draw and film all baselines, measure them, and compare them with the thesis.
 
-    Where an environment has no baseline, its expert is filmed.
+    Pictures and films come first; measuring takes minutes, and Ctrl-C ends it. Where an
+    environment has no baseline, its expert plays. A film of Hockey shows the scripted
+    player.
 
     Attributes:
       output: where the files go.
@@ -407,49 +409,46 @@ class Demo:
     episodes: int = 100
 
     def run(self) -> None:
-        """Print two tables; write them, a video each and a contact sheet."""
+        """Tell each file when it is there, then the tables and how to watch."""
+        from collaborative_gym.cli import demo
         from collaborative_gym.cli.tables import reports_table, table11_table
+        from collaborative_gym.errors import check_count
         from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
 
+        check_count("episodes", self.episodes, at_least=1)
         files = self.output / "table11.json", self.output / "table11.md"
         check_files(*files)
+        self._draw()
+        tell(f"measures {self.episodes} episodes of each baseline, expert and chance")
         with progress_bars() as progress:
             table11 = reproduce_table11(
                 self.episodes, on_progress=progress("baselines, experts, chance")
             )
         write_text(files[0], table11.to_json())
         write_text(files[1], table11.to_markdown())
-        trained = {
-            comparison.environment: comparison.reports["ours_on_default"]
-            for comparison in table11.comparisons
-            if "ours_on_default" in comparison.reports
-        }
-        tell(reports_table(list(trained.values())))
-        policies = {
-            comparison.environment: (
-                "baseline" if comparison.environment in trained else "expert"
-            )
-            for comparison in table11.comparisons
-        }
-        for path in [*files, *self._film(policies)]:
-            tell(f"wrote {path}")
+        columns = (each.reports for each in table11.comparisons)
+        own = [each["ours_on_default"] for each in columns if "ours_on_default" in each]
+        if own:
+            tell(reports_table(own))
         tell(table11_table(table11))
         tell(table11.verdict)
+        tell(
+            f"The pictures, films and numbers are in {self.output}/. To watch robots in"
+            f" the browser:\n  {demo.program()} view {next(iter(demo.players()))}"
+            " --policy baseline --web"
+        )
 
-    def _film(self, policies: Mapping[str, str]) -> list[Path]:
+    def _draw(self) -> None:
+        """Draw and film, or say why not."""
         from collaborative_gym.cli import demo
         from collaborative_gym.pictures import recording
 
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
-            tell(f"no videos and pictures: {error}")
-            return []
-        paths: list[Path] = []
-        with progress_bars() as progress:
-            advance = progress("videos")
-            for path in demo.film(policies, self.output):
-                paths.append(path)
-                advance(len(paths) / (len(policies) + 1))
-        return paths
+            tell(f"no films and pictures: {error}")
+            return
+        tell("draws all environments, then films them; the first file takes seconds")
+        for path in demo.draw(self.output):
+            tell(f"wrote {path}")

@@ -1,46 +1,67 @@
-"""The films of the tour that `make demo` takes."""
+"""The pictures and films of the tour that `make demo` takes."""
 
 import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.pictures import recording
+from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.tasks.registry import make_task
 
 _SHEET_SIZE = (480, 360)
 """Width and height of one picture of the contact sheet, in pixels."""
 
+_GAME, _GAME_STEPS = "HockeyPandas-v0", 100
+"""What the scripted player plays, and for how many control steps."""
 
-def film(policies: Mapping[str, str], folder: Path) -> Iterator[Path]:
-    """Record environments, several at a time, and yield the files.
 
-    The last file is a contact sheet of all of them.
+def program() -> str:
+    """Return what to type to call the command line again as it was called."""
+    path = Path(sys.argv[0])
+    is_script = path.name == "collaborative-gym"
+    return str(path) if is_script else "python -m collaborative_gym"
+
+
+def players() -> dict[str, str]:
+    """Return who plays, by environment id: the baseline, or the expert without one."""
+    return {
+        env_id: "baseline"
+        if (BASELINES / f"{env_id}.safetensors").exists()
+        else "expert"
+        for env_id in table11.THESIS
+    }
+
+
+def draw(folder: Path) -> Iterator[Path]:
+    """Draw all environments, then film them and a game; yield each file.
+
+    The first file is a contact sheet of pictures, which takes seconds.
 
     Args:
-      policies: who plays, by environment id.
       folder: where the files go.
     """
-    jobs = [
+    cast = players()
+    films = [
         (env_id, policy, folder / f"{env_id}.mp4")
-        for env_id, policy in policies.items()
+        for env_id, policy in (*cast.items(), (_GAME, "expert"))
     ]
     spawn = multiprocessing.get_context("spawn")
-    pictures = []
     # Leaving the pool early, as Ctrl-C does, ends its processes at once.
-    with spawn.Pool(min(cores(), len(jobs)), _begin_worker) as pool:
-        for (*_, output), picture in zip(jobs, pool.imap(_film_one, jobs), strict=True):
-            pictures.append(picture)
-            yield output
+    with spawn.Pool(min(cores(), len(films)), _begin_worker) as pool:
+        pictures = pool.starmap(_draw_one, cast.items(), chunksize=1)
+        yield recording.contact_sheet(
+            pictures, list(cast), folder / "contact_sheet.png"
+        )
+        yield from pool.imap(_film_one, films)
         pool.close()
         pool.join()
-    yield recording.contact_sheet(
-        pictures, list(policies), folder / "contact_sheet.png"
-    )
 
 
 def _begin_worker() -> None:
@@ -51,8 +72,13 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
-def _film_one(job: tuple[str, str, Path]) -> np.ndarray:
-    """Record one video and return the picture for the contact sheet."""
-    env_id, policy, output = job
-    recording.record(env_id, output, policy=policy)
+def _draw_one(env_id: str, policy: str) -> np.ndarray:
+    """Return the picture for the contact sheet."""
     return recording.picture(env_id, policy, size=_SHEET_SIZE)
+
+
+def _film_one(job: tuple[str, str, Path]) -> Path:
+    """Record one video and return its path."""
+    env_id, policy, output = job
+    steps = {"max_episode_steps": _GAME_STEPS} if env_id == _GAME else {}
+    return recording.record(make_task(env_id, **steps), output, policy=policy)
