@@ -139,8 +139,33 @@ def test_an_example_runs(path, tmp_path):
         assert (tmp_path / file).stat().st_size > 0
 
 
+@pytest.mark.slow
+def test_the_notebook_runs_from_top_to_bottom(tmp_path):
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    for package in ("ipykernel", "skrl"):
+        pytest.importorskip(package)
+    notebook = nbformat.read(EXAMPLES / "five_minutes.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+    for cell in notebook.cells:
+        for long, short in (("300_000", "2_000"), ("episodes=20", "episodes=2")):
+            cell.source = cell.source.replace(long, short)
+    client = nbclient.NotebookClient(
+        notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}
+    )
+    client.execute()
+    outputs = {cell.id: cell.get("outputs", []) for cell in notebook.cells}
+    shown = {name: str(given) for name, given in outputs.items()}
+    assert "robot_2 observes (21,)" in shown["make"]
+    assert "image/png" in shown["look"] and "image/png" in shown["train"]
+    assert "100 %" in shown["expert"]
+    assert "baseline" in shown["evaluate"] and "100%" in shown["evaluate"]
+    assert "video/mp4" in shown["film"]
+
+
 def test_the_table_names_every_example():
     names = re.findall(
-        r"^\| `(\w+\.py)` \|", (EXAMPLES / "README.md").read_text(), re.M
+        r"^\| `(\w+\.(?:py|ipynb))` \|", (EXAMPLES / "README.md").read_text(), re.M
     )
-    assert sorted(names) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+    files = (*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.ipynb"))
+    assert sorted(names) == sorted(path.name for path in files)

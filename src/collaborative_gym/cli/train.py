@@ -125,7 +125,14 @@ class Train(Command):
         from collaborative_gym.learning.train import train
 
         env, hyperparameters = self._what()
-        with Display(env, hyperparameters.total_steps) as display:
+        total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
+        whole = math.ceil(total / update) * update
+        if whole > 1.01 * total:
+            tell(
+                f"trains {whole:,} steps, not {total:,}: an update takes {update:,}"
+                " steps, which are --num-envs times --rollout-steps"
+            )
+        with Display(env, total) as display:
             result = train(
                 env,
                 self.mode,
@@ -142,13 +149,6 @@ class Train(Command):
                 resources=self.resources,
                 checkpoint_interval=self.checkpoint_interval,
                 on_row=display.show,
-            )
-        total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
-        trained = math.ceil(total / update) * update
-        if trained > 1.01 * total:
-            tell(
-                f"trained {trained:,} steps, not {total:,}: an update takes {update:,}"
-                " steps, --num-envs times --rollout-steps"
             )
         tell(f"wrote {result.folder / 'policy.safetensors'}")
 

@@ -1,41 +1,49 @@
 """Hockey: air hockey between two arms, or between two pairs.
 
-Each side stands behind its goal and has mallets; the puck glides without friction. The
-field is 1.1 m long and 0.64 m wide, a goal 0.4 m wide. It counts as a goal once all of
-the puck has crossed a goal's line, whoever hit it last. Then it is served from the
-centre line towards the side that conceded. A puck that has been on one half for 15 s is
-a foul, also where nobody reaches it, and is served to the other side. It is served
-where no mallet is in its way.
+Each side stands behind its goal and has mallets. The puck glides without friction. The
+field is 1.1 m long and 0.64 m wide, and a goal is 0.4 m wide. A goal counts once all of
+the puck has crossed the goal's line, whoever hit it last. Then the puck is served from
+the centre line towards the side that conceded the goal. If the puck stays on one half
+for 15 s, this is a foul, even if nobody can reach the puck. Then the puck is served to
+the other side. It is served where no mallet is in its way.
 
-Agents: one or two arms for each side; `side_1` is at negative x. With two for each, the
-table is twice as wide, and each arm reaches its half of it.
+Agents: one or two arms for each side; `side_1` is at negative x. With two arms for each
+side, the table is twice as wide, and each arm reaches its half of it.
 
-Randomised: which side is served to first; of every serve, where on the centre line, how
-fast (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across); where each mallet starts
-along x and y, and in which posture its arm holds it. Start angles are what inverse
-kinematics makes of the nominal ones plus noise.
+Randomised: the side that is served to first; the place of every serve on the centre
+line, and its speed (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across); where each
+mallet starts along x and y, and the posture in which its arm holds it. The start angles
+come from the nominal ones plus noise, by inverse kinematics.
 
-Observations are in each side's own frame, in which it plays towards +x; the other
-side's is turned by half a turn. So both seats are alike, and one policy plays in both.
+Each side observes the world in its own frame, in which it plays towards +x. The frame
+of the other side is turned by half a turn. So both seats are alike, and one policy
+plays in both.
 
-Reward of each agent: 10 for a goal and minus 10 for one conceded, in the term `goal`,
-which adds up to zero over the sides. All others are shaping: `drive`, 0.2 times the
-puck's speed towards the other goal, at most 2 m/s either way; while the puck is on the
-own half, `near`, minus 0.3 times its distance from the mallet; `height`, minus twice
-how far the mallet is from where it hovers, at most 0.3 m; `upright`, minus 0.3 times
-one less the cosine of its tilt; `effort`, minus 0.01 times the length of the action.
+Reward of each agent:
+
+- `goal`: 10 for a goal of its side, -10 for a goal of the other side. Over the sides
+  this adds up to zero.
+- `drive`: 0.2 times the puck's speed towards the other goal, at most 2 m/s either way.
+  Shaping.
+- `near`: -0.3 times the distance between puck and mallet in m, while the puck is on the
+  own half, else 0. Shaping.
+- `height`: -2 times the distance of the mallet from the height at which it hovers, at
+  most 0.3 m. Shaping.
+- `upright`: -0.3 (1 - cos a), where a is the tilt of the mallet. Shaping.
+- `effort`: -0.01 times the length of the action. Shaping.
 
 Success of a side: it scores. So its completion says whether it scored in the episode,
-and its performance for which share of the episode it was in the lead. The metric
-`score` counts its goals; who has more at the end has won.
+and its performance says for which share of the episode it was in the lead. The metric
+`score` counts its goals. The side with more goals at the end has won.
 
-An episode lasts 40 s: by then most matches of the scripted player against itself are
+An episode lasts 40 s. By then most matches of the scripted player against itself are
 decided (of 160 with Pandas, side_1 won 56 and side_2 48), and two fouls fit in.
 
-What bounces turns round within one physics step, to 0.8 times its speed. Until then it
-may be as deep in what it hits as it moves in 0.01 s. Air drag takes some of the speed,
-and in a mallet the arm behind it some more. Speeds after over before a bounce, and
-depths, by `python benchmarks/hockey.py --worlds 8 --steps 60`:
+A thing that bounces turns round within one physics step, and keeps 0.8 of its speed.
+Until then it may be as deep in the other thing as it moves in 0.01 s. Air drag takes
+some of the speed, and at a mallet the arm behind it takes some more. The table has the
+speed after a bounce over the speed before, and the depth (`python benchmarks/hockey.py
+--worlds 8 --steps 60`):
 
 | m/s | off a cushion | off a mallet that is held | deepest, mm |
 | ---: | ---: | ---: | ---: |
@@ -44,12 +52,12 @@ depths, by `python benchmarks/hockey.py --worlds 8 --steps 60`:
 | 3 | 0.78 | 0.74 | 28 |
 | 5 | 0.79 | 0.74 | 47 |
 
-Above 5 m/s contacts are foreseen (MuJoCo's speculative ones), so that nothing passes
-through anything; arms that chase the puck at full speed, whatever is in their way,
-bring it to 5 m/s, and none of 144 shots at 3 to 7 m/s among them escaped. For all
-this, servos and contacts are integrated as MuJoCo's `implicitfast` does, unlike in the
-other tasks. The sphere by which the puck collides is taller than the disc that is seen,
-so a mallet that is lifted by less than 0.1 m still touches it.
+Above 5 m/s MuJoCo foresees contacts (its speculative contacts), so that nothing passes
+through anything. Arms that chase the puck at full speed, whatever is in their way, give
+it 5 m/s. None of 144 shots at 3 to 7 m/s left the table. Hockey needs MuJoCo's
+integrator `implicitfast` for this, unlike the other tasks. The puck collides as a
+sphere that is taller than the disc in the picture, so a mallet that is lifted by less
+than 0.1 m still touches it.
 """
 
 from dataclasses import dataclass

@@ -6,12 +6,12 @@ seat observe the same. Each feels the torques of its own joints, but not those o
 other.
 
 A knob at each end of the bar turns freely in the hand, so an arm chooses its posture
-while it pulls. How hard it can pull depends on that: each joint's torque limit, over
-the joint's lever about the line of pull. An arm that is asked to move lets go of a part
-of its load in every step, so it has to keep pulling. One that is not asked to move
-holds on to what it exerts, until that is more than its motors can hold. The hands never
-lose the bar: its pull on both is the same, so the weaker gripper would always tear
-first, and pulling at a jerk would win.
+while it pulls. How hard it can pull depends on its posture: a joint pulls with its
+torque limit over its lever about the line of pull. An arm that is asked to move lets go
+of a part of its load in every step, so it must keep pulling. An arm that is not asked
+to move keeps its torques, up to the limits of its motors. The hands never lose the bar.
+The bar pulls at both hands with the same force, so the weaker gripper would always tear
+first, and a jerk would win.
 
 Randomised: where the bar starts (along every axis, and its turn about the vertical)
 and the posture in which each arm holds it.
@@ -25,14 +25,15 @@ Reward of each agent:
 Success of a side: the bar's middle is past its line. The episode ends then. When time
 is up it is a draw. Performance counts how long the bar is on the own half.
 
-Each line is 0.14 of the arms' mean reach from where the bar starts. Unequal arms get a
-handicap by their strengths: the pull that an arm's torque limits can hold all along the
-way of its hand, in the strongest postures found. The distances of the lines are as the
-strengths, with the same mean. That alone is not enough, as an arm that is pulled out of
-its posture gets weaker: a Panda's expert then won all episodes against a Sawyer's. So
-the bar is also drawn to the weaker side, as by a weight on a rope, with nearly twice
-the difference of the strengths. That is fit to Panda and Sawyer, of whom the Panda's
-expert wins two episodes in three; a Jaco's expert still loses to a Panda's.
+Each line is 0.14 of the arms' mean reach away from the start of the bar. Unequal arms
+get a handicap by their strengths. The strength of an arm is the pull that its torque
+limits can hold all along the way of its hand, in the strongest postures found. The
+distances of the two lines have the ratio of the strengths and keep their mean. This
+alone is not enough, because an arm that is pulled out of its posture gets weaker: a
+Panda's expert then won all episodes against a Sawyer's. So a constant force, as of a
+weight on a rope, also pulls the bar to the weaker side. It is nearly twice the
+difference of the strengths. We chose it for Panda and Sawyer: the Panda's expert wins
+two episodes in three. A Jaco's expert still loses to a Panda's.
 
 The expert against itself decides 400 of 400 episodes of two Pandas and 383 of two
 Sawyers, in 2 s (median). From the first seat it wins 47 and 49 % of them.
