@@ -289,8 +289,8 @@ def test_what_is_put_into_a_page():
         "a\nApache-2.0"
     )
     results = "<!-- put: README.md, Results -->"
-    assert "](media/baselines/" in expanded(results)
-    assert "](../media/baselines/" in expanded(results, "tasks/index.md")
+    assert "](gallery.md)" in expanded(results)
+    assert "](../gallery.md)" in expanded(results, "tasks/index.md")
     with pytest.raises(KeyError):
         expanded("<!-- put: README.md, Nothing -->")
     with pytest.raises(FileNotFoundError):
