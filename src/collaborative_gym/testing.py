@@ -24,10 +24,10 @@ def check_task(
 ) -> None:
     """Check that a task keeps every promise that environments make.
 
-    That its definition makes a world is checked wherever it is used; here it is played
-    too: same bits in any batch, worlds that do not touch one another, saved episodes
-    that go on, sound starts, a goal that is not reached by doing nothing, and an expert
-    that always reaches it.
+    Every use of a task checks its definition. This function also plays the task. It
+    checks for the same bits in any batch, worlds that do not touch one another, saved
+    episodes that continue, sound starts, a goal that nobody reaches by doing nothing,
+    and an expert that always reaches the goal.
 
     Args:
       task: an environment id, a task's name, a task, or a task's class.

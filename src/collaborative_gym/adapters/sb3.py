@@ -13,13 +13,13 @@ from collaborative_gym.envs.vector_env import VectorEnv
 class SB3VecEnv(VecEnv):
     """A `VectorEnv` under Stable-Baselines3's contract, all worlds at once.
 
-    The observation, the action and the reward are those of the Gymnasium environments:
-    the robots' side by side, and their sum. In the step that ends an episode, the info
-    of its world has `terminal_observation`, `TimeLimit.truncated` and `is_success`, of
-    which Stable-Baselines3 logs the rate. Other infos are empty.
+    Observations and actions of the robots stand side by side, and the reward is the sum
+    of theirs, as in the Gymnasium environments. In the step that ends an episode, the
+    info of its world has `terminal_observation`, `TimeLimit.truncated` and
+    `is_success`; Stable-Baselines3 logs the rate of success. Other infos are empty.
 
-    `seed` holds from the next `reset` on: all worlds play episodes of that one seed.
-    Without it they are those of the seed that the `VectorEnv` was made with.
+    `seed` takes effect at the next `reset`: then all worlds play episodes of that seed.
+    Without it, they play episodes of the seed with which the `VectorEnv` was made.
 
     Args:
       env: the worlds, of a task with one side, from `make_vec`.

@@ -15,10 +15,10 @@ ByAgent = dict[str, torch.Tensor]
 class SkrlEnv(MultiAgentEnvWrapper):
     """A `VectorEnv` as skrl's wrapped multi-agent environment, all worlds at once.
 
-    The state, which MAPPO's critics see, is the observations of all robots side by
-    side. In every batch that resets itself, skrl takes what follows the last step of
-    an episode from the first observation of the next one: its `time_limit_bootstrap`
-    is a guess, which `collaborative_gym.train` does not make.
+    The state, which MAPPO's critics see, has the observations of all robots side by
+    side. In a batch that resets itself, skrl estimates the value after an episode's
+    last step from the first observation of the next episode. So its
+    `time_limit_bootstrap` is a guess; `collaborative_gym.train` uses the right one.
 
     Args:
       env: the worlds, from `make_vec`.

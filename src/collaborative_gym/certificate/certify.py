@@ -56,12 +56,13 @@ def certify(
 ) -> Certificate:
     """Try to do a task while one arm is still, and return how often that worked.
 
-    Each agent in turn is still: idle; idle with a closed grip, where the task has
-    grips; and frozen on the expert's way to the goal, with the grip as it was. Against
-    each the other arms play the task's expert; one motion for all starts, searched for
-    on others; a motion for each start, searched for on itself; and, where nobody
-    reached the goal but came nearest, a policy that is trained for it. All but the
-    third are judged on the first episodes of the seed, the same as `evaluate` plays.
+    Each agent in turn is still in several ways: idle; idle with a closed grip, if the
+    task has grips; and frozen on the expert's way to the goal, with the grip as it was.
+    The other arms then play the task's expert; one motion for all starts, which a
+    search finds on other starts; a motion for each start, which a search finds on that
+    start; and, in the rows where nobody reached the goal and somebody came nearest, a
+    policy that is trained for this. Except for the motions for each start, all play the
+    first episodes of the seed, the same as `evaluate` does.
 
     Args:
       env: an environment id, a task's name, or a task.

@@ -85,8 +85,8 @@ class Record(_World):
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif.
-      beside: other policies to show beside it, in the same episodes, each given as for
-        --policy.
+      beside: other policies to show beside it in the same episodes; each is named as
+        for --policy.
       seconds: how long the film lasts at least. A second after a success, or after the
         end of an episode, it shows the next start; the last one is shown to its end.
       size: width and height in pixels, of each policy's picture.
@@ -357,7 +357,7 @@ class Benchmark(Command):
 class View(_World):
     """Watch a policy in real time, and pull at things to disturb it.
 
-    It opens a window, or serves a page for the browser where it cannot open one.
+    It opens a window, or serves a page for the browser if it cannot open one.
     `python -m collaborative_gym --env ENV` does the same.
 
     Attributes:

@@ -13,14 +13,14 @@ from collaborative_gym.cli.terminal import File, Folder, check_files, put, tell
 class Compare:
     """Compare training runs, whatever they differ in, with intervals over seeds.
 
-    What differs between their settings is found and told. Told are interquartile means,
+    It finds the settings in which the runs differ. It prints interquartile means,
     medians and means of the last validations, the steps and core-seconds to 90 %
-    completion, and how likely a run of one kind beats one of another.
+    completion, and how likely a run of one kind beats a run of another kind.
 
     Attributes:
       runs: folders of runs, or folders that have runs in them at any depth.
-      measure: of validations, such as return, by which curves, profiles and
-        probabilities are told.
+      measure: measure of the validations, such as return, for curves, profiles and
+        probabilities.
       output: folder for compare.md, .csv, .json, .svg and .pdf, and marl_eval.json for
         the package id-marl-eval.
       json: file for all numbers; - for standard output.

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 class Tournament(Command):
     """Let every policy play in every seat with every other, and with itself.
 
-    A seat is a robot, or where robots play against one another a side. Players that
+    A seat is a robot; if robots play against one another, it is a side. Players that
     work together are compared by completion, performance and return; opponents by wins,
     scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
-    in one folder count as training runs of one kind, and what they come to is told too.
+    in one folder count as training runs of one kind, with results of their own.
 
     Attributes:
       env: environment id, or a task's name.
@@ -41,8 +41,8 @@ class Tournament(Command):
         training folder. A player may have a policy for each robot, such as
         robot_1=baseline robot_2=idle.
       episodes: number of episodes of each pairing.
-      seats: seats that each player takes in turn, while another has the rest; all, or
-        names of some, which is less to play with three robots or more.
+      seats: seats that each player takes in turn, while another player has the others:
+        all, or the names of some, which saves games with three robots or more.
       any_env: let trained policies play an environment that they were not trained for.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
@@ -50,9 +50,8 @@ class Tournament(Command):
       seed: number of a series of episodes; another seed gives other episodes.
       num_envs: worlds that play at the same time; the results do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
-      output: folder for tournament.json, .csv and .png, and for each pairing when it
-        has been played. Stop at any time: the same command goes on, also with more
-        players.
+      output: folder for tournament.json, .csv and .png, and for a file of each pairing.
+        You can stop at any time; the same command continues, also with more players.
       json: file for all numbers; - for standard output.
     """
 

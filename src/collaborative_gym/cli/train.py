@@ -57,16 +57,17 @@ class Train(Command):
       all: train the baselines of all environments, or of those named, each with
         several seeds, and write their cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
-      jobs: of several runs, those that are trained at a time, each in a process of its
+      jobs: how many of several runs are trained at a time, each in a process of its
         own with one physics thread (default: one per CPU). Ctrl-C ends all of them, and
-        the same command goes on.
+        the same command continues them.
       mode: who learns what. collaborative (default): a policy for each robot and one
         critic that sees all observations; independent: a policy and a critic each;
-        shared: one policy and critic for robots with equal spaces (default for these
-        against given policies and in a league); centralized: one policy for all robots.
-      seed: of the run (default: 0).
-      seeds: of several runs, such as 0 1 2 or 0-9, one for each in each environment
-        and mode; with --all of each baseline (default: 0 1 2).
+        shared: one policy and critic for robots with equal spaces (default for such
+        robots against given policies and in a league); centralized: one policy for all
+        robots.
+      seed: seed of the run (default: 0).
+      seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
+        environment and mode; with --all for each baseline (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS, before the mode also
         league, population or guests); the folder of all of several runs (default:
         runs), or of all baselines (default: runs/baselines).
@@ -74,17 +75,17 @@ class Train(Command):
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, or hard for starts twice as far off and disturbances.
-      opponent: who plays against what is learned, where a task has several sides. By
-        default it is self, the latest policies on all sides. Of policies, named as in
-        evaluate, each episode draws one; side_2=POLICY plays that side only. With
-        league there are exploiters and everybody's past; policies may follow the word.
-      partner: who plays with what is learned, where a task has one side. Nobody does by
-        default. Of policies each episode draws one, and the learners play the other
-        robots; robot_2=POLICY plays that robot only. With population all pairs of
-        several policies for each robot learn.
-      start_from: trained policy to begin with, named as in evaluate, in place of
-        networks drawn by chance; also of another environment, if its spaces have the
-        same sizes.
+      opponent: who plays against the learner, if a task has several sides. The default
+        is self: the latest policies play all sides. If you name policies, as in
+        evaluate, each episode draws one of them; side_2=POLICY plays only that side.
+        league trains exploiters too, and keeps former versions; policies may follow
+        the word.
+      partner: who plays with the learner, if a task has one side; by default nobody.
+        If you name policies, each episode draws one of them, and the learner plays the
+        other robots; robot_2=POLICY plays only that robot. With population, several
+        policies for each robot learn, and all pairs of them play.
+      start_from: trained policy to begin with, named as in evaluate, instead of random
+        networks. It may come from another environment with spaces of the same sizes.
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
       checkpoint_interval: environment steps between two checkpoints.

@@ -12,15 +12,15 @@ from collaborative_gym.errors import check_kind, look_up
 def compare(
     runs: str | Path | Sequence[str | Path], *, measure: str | None = None
 ) -> Comparison:
-    """Return what came of training runs, by whatever differs between them.
+    """Return how training runs did, grouped by the settings in which they differ.
 
-    Runs with the same settings and other seeds are a group, and intervals are over
-    their seeds. What differs is found in the settings that the runs were started with.
+    Runs with the same settings and different seeds are a group, and intervals are over
+    their seeds. The differences are those of the settings with which the runs started.
 
     Args:
       runs: the folder of a run, or one that has runs in it at any depth, or several.
-      measure: of validations, by which performance profiles and probabilities of
-        improvement are told; None for "completion", or what there is.
+      measure: measure of the validations for performance profiles and probabilities of
+        improvement; None for "completion", or the first that there is.
 
     Raises:
       FileNotFoundError: if there is no run in one of the folders.

@@ -70,12 +70,12 @@ class _Servos:
 class Grips:
     """Takes, holds and tears the grips of a scene's arms.
 
-    A grip is taken at the start of a control step if the agent asks for it and the site
-    is near. It lasts while the agent asks, unless it tears: a physics step that would
-    load it above what the gripper holds, or that begins beyond twice the distance at
-    which it can be taken, is taken without it. A torn grip is not taken in the next
-    control step, in which the hand opens; else one that is too weak would be taken and
-    torn in each.
+    A grip starts at the beginning of a control step if the agent asks for it and the
+    site is near. It lasts while the agent asks for it, unless it tears. It tears before
+    a physics step that would load it above what the gripper holds, or at whose start
+    the two are more than twice the starting distance apart. After a tear the hand opens
+    for one control step and cannot grip; otherwise a grip that is too weak would start
+    and tear in every step.
 
     Args:
       scene: the compiled scene.

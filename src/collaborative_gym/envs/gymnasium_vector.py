@@ -30,9 +30,9 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
 
     Infos are Gymnasium's: arrays by world, each with a mask under the same name after
     an underscore. They always have `success`, `diverged`, `reward_terms` and `metrics`.
-    Worlds that start anew in the step that ends their episode have those of its end in
-    `final_info`, and their last observations in `final_obs`, and are masked out of the
-    others.
+    If a world starts anew in the step that ends its episode, `final_info` has the infos
+    of the end and `final_obs` has the last observation; the masks leave this world out
+    of the other infos.
 
     Args:
       env_id: an id from `list_envs` or a task's name from `list_tasks`.
