@@ -59,6 +59,24 @@ def captioned(pixels: np.ndarray, caption: str, state: str) -> np.ndarray:
     return np.asarray(picture)
 
 
+def palette(pictures: list[Image.Image]) -> Image.Image:
+    """Return colours for all pictures, because palettes of their own would flicker.
+
+    Most are those that cover the largest areas. Some are far from all others, such as
+    the green of the targets.
+    """
+    sample = Image.fromarray(np.concatenate([np.asarray(each) for each in pictures]))
+    colours: list[int] = []
+    for count, method in (
+        (216, Image.Quantize.MEDIANCUT),
+        (40, Image.Quantize.MAXCOVERAGE),
+    ):
+        colours += (sample.quantize(count, method).getpalette() or [])[: 3 * count]
+    made = Image.new("P", (1, 1))
+    made.putpalette(colours)
+    return made
+
+
 if __name__ == "__main__":
     films = [film(env_id, *what) for env_id, what in TOUR.items()]
     pictures = [
@@ -69,10 +87,7 @@ if __name__ == "__main__":
         )
         for frames in zip(*films, strict=True)
     ]
-    # One palette for all pictures, of colours that any has: else they flicker.
-    sample = np.concatenate([np.asarray(each) for each in pictures[::16]])
-    colours = Image.fromarray(sample).quantize(256, Image.Quantize.MAXCOVERAGE)
-    plain = Image.Dither.NONE
+    plain, colours = Image.Dither.NONE, palette(pictures[::16])
     flat = [each.quantize(palette=colours, dither=plain) for each in pictures]
     path = Path(__file__).parent / "media" / "tour.gif"
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=100, loop=0)

@@ -67,7 +67,8 @@ class VectorEnv:
 
     Only one thread at a time may use an environment, and only in the process that made
     it. A call that fails leaves every world as it was. Copies and pickles continue from
-    the present state; the task must be one that its class, arms and config make again.
+    the present state. For this, the task's class must be able to make the task again
+    from its arms and config.
 
     Args:
       task: what to do, from `make_task`.

@@ -16,10 +16,10 @@ _NEAR = 3e-4  # m and rad within which a place counts as reached
 
 
 class Chart:
-    """Angles that hold an arm's tcp over an area, its approach always the same.
+    """Joint angles with which an arm's tcp is at places of an area, in one direction.
 
-    All are near those of the area's middle, and change evenly from place to place, so
-    an arm that goes by the chart never comes to another posture.
+    They are near those of the area's middle and change evenly from place to place, so
+    an arm that follows the chart never jumps to another posture.
 
     Args:
       model: the compiled world.

@@ -213,10 +213,10 @@ def strongest_way(
 ) -> Way:
     """Return how an arm carries most from one position of its tcp to another.
 
-    Left out are ways on which the gripper points up, back to the arm or far aside, and
-    those that start with anything but a grasp from above. Of nearly equal ways the one
-    with the least joint motion is taken. An arm with fewer than seven joints, whose
-    hand follows from its elbow, keeps the hand's direction, and its elbow up.
+    It leaves out ways on which the gripper points up, back to the arm or far aside, and
+    ways that do not start with a grasp from above. Of nearly equal ways it takes the
+    one with the least joint motion. An arm with fewer than seven joints, whose hand
+    follows from its elbow, keeps the hand's direction, and its elbow up.
 
     Args:
       robot: the arm.

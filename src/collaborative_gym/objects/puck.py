@@ -23,14 +23,14 @@ def puck(restitution: float = 0.8) -> mujoco.MjSpec:
     nothing. What collides is a sphere of its radius, for which MuJoCo knows exactly how
     far it is in a box or a cylinder; the disc that is seen is its middle.
 
-    Its contacts take precedence over what it touches. They damp the approach so that it
-    turns round within one physics step, to `restitution` times its speed: what is
-    simulated as a spring takes several steps, in which a fast puck is deep in the wall,
-    and comes back the faster or slower the more the steps happen to see of it. The
-    integrator has to take contacts as they are before a step (not `discrete`).
+    Its contacts take precedence over those of what it touches. They turn the puck round
+    within one physics step, to `restitution` times its speed. A contact that acts like
+    a spring would take several steps. A fast puck would then be deep in the wall, and
+    its speed afterwards would depend on chance. The integrator must take contacts as
+    they are before a step (not `discrete`).
 
     Args:
-      restitution: speed after a bounce over that before it.
+      restitution: speed after a bounce over the speed before it.
 
     Raises:
       TypeError: if `restitution` is no number.

@@ -150,8 +150,8 @@ def picture(
 ) -> np.ndarray:
     """Return a picture of the robots together, in a seed's first episode.
 
-    It shows the last moment, up to the first success, at which their tool centre points
-    are as near to one another as they come.
+    It shows the moment, up to the first success, at which their tool centre points are
+    nearest to one another.
 
     Args:
       env: an environment id, a task's name, or a task.

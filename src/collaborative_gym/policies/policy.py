@@ -40,26 +40,27 @@ _PLAYERS = "players"
 def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) -> Any:
     """Return a policy, ready to play.
 
-    A file's networks see the observations of the agents that they command alone; the
-    same file for several agents is loaded once.
+    A network of a file sees only the observations of the agents that it commands. If
+    several agents have the same file, it is loaded once.
 
     Args:
-      policy: an environment id, for its baseline, the trained policy that is shipped; a
-        path to a policy file or to the folder of a training run, also followed by the
-        name of one of its players, as in "runs/league/main-3"; "baseline", that of
-        `env`; "expert", the task's scripted expert, which looks at the state of the
-        worlds and not at the observations; "expert:late" and the like, the expert in
-        another style: "late" and "slow" for every task, and those of `Task.styles`;
-        "random", uniform actions, the same for an episode of a seed in any batch;
-        "idle", which holds still with an open grip, "gripping", with a closed one, and
-        "frozen", which keeps hold of what it holds; a function from observations to
-        actions; a model of Stable-Baselines3 that commands all robots; or one of these
-        for each agent, such as
-        `{"robot_1": "baseline", "robot_2": "runs/mine"}`.
-      env: what it is to play: a `VectorEnv`, or an environment of this package under
-        the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose observations
-        and actions it then takes and returns. Only an id and a path do without; they
-        play a `VectorEnv`.
+      policy: one of these, or a dictionary with one for each agent, such as
+        `{"robot_1": "baseline", "robot_2": "runs/mine"}`:
+        "baseline", the trained policy that is shipped for `env`; an environment id, for
+        the baseline of that environment; a path to a policy file or to the folder of a
+        training run, which the name of one of its players may follow, as in
+        "runs/league/main-3"; "expert", the task's scripted expert, which looks at the
+        state of the worlds and not at the observations; "expert:late" and the like, the
+        expert in another style ("late" and "slow" for every task, and those of
+        `Task.styles`); "random", uniform actions, the same for an episode of a seed in
+        any batch; "idle", which holds still with an open grip; "gripping", which holds
+        still with a closed grip; "frozen", which holds still and keeps what it holds; a
+        function from observations to actions; or a model of Stable-Baselines3 that
+        commands all robots.
+      env: the environment to play: a `VectorEnv`, or an environment of this package
+        under the contract of PettingZoo, Gymnasium or Stable-Baselines3. The policy
+        then takes and returns the observations and actions of that contract. Without
+        it, you can give an id or a path, and the policy plays a `VectorEnv`.
       any_env: whether a trained policy may play another environment than the one that
         it is for, if the sizes of its spaces are the same.
 

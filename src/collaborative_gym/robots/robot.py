@@ -48,8 +48,8 @@ class Robot(RobotData):
       torque_limits: greatest joint torques, in N m; empty, those of the model file
         (`effort` in URDF, `actuatorfrcrange` in MJCF).
       armature: inertias of the rotors as the joints feel them, in kg m2; empty, those
-        of the model file, and where that has none, such that the joint needs at least
-        20 ms to full speed, and 10 ms for its rotor alone.
+        of the model file. If the file has none, the joint gets one with which it needs
+        at least 20 ms to full speed, and 10 ms for its rotor alone.
       damping: velocity gains of the joint servos, in N m s/rad; empty, half of what
         would chatter, from the joints' inertias at home.
       stiffness: position gains of the joint servos, in N m/rad; empty, 8 times the

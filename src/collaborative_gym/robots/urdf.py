@@ -13,9 +13,9 @@ _MESHES = {".stl", ".obj", ".msh"}
 def read_urdf(path: Path) -> mujoco.MjSpec:
     """Return the model of a URDF file.
 
-    MuJoCo alone would drop what is there to be seen, look for meshes of a ROS package
-    in a folder "package:", and leave continuous joints without a range; they get two
-    turns either way. A `mujoco` element of the file keeps its say.
+    MuJoCo alone would drop the visual shapes, look for meshes of a ROS package in a
+    folder "package:", and leave continuous joints without a range. Here such joints get
+    two turns either way. A `mujoco` element of the file still holds.
 
     Raises:
       FileNotFoundError: if a mesh is missing.
@@ -96,8 +96,8 @@ def _find_meshes(link: ElementTree.Element, path: Path) -> None:
 def _find(name: str, path: Path) -> Path:
     """Return where the file of a mesh is.
 
-    Files of a package are searched beside the folders that the URDF file is in, as it
-    is in its package's folder or in that of another package beside it.
+    A package is searched beside all folders above the URDF file, because the file is in
+    the folder of its package, or of another package beside it.
     """
     if name.startswith("package://"):
         rest = name.removeprefix("package://")

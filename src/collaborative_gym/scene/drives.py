@@ -41,9 +41,9 @@ def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
 def add_brakes(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
     """Brake joints that something else turns faster than their motors may.
 
-    As drives do that short the windings of a motor whose speed trips them: the torque
-    grows with the speed, and no limit of the motor's holds for it. One actuator brakes
-    each direction of turning, and pushes in no other.
+    Real drives short the windings of a motor that turns too fast. Then the torque grows
+    with the speed, and the motor's limit does not hold for it. Here one actuator brakes
+    each direction of turning, and never pushes.
     """
     rows = zip(robot.joints, robot.torque_limits, robot.velocity_limits, strict=True)
     for name, torque, speed in rows:
@@ -99,10 +99,10 @@ def _add(
 def lost_load(change: Array, xp: Any = np) -> Array:
     """Return what share of its load an arm lets go of in a control step.
 
-    An arm that is not asked to move holds on to the torques that it exerts. One that
-    moves lets go of a part: kept whole, what two arms exert against each other on a
-    thing would stay until an action happened to undo it, though nobody sees it in the
-    joint angles. So it halves in 0.2 s, and who carries a weight has to act for it.
+    An arm that is not asked to move keeps the torques that it exerts. An arm that moves
+    lets go of a part. If it kept all, two arms that push against each other on a thing
+    would do so until an action happened to undo it, and the joint angles do not show
+    such a force. So the force halves in 0.2 s, and an arm must act to hold a weight.
 
     Args:
       change: of its joints, (num_envs, joints), in rad.

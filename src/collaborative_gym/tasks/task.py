@@ -300,9 +300,10 @@ class Task(Generic[ConfigT, FactsT]):
     def measure(self, sim: Sim) -> FactsT:
         """Return everything that the task looks at, computed once per control step.
 
-        Called again in the same state, it returns the same and leaves `memory` as it
-        is: worlds are measured again when others start an episode. It puts new arrays
-        into `memory` and writes to none, since what a failed step did is undone.
+        A second call in the same state must return the same and leave `memory` as it
+        is, because worlds are measured again when others start an episode. It puts new
+        arrays into `memory` and never writes into the old ones, because a step that
+        fails is undone.
         """
         raise self._missing("measure")
 
@@ -324,9 +325,9 @@ class Task(Generic[ConfigT, FactsT]):
     def shortfall(self, facts: FactsT) -> Array:
         """Return how far each world is from the goal, (num_envs,), 0 where it is met.
 
-        Not part of any reward: `certify` searches by it. A task that says no more than
-        this, 1 wherever the goal is not met, is searched blindly. One of several sides
-        is not certified and needs none.
+        It is not part of any reward; `certify` searches by it. The default is 1
+        wherever the goal is not met, so the search is blind. A task of several sides
+        cannot be certified and needs none.
         """
         return self.xp.where(self.success(facts), 0.0, 1.0)
 
@@ -337,17 +338,17 @@ class Task(Generic[ConfigT, FactsT]):
     def score(self, facts: FactsT) -> tuple[Array, ...] | None:
         """Return the points that each side gains in this step, (num_envs,) numbers.
 
-        Asked once per control step, in the order of `sides`. At an episode's end the
-        side with more points has won, equal ones are a draw. Only a task of several
-        sides has a score. None, as here, where a side gains one point when it first
-        reaches its goal.
+        It is called once per control step; the order is that of `sides`. At the end of
+        an episode the side with more points has won, and equal points are a draw. Only
+        a task of several sides has a score. Return None, as here, if a side gains one
+        point when it first reaches its goal.
         """
         return None
 
     def over(self, facts: FactsT) -> Array | None:
         """Return which episodes end now, before their time, (num_envs,) booleans.
 
-        None, as here, where only time ends an episode.
+        Return None, as here, if only time ends an episode.
         """
         return None
 

@@ -1,1 +1,1 @@
-"""Every policy in every seat with every other: who wins, and who gets on with whom."""
+"""Every policy in every seat with every other: who wins, and who fits whom."""

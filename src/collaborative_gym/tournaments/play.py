@@ -61,16 +61,16 @@ def tournament(
 ) -> Tournament:
     """Let every policy play in every seat with every other, and with itself.
 
-    A seat is a robot; where the task has several sides, it is a side with all of its
-    robots. In a pairing one player has one seat and another, or the same, all other
-    seats: of two seats these are all pairs in both orders. Every pairing plays the same
-    episodes, the first of the seed. The numbers are the same for any `num_envs` and
-    `num_threads`.
+    A seat is a robot; if the task has several sides, it is a side with all of its
+    robots. In a pairing one player has one seat, and another player, or the same one,
+    has all other seats. With two seats, these are all pairs in both orders. Every
+    pairing plays the same episodes, the first of the seed. The numbers are the same for
+    any `num_envs` and `num_threads`.
 
-    A policy file serves the agents that it has parts for. Pairings in which it would
-    have to command others, or only a part of the robots that one network of it commands
-    together, are left out, and the result says why. All files are read before anything
-    is played.
+    A policy file can command the agents that it has networks for. Pairings in which it
+    would have to command others are left out, and the result says why. The same holds
+    for pairings that would divide the robots that one network commands together. All
+    files are read before the first game.
 
     Args:
       env: an environment id, a task's name, or a task.
@@ -88,9 +88,9 @@ def tournament(
       num_envs: worlds to play in beside one another; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.
-      output: a folder, in which each pairing that was played is kept in a file. What it
-        has is not played again, unless a player is a function. So a tournament that was
-        stopped goes on, and players can be added. None to keep nothing.
+      output: a folder that keeps each pairing in a file. A pairing that it has is not
+        played again, unless a player is a function. So you can continue a tournament
+        that was stopped, and add players. None to keep nothing.
       on_pairing: called with each pairing that was played.
       on_progress: called after each step with the share that is done, 0 to 1.
 

@@ -26,8 +26,8 @@ def bradley_terry(points: np.ndarray) -> np.ndarray:
     They are those of the model of Bradley and Terry (1952) under which these results
     are likeliest: player i beats player j with the probability
     1 / (1 + 10^((r_j - r_i) / 400)). A draw is half a win. Unlike Elo's own updates,
-    they do not depend on the order of games. Each player has besides drawn one game
-    with an average player, so that the likeliest ratings are always finite.
+    they do not depend on the order of games. One drawn game with an average player
+    is added for each player, so that the likeliest ratings are always finite.
 
     Args:
       points: what each player, a row, took from each other, a column, in all games: a

@@ -58,11 +58,11 @@ class Standing:
     Attributes:
       self_play: with itself in all seats, by measure.
       cross_play: with each other player, in each seat in turn; the mean, by measure.
-      gap: what self-play is better by; empty where players are opponents.
+      gap: self-play minus cross-play; empty if players are opponents.
       by_seat: its cross-play in each seat, by seat and measure.
       worst: the other player with whom, or against whom, it does worst; None if it
-        played with none.
-      wins: against others, only where players are opponents; and so are the next.
+        played with nobody else.
+      wins: against others; this and the next three only if players are opponents.
       draws: against others.
       losses: against others.
       rating: as `bradley_terry` gives it.
@@ -83,15 +83,15 @@ class Standing:
 class Tournament:
     """How every policy did in every seat with every other.
 
-    Where the task has several sides, seats are sides, and pairings are compared by
-    `points`, 1 for an episode that was won, 0.5 for a draw and 0 for one that was lost,
-    and by `score`, how much more was scored than by the best other side. Else seats are
-    robots, and what they share is compared: `completion`, `performance`, `return`.
+    If the task has several sides, seats are sides. Pairings are then compared by
+    `points` (1 for an episode that was won, 0.5 for a draw, 0 for one that was lost)
+    and by `score`, the difference to the best other side. Otherwise seats are robots,
+    and pairings are compared by their common `completion`, `performance` and `return`.
 
-    Intervals are of 95 %: Wilson's (1927) of points and completion of single pairings,
-    where a draw counts as half a win, which makes them rather too wide; of all else the
-    bootstrap's over episodes. All pairings have the same starts, so the same episodes
-    are drawn for all of them.
+    Intervals are 95 % intervals. For points and completion of single pairings they are
+    Wilson's (1927), where a draw counts as half a win, so they are a little too wide.
+    For everything else they come from the bootstrap over episodes. All pairings have
+    the same starts, so the bootstrap draws the same episodes for all of them.
 
     Attributes:
       environment: the environment's id or the task's name.
