@@ -80,5 +80,5 @@ def _set_quality(spec: mujoco.MjSpec) -> None:
 def add_overview(spec: mujoco.MjSpec) -> None:
     """Add the camera of worlds that bring none: in front, and above the tables."""
     spec.worldbody.add_camera(
-        name=CAMERA, pos=(3.6, 0.0, 2.1), xyaxes=(0, 1, 0, -0.35, 0, 1)
+        name=CAMERA, pos=(3.1, 0.0, 1.9), xyaxes=(0, 1, 0, -0.35, 0, 1)
     )
