@@ -15,7 +15,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import viewer
-from collaborative_gym.cli import demo, tables, terminal
+from collaborative_gym.cli import demo, environments, terminal
 from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import progress_bars, read_policies
@@ -38,9 +38,9 @@ def test_list_has_a_line_per_environment(carry_id, capsys):
 
 
 def test_list_builds_worlds_for_their_sizes_alone(carry_id, capsys, monkeypatch):
-    monkeypatch.setattr(tables, "list_envs", lambda: [carry_id])
+    monkeypatch.setattr(environments, "list_envs", lambda: [carry_id])
     with monkeypatch.context() as patched:
-        patched.setattr(tables, "VectorEnv", None)
+        patched.setattr(environments, "VectorEnv", None)
         assert main(["list"]) == 0
     assert main(["list", "--sizes"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -187,7 +187,6 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
     threads = SimpleNamespace(get_context=lambda _: dummy)
     monkeypatch.setattr(demo, "multiprocessing", threads)
     monkeypatch.setattr(demo, "_begin_worker", lambda: None)
-    monkeypatch.setattr(demo, "BASELINES", tmp_path)
     monkeypatch.setattr(demo, "_GAME", "TugPandas-v0")
     small = partial(recording.record, size=(64, 48), seconds=0.5)
     monkeypatch.setattr(recording, "record", small)

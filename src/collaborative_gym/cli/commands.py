@@ -44,7 +44,7 @@ class List(Command):
     def run(self) -> None:
         """Print the table."""
         from collaborative_gym import list_robots, list_tasks
-        from collaborative_gym.cli.tables import environments_table
+        from collaborative_gym.cli.environments import environments_table
 
         tell(environments_table(self.sizes))
         tell(

@@ -12,7 +12,7 @@ import numpy as np
 from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.pictures import recording
-from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.policies.policy import has_baseline
 from collaborative_gym.tasks.registry import make_task
 
 _SHEET_SIZE = (480, 360)
@@ -32,9 +32,7 @@ def program() -> str:
 def players() -> dict[str, str]:
     """Return who plays, by environment id: the baseline, or the expert without one."""
     return {
-        env_id: "baseline"
-        if (BASELINES / f"{env_id}.safetensors").exists()
-        else "expert"
+        env_id: "baseline" if has_baseline(env_id) else "expert"
         for env_id in table11.THESIS
     }
 
@@ -80,5 +78,6 @@ def _draw_one(env_id: str, policy: str) -> np.ndarray:
 def _film_one(job: tuple[str, str, Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
-    steps = {"max_episode_steps": _GAME_STEPS} if env_id == _GAME else {}
-    return recording.record(make_task(env_id, **steps), output, policy=policy)
+    is_game = env_id == _GAME
+    task = make_task(env_id, max_episode_steps=_GAME_STEPS) if is_game else env_id
+    return recording.record(task, output, policy=policy)

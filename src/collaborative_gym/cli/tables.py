@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
@@ -13,8 +12,8 @@ from collaborative_gym.certificate.report import (
     Certificate,
     lines,
 )
+from collaborative_gym.cli.terminal import new_table
 from collaborative_gym.comparisons.result import Comparison
-from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.evaluation.report import (
     Report,
     Statistic,
@@ -25,8 +24,6 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
-from collaborative_gym.policies.policy import BASELINES
-from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 from collaborative_gym.tournaments.result import (
     Tournament,
     format_measure,
@@ -34,39 +31,11 @@ from collaborative_gym.tournaments.result import (
 )
 
 
-def environments_table(with_sizes: bool) -> Table:
-    """Return ids, tasks and robots of all environments, one line each."""
-    sizes = ["observation", "action"] if with_sizes else []
-    table = _table("environment", "task", "robots", "baseline", *sizes)
-    for column in table.columns[1:4]:
-        column.justify = "left"
-    for env_id in list_envs():
-        spec = get_env(env_id)
-        has_baseline = (BASELINES / f"{env_id}.safetensors").exists()
-        table.add_row(
-            env_id,
-            spec.task.__name__,
-            ", ".join(spec.robots),
-            "yes" if has_baseline else "-",
-            *(_sizes(env_id) if with_sizes else ()),
-        )
-    return table
-
-
-def _sizes(env_id: str) -> list[str]:
-    """Return the sizes of each agent's observation and action; it needs a world."""
-    env = VectorEnv(make_task(env_id), 1, num_threads=1)
-    return [
-        ", ".join(str(space.shape[0]) for space in spaces.values())
-        for spaces in (env.single_observation_spaces, env.single_action_spaces)
-    ]
-
-
 def reports_table(reports: Sequence[Report]) -> Table:
     """Return what evaluations found, with 95 % intervals below the means."""
     columns = ("mean reward", "completion", "performance", "time to\nsuccess")
     has_score = any(len(report.sides) > 1 for report in reports)
-    table = _table("environment", *["score"] * has_score, *columns)
+    table = new_table("environment", *["score"] * has_score, *columns)
     for report in reports:
         for side, score in report.sides.items():
             own = "-" if score.score is None else _two_lines(score.score)
@@ -91,7 +60,7 @@ def reports_table(reports: Sequence[Report]) -> Table:
 
 def strain_table(reports: Sequence[Report]) -> Table:
     """Return what arms did to one another, to things and to themselves."""
-    table = _table("environment", "strain", "mean", "worst", "in episode")
+    table = new_table("environment", "strain", "mean", "worst", "in episode")
     table.columns[1].justify = "left"
     for report in reports:
         for i, cells in enumerate(strain_lines(report)):
@@ -103,7 +72,7 @@ def strain_table(reports: Sequence[Report]) -> Table:
 def table11_table(table11: Table11) -> Table:
     """Return the thesis's numbers beside ours, each environment's below its id."""
     names = (name.replace(" on ", " on\n") for name in column_names())
-    table = _table("environment", "thesis", *names)
+    table = new_table("environment", "thesis", *names)
     last = None
     for env_id, measure, *cells in table11.lines(reward_digits=1):
         if env_id != last:
@@ -125,7 +94,7 @@ def tournament_tables(tournament: Tournament) -> list[Table]:
     own = _rivals_table if tournament.is_divided else _partners_table
     tables.append(own(tournament))
     if tournament.group_means:
-        table = _table("training runs", "", "mean")
+        table = new_table("training runs", "", "mean")
         table.columns[1].justify = "left"
         for kind, means in tournament.group_means.items():
             for i, (name, mean) in enumerate(means.items()):
@@ -141,7 +110,7 @@ def _matrix_table(tournament: Tournament, measure: str) -> Table:
     first, *others = tournament.seats
     is_pair = len(others) == 1
     heading = f"{first} / {others[0]}" if is_pair else "one / all others"
-    table = _table(heading, *names.values())
+    table = new_table(heading, *names.values())
     for row, entries in tournament.matrices[measure].items():
         cells = (_measured(measure, entry) for entry in entries.values())
         table.add_row(names[row], *cells)
@@ -151,7 +120,7 @@ def _matrix_table(tournament: Tournament, measure: str) -> Table:
 
 def _partners_table(tournament: Tournament) -> Table:
     names = short_names(tournament.players)
-    table = _table(
+    table = new_table(
         "player", "measure", "self-play", "cross-play", "gap", *tournament.turns
     )
     table.columns[1].justify = "left"
@@ -174,7 +143,7 @@ def _partners_table(tournament: Tournament) -> Table:
 def _rivals_table(tournament: Tournament) -> Table:
     names = short_names(tournament.players)
     columns = "rating", "wins", "draws", "losses", "points", "score"
-    table = _table("player", *columns, *tournament.turns)
+    table = new_table("player", *columns, *tournament.turns)
     for name in sorted(tournament.players, key=lambda n: -tournament.ratings[n].mean):
         standing = tournament.standings[name]
         counts = standing.wins, standing.draws, standing.losses
@@ -219,7 +188,7 @@ def comparison_tables(comparison: Comparison) -> list[Table]:
     """Return what came of a comparison of runs, with intervals below the numbers."""
     tables = []
     for title, heads, rows in comparison.tables():
-        table = _table(
+        table = new_table(
             "\n".join(heads[:2]), *(h.replace(" (", "\n(") for h in heads[2:])
         )
         for cells in rows:
@@ -236,7 +205,7 @@ def comparison_tables(comparison: Comparison) -> list[Table]:
 def certificates_table(certificates: Sequence[Certificate]) -> Table:
     """Return how often each task was done while an arm was still."""
     heads = (name.replace(" for ", "\nfor ") for name in COLUMNS[2:])
-    table = _table("still arm", *heads)
+    table = new_table("still arm", *heads)
     for certificate in certificates:
         table.add_row(Text(certificate.environment, "bold"))
         for _, still, *cells in lines(certificate):
@@ -247,7 +216,7 @@ def certificates_table(certificates: Sequence[Certificate]) -> Table:
 
 def benchmark_table(benchmark: Benchmark) -> Table:
     """Return what was measured, one line per environment."""
-    table = _table(
+    table = new_table(
         "environment",
         "bare\n1/s",
         "env\n1/s",
@@ -278,21 +247,6 @@ def benchmark_table(benchmark: Benchmark) -> Table:
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}"
     )
-    return table
-
-
-def _table(first: str, *others: str) -> Table:
-    """Return an empty table, text in its first column and numbers in the others."""
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        collapse_padding=True,
-        caption_justify="left",
-    )
-    table.add_column(first, no_wrap=True)
-    for name in others:
-        table.add_column(name, justify="right", no_wrap=True)
     return table
 
 
