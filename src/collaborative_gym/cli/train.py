@@ -179,7 +179,7 @@ class Train(Command):
         """Train several runs; what fails is told in the end."""
         for option, other in (("seed", "--seeds"), ("resume", "the same command")):
             if getattr(self, option) is not None:
-                raise ValueError(f"--{option} is of one run; give {other} instead")
+                raise ValueError(f"--{option} is for one run; give {other} instead")
         if self.mode is not None and self.modes:
             raise ValueError("give --mode or --modes, not both")
         if not self.envs:
