@@ -61,9 +61,10 @@ class _World(Command):
     Attributes:
       policy: who commands the robots: expert (also in another style, such as
         expert:late), random, baseline (the trained policy that is shipped), a path to a
-        policy file or to a training folder, or one of idle, gripping and frozen, which
-        hold still (with an open grip, with a closed grip, with the grip as it is). Or
-        one for each robot, such as robot_1=baseline robot_2=idle.
+        policy file, to one of ONNX or TorchScript or to a training folder, or one of
+        idle, gripping and frozen, which hold still (with an open grip, with a closed
+        grip, with the grip as it is). Or one for each robot, such as robot_1=baseline
+        robot_2=idle.
       any_env: let a trained policy play an environment that it was not trained for.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed

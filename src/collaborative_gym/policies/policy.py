@@ -10,6 +10,7 @@ from gymnasium.spaces import Box
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, look_up, shown, unknown
 from collaborative_gym.math import Array
+from collaborative_gym.policies.exported import KINDS, ExportedNetwork
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.predicting import predicting
 from collaborative_gym.policies.scripted import (
@@ -55,8 +56,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         `Task.styles`); "random", uniform actions, the same for an episode of a seed in
         any batch; "idle", which holds still with an open grip; "gripping", which holds
         still with a closed grip; "frozen", which holds still and keeps what it holds; a
-        function from observations to actions; or a model of Stable-Baselines3 that
-        commands all robots.
+        path to a network of another library, in ONNX (`.onnx`) or TorchScript (`.pt`),
+        from the observations of the robots side by side, in the order of the agents,
+        to their actions; a function from observations to actions; or a model of
+        Stable-Baselines3 that commands all robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3. The policy
         then takes and returns the observations and actions of that contract. Without
@@ -74,9 +77,12 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     own = getattr(env, "unwrapped", env)
     vector_env = getattr(own, "vector_env", own)
     if vector_env is None:
-        if not isinstance(policy, str | Path) or policy in _NAMES or _style(policy):
+        found = None
+        if isinstance(policy, str | Path) and policy not in _NAMES:
+            found = None if _style(policy) else _load_file(policy)
+        if not isinstance(found, NetworkPolicy):
             raise TypeError(f"{shown(policy)} needs an environment; pass env too")
-        return _load_file(policy)
+        return found
     if not isinstance(vector_env, VectorEnv):
         raise TypeError(
             "policies play a VectorEnv, or a PettingZoo or Gymnasium environment of"
@@ -144,6 +150,8 @@ def commanding(
     if isinstance(policy, str):
         style = _style(policy)
         return expert_policy(env, style) if style else _BY_ENV[policy](env)
+    if isinstance(policy, ExportedNetwork):
+        return policy.commanding(agents, env)
     if isinstance(policy, NetworkPolicy):
         policy = policy.serving(agents)
         policy.check(env, any_env=any_env)
@@ -184,7 +192,7 @@ def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
     return {agent: actions[agent] for agent in agents}
 
 
-def _load_file(name: str | Path) -> NetworkPolicy:
+def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
     """Return the policy of an environment id or a path."""
     if name in list_envs():
         if not has_baseline(str(name)):
@@ -202,13 +210,9 @@ def _load_file(name: str | Path) -> NetworkPolicy:
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
-        if path.suffix != ".safetensors":
-            raise ValueError(
-                f"{path} is no policy file; give the folder of a training run, or the"
-                f" {POLICY_FILE} in it. What other libraries trained can play as a"
-                " function from observations to actions"
-            )
-        return NetworkPolicy.load(path)
+        return (
+            ExportedNetwork(path) if path.suffix in KINDS else NetworkPolicy.load(path)
+        )
     players = path.parent / _PLAYERS
     if players.is_dir():
         names = {file.stem: file for file in players.glob("*.safetensors")}
@@ -232,7 +236,7 @@ def player_file(name: str) -> Path:
     return Path(_PLAYERS, f"{name}.safetensors")
 
 
-def _baseline(env: VectorEnv) -> NetworkPolicy:
+def _baseline(env: VectorEnv) -> Any:
     env_id = find_env(env.task)
     if env_id is None:
         robots = ", ".join(robot.name for robot in env.task.robots.values())

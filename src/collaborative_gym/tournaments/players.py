@@ -1,5 +1,6 @@
 """Who plays in a tournament, and which of them can sit together."""
 
+import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, shown, unknown
 from collaborative_gym.policies import AnyPolicy, Policy, name_policy
+from collaborative_gym.policies.exported import KINDS
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import commanding, read_policy
 
@@ -100,7 +102,8 @@ def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Playe
                 if isinstance(own, NetworkPolicy):
                     own.check(env, any_env=any_env)
                 else:
-                    own = commanding(env.agents, own, env, any_env)
+                    agents = [a for a in by_agent if _key(by_agent[a]) == key]
+                    own = commanding(agents, own, env, any_env)
                 found[key] = own
     except (LookupError, TypeError, ValueError, FileNotFoundError) as error:
         raise type(error)(f"player {name!r}: {error}") from error
@@ -117,4 +120,6 @@ def _key(policy: Any) -> Any:
 def _mark(given: Any, found: Policy) -> str | None:
     if isinstance(found, NetworkPolicy):
         return found.digest
+    if isinstance(given, str | Path) and Path(given).suffix in KINDS:
+        return hashlib.sha256(Path(given).read_bytes()).hexdigest()
     return str(given) if isinstance(given, str | Path) else None
