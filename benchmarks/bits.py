@@ -64,14 +64,19 @@ def digest(env_id: str, policy_name: str, episodes: int) -> str:
             total.update(infos["final_observation"][agent].tobytes())
             for each in (rewards, terminated, truncated):
                 total.update(np.ascontiguousarray(each[agent]).tobytes())
-        success = infos["success"]  # by side, where there are several
-        for each in success.values() if isinstance(success, dict) else [success]:
+        for each in by_side(infos["success"]):
             total.update(each.tobytes())
     metrics = infos["metrics"]
     for name in ("return", "completion", "performance", "length", "time_to_success"):
-        total.update(np.ascontiguousarray(metrics[name]).tobytes())
+        for each in by_side(metrics[name]):
+            total.update(np.ascontiguousarray(each).tobytes())
     env.close()
     return total.hexdigest()
+
+
+def by_side(given: dict[str, np.ndarray] | np.ndarray) -> list[np.ndarray]:
+    """Return the arrays of several sides, or that of the only one."""
+    return list(given.values()) if isinstance(given, dict) else [given]
 
 
 if __name__ == "__main__":

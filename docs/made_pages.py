@@ -36,6 +36,7 @@ COMMANDS = (
     "evaluate",
     "tournament",
     "compare",
+    "report",
     "reproduce",
     "certify",
     "benchmark",

@@ -41,6 +41,7 @@ collaborative-gym() {
         --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
     evaluate | tournament) set -- "$@" --episodes 2 ;;
     record) set -- "$@" --seconds 0.1 ;;
+    report) set -- "$@" --episodes 2 --disturbed 1 --paired 1 ;;
     benchmark) set -- "$@" --num-envs 2; [ $# -gt 3 ] || set -- "$@" Poke ;;
     view | --env) view "$@"; return ;;
     esac

@@ -28,7 +28,7 @@ ROOMS = [
     {"evaluation"},
     {"tournaments"},
     {"learning"},
-    {"certificate", "comparisons", "adapters"},
+    {"cards", "certificate", "comparisons", "adapters"},
     {"pictures.recording"},
     {"viewer"},
     {"testing"},

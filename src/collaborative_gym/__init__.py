@@ -34,6 +34,7 @@ from collaborative_gym.tasks.task import (  # noqa: E402
 )
 
 if TYPE_CHECKING:
+    from collaborative_gym.cards.card import ReportCard, report_card
     from collaborative_gym.certificate.budget import Budget
     from collaborative_gym.certificate.certify import certify
     from collaborative_gym.comparisons.compare import compare
@@ -58,6 +59,7 @@ __all__ = [
     "Placement",
     "Randomization",
     "Report",
+    "ReportCard",
     "Robot",
     "Scene",
     "Task",
@@ -78,6 +80,7 @@ __all__ = [
     "register_env",
     "register_robot",
     "register_task",
+    "report_card",
     "tournament",
     "train",
     "train_all",
@@ -90,11 +93,13 @@ _LATER = {
     "Hyperparameters": "collaborative_gym.learning.config",
     "Outcome": "collaborative_gym.learning.many",
     "Report": "collaborative_gym.evaluation",
+    "ReportCard": "collaborative_gym.cards.card",
     "Tournament": "collaborative_gym.tournaments.result",
     "certify": "collaborative_gym.certificate.certify",
     "compare": "collaborative_gym.comparisons.compare",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
+    "report_card": "collaborative_gym.cards.card",
     "tournament": "collaborative_gym.tournaments.play",
     "train": "collaborative_gym.learning.train",
     "train_all": "collaborative_gym.learning.many",

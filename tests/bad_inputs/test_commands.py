@@ -12,6 +12,7 @@ from collaborative_gym.learning.config import Hyperparameters
 EVALUATE = "evaluate Poke --policy random --episodes 1 --num-threads 1"
 TRAIN = "train Poke --output {folder}/run --total-steps 32 --num-envs 2"
 CERTIFY = "certify Poke --output {folder}"
+REPORT = "report Poke --policies idle --episodes 1 --num-threads 1"
 TOURNAMENT = "tournament Poke --policies idle expert --episodes 1 --num-threads 1"
 RECORD = "record Poke --policy random --output {folder}/film.gif --size 32 32"
 
@@ -64,6 +65,13 @@ OPTIONS = [
     (CERTIFY, "--num-threads", (*NO_INTEGERS, "1000000")),
     (CERTIFY, "--randomization", ("papr", "")),
     (CERTIFY, "--robots", ("panda", "panda x")),
+    (REPORT, "--episodes", (*NO_INTEGERS, "0")),
+    (REPORT, "--disturbed", (*NO_INTEGERS, "-1")),
+    (REPORT, "--paired", (*NO_INTEGERS, "-1")),
+    (REPORT, "--seed", NO_INTEGERS),
+    (REPORT, "--num-envs", (*NO_INTEGERS, "0")),
+    (REPORT, "--randomization", ("papr", "")),
+    (REPORT, "--robots", ("panda", "panda x")),
     (TOURNAMENT, "--episodes", (*NO_INTEGERS, "0", "99999999999999999999")),
     (TOURNAMENT, "--seed", NO_INTEGERS),
     (TOURNAMENT, "--seats", ("robot_9", "", "robot_1 robot_1", "all robot_1")),
@@ -158,6 +166,7 @@ CANNOT = [
     ("demo --output /dev/null", "/dev/null"),
     (TOURNAMENT + " --output /dev/null", "/dev/null"),
     (TOURNAMENT + " --json /proc/a.json", "/proc/a.json"),
+    (REPORT + " --output /dev/null", "/dev/null"),
 ]
 
 INPUTS = [

@@ -111,6 +111,15 @@ def _tournament(name):
     return call
 
 
+def _report_card(name):
+    def call(shared, value):
+        given = {"env": "Poke", "policies": ["idle"], "episodes": 1, "disturbed": 0}
+        given |= {"num_threads": 1, "on_progress": accepted}
+        cg.report_card(**{**given, name: value})
+
+    return call
+
+
 def _certify(name):
     def call(shared, value):
         given = {"env": "Poke", "budget": QUICK, "num_threads": 1}
@@ -153,6 +162,16 @@ EVALUATE = [
     *table(
         "evaluate", "agent", _evaluate("policy"), [{}, {"robot_9": "idle"}, {3: "idle"}]
     ),
+    *table("card", "environment", _report_card("env"), NO_NAME, [None]),
+    *table("card", "policies", _report_card("policies"), [3, THING, [], "idle", None]),
+    *table("card", "policy", lambda s, v: _report_card("policies")(s, [v]), NO_NAME),
+    *table("card", "episodes", _report_card("episodes"), NO_COUNT, [0, -1, None]),
+    *table("card", "disturbed", _report_card("disturbed"), NO_COUNT, [-1, None]),
+    *table("card", "paired", _report_card("paired"), NO_COUNT, [-1, None]),
+    *table("card", "seed", _report_card("seed"), NO_COUNT, [-1, None]),
+    *table("card", "num_envs", _report_card("num_envs"), NO_COUNT, [0, 2**63]),
+    *table("card", "randomization", _report_card("randomization"), [3, "papr"]),
+    *table("card", "on_progress", _report_card("on_progress"), NO_CALLBACK),
     *table("tournament", "environment", _tournament("env"), NO_NAME, [None]),
     *table(
         "tournament",

@@ -170,6 +170,20 @@ def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp
     assert told["players"] == ["idle", "expert"]
 
 
+def test_report_prints_cards_and_writes_pages(carry_id, capsys, tmp_path):
+    line = [*f"report {carry_id} --episodes 2 --disturbed 1 --paired 1".split()]
+    line += ["--num-threads", "1", "--policies", "expert", "idle"]
+    assert main([*line, "--output", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "Robustness" in told and "Cross-play" in told
+    page = (tmp_path / "out" / f"{carry_id}.md").read_text()
+    for name in page.split("](")[1:]:
+        assert (tmp_path / "out" / name.partition(")")[0]).exists()
+    assert main([*line, "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)[carry_id]
+    assert told == json.loads((tmp_path / "out" / f"{carry_id}.json").read_text())
+
+
 def test_record_writes_the_video(carry_id, capsys, tmp_path):
     file = tmp_path / "a.gif"
     size = ["--size", "64", "48", "--seconds", "1"]
@@ -303,6 +317,7 @@ def test_environments_are_optional_where_help_says_so(capsys):
         "tournament",
         "certify",
         "compare",
+        "report",
         "reproduce",
         "view",
         "benchmark",

@@ -67,7 +67,7 @@ def test_markdown_is_a_table_of_all_statistics(report):
         "performance",
         "time to success",
     ]
-    assert cells[3] == ["Carry", "completion", "100 % (100 to 100)", "100 %", "100 %"]
+    assert cells[3] == ["Carry", "completion", "100 % (56.6 to 100)", "100 %", "100 %"]
     own = report.returns["robot_2"]
     assert cells[2][2:] == [
         format_statistic(own),

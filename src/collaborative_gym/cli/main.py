@@ -26,6 +26,7 @@ from collaborative_gym.cli.commands import (
     View,
 )
 from collaborative_gym.cli.compare import Compare
+from collaborative_gym.cli.report import Report
 from collaborative_gym.cli.terminal import Command, tell
 from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import Train
@@ -80,6 +81,7 @@ _Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Tournament, tyro.conf.subcommand("tournament")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Certify, tyro.conf.subcommand("certify")]
     | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from rich import box
 from rich.console import Console
+from rich.markdown import Markdown
 from rich.progress import (
     BarColumn,
     TaskProgressColumn,
@@ -154,8 +155,10 @@ def new_table(first: str, *others: str) -> Table:
     return table
 
 
-def tell(content: Table | str, *, besides: Sequence[Path | None] = ()) -> None:
-    """Print a table or a text on standard output.
+def tell(
+    content: Table | Markdown | str, *, besides: Sequence[Path | None] = ()
+) -> None:
+    """Print a table, a page or a text on standard output.
 
     Args:
       content: what to print.

@@ -1,4 +1,4 @@
-"""Intervals by the bootstrap, and means that single bad values do not move."""
+"""Intervals, by the bootstrap and of shares, and means that no bad value moves."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,6 +11,10 @@ _RESAMPLES = 2000
 
 _ENDS = (0.025, 0.975)
 """Quantiles between which 95 % of the draws lie."""
+
+
+_Z = 1.959964
+"""Standard deviations on either side of a normal mean that hold 95 %."""
 
 
 @dataclass(frozen=True)
@@ -72,3 +76,12 @@ def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
     count = values.shape[axis]
     middle = np.arange(count // 4, count - count // 4)
     return np.sort(values, axis).take(middle, axis).mean(axis)
+
+
+def wilson(share: float, count: int) -> tuple[float, float]:
+    """Return the ends of Wilson's (1927) 95 % interval of a share of so many."""
+    square = _Z**2 / count
+    middle = (share + square / 2.0) / (1.0 + square)
+    width = math.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)
+    # No rounding, so that what is at an end of the scale reads as that.
+    return round(max(0.0, middle - width), 12), round(min(1.0, middle + width), 12)

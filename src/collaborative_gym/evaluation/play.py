@@ -12,6 +12,7 @@ from collaborative_gym.envs.strain import STRAIN
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_count
 from collaborative_gym.evaluation.report import (
+    ACTION_CHANGE,
     Report,
     Score,
     Statistic,
@@ -119,7 +120,7 @@ def _report(
         returns={a: _statistic(different, f"{a}/return") for a in env.agents},
         episodes=tuple(rows),
         steps_per_second=rate,
-        strain={name: Worst.of(name, rows) for name in STRAIN},
+        strain={name: Worst.of(name, rows) for name in (*STRAIN, ACTION_CHANGE)},
     )
 
 
@@ -149,12 +150,19 @@ def play_episodes(
     rows: dict[int, dict[str, Any]] = {}
     steps = math.ceil(episodes / env.num_envs) * env.task.config.max_episode_steps
     observations, _ = env.reset(seed=seed)
-    done = 0
+    done, before, changes = 0, 0.0, np.zeros(env.num_envs)
     while len(rows) < episodes:
-        observations, _, _, _, infos = env.step(policy(observations))
+        actions = policy(observations)
+        observations, _, _, _, infos = env.step(actions)
         done += 1
+        moves = _moves(env, actions)
+        changes += np.abs(moves - before).mean(axis=1)
+        fresh = infos["ended"][:, None]
+        before = np.where(fresh, 0.0, moves)
         for i in np.flatnonzero(infos["ended"]):
             row = episode_row(infos, int(i))
+            row[ACTION_CHANGE] = float(changes[i]) / row["length"]
+            changes[i] = 0.0
             # The worlds' last round may play more episodes than were asked for.
             if row["episode"] < episodes:
                 rows[row["episode"]] = row
@@ -162,6 +170,13 @@ def play_episodes(
             # Fewer steps do where a task ends episodes before their time.
             on_progress(1.0 if len(rows) == episodes else min(1.0, done / steps))
     return [rows[episode] for episode in range(episodes)], done
+
+
+def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
+    """Return what of all robots' actions moves arms, (num_envs, k) in [-1, 1]."""
+    split = env.task.action_mode.split
+    moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
+    return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)
 
 
 def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
@@ -208,4 +223,5 @@ def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Scor
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
-    return Statistic.of([row[column] for row in rows])
+    is_share = column.endswith("completion")
+    return Statistic.of([row[column] for row in rows], is_share=is_share)

@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample
+from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample, wilson
+
+ACTION_CHANGE = "action_change"
+"""How much what moves the arms in an action changes from one control step to the next,
+the mean over components and steps, 0 to 2; told with the strain."""
 
 _STRAIN_FORMS = {
     "contact_depth": (1e3, " mm"),
@@ -20,6 +24,7 @@ _STRAIN_FORMS = {
     "torque_limit_share": (1e2, " %"),
     "speed_over_limit": (1.0, ""),
     "energy": (1.0, " J"),
+    ACTION_CHANGE: (1.0, ""),
 }
 """How people read measures, by how these begin: by which factor and in which unit."""
 
@@ -30,7 +35,8 @@ class Statistic:
 
     Attributes:
       mean: the mean; NaN if there was no value.
-      low: lower end of the mean's 95 % bootstrap interval; NaN for a single value.
+      low: lower end of the mean's 95 % interval, of a share Wilson's (1927) and else
+        the bootstrap's; NaN for a single value.
       high: upper end of it.
       iqm: interquartile mean, that of the middle half of the values.
       median: the middle value, which no single bad episode moves.
@@ -43,15 +49,24 @@ class Statistic:
     median: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Statistic":
-        """Return the statistic of some values, leaving out those that are NaN."""
+    def of(cls, values: Sequence[float], *, is_share: bool = False) -> "Statistic":
+        """Return the statistic of some values, leaving out those that are NaN.
+
+        Args:
+          values: of the episodes.
+          is_share: whether each is 0 or 1.
+        """
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
         if not len(array):
             return cls(*[math.nan] * 5)
         ends = [math.nan] * 2
         if len(array) > 1:
-            ends = bounds(resample(array)[0].mean(axis=1))
+            ends = (
+                wilson(float(array.mean()), len(array))
+                if is_share
+                else bounds(resample(array)[0].mean(axis=1))
+            )
         numbers = array.mean(), *ends, iqm(array), np.median(array)
         return cls(*map(float, numbers))
 
@@ -105,9 +120,9 @@ class Report:
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
     agent `robot_1/return` and the sum of each reward term, such as
-    `robot_1/distance`, and the measures of the strain. Where the task has several
-    sides, their names stand before what each has of its own, as in `side_1/return`
-    and `side_1/score`; nothing is summed over opponents.
+    `robot_1/distance`, the measures of the strain, and `action_change`. Where the task
+    has several sides, their names stand before what each has of its own, as in
+    `side_1/return` and `side_1/score`; nothing is summed over opponents.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -214,6 +229,11 @@ def reports_to_json(reports: Sequence[Report]) -> str:
         }
         for report in reports
     }
+    return plain_to_json(content)
+
+
+def plain_to_json(content: Any) -> str:
+    """Return plain dictionaries and lists as JSON, with null for NaN."""
     return json.dumps(without_nan(content), indent=2) + "\n"
 
 
@@ -294,7 +314,9 @@ def strain_lines(report: Report) -> list[list[str]]:
         factor, unit = next(
             form for start, form in _STRAIN_FORMS.items() if name.startswith(start)
         )
-        cells = (f"{factor * value:.1f}{unit}" for value in (worst.mean, worst.worst))
+        digits = 1 if name != ACTION_CHANGE else 3
+        both = worst.mean, worst.worst
+        cells = (f"{factor * value:.{digits}f}{unit}" for value in both)
         lines.append([name.replace("_", " "), *cells, str(worst.episode)])
     return lines
 

@@ -125,7 +125,7 @@ def write_card(
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
-        f"Episodes of seed {_SEED} ({_episodes()}); means, 95 % bootstrap intervals."
+        f"Episodes of seed {_SEED} ({_episodes()}); means, 95 % intervals."
         " Where starts are all the same there is one deterministic episode, and no"
         " interval. Where they are late, each action is done one control step late.",
         "",

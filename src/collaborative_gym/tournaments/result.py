@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.evaluation.report import (
     Statistic,
     format_number,
@@ -23,9 +24,6 @@ SHARES = ("points", "completion")
 
 _RESAMPLES = 1000
 """Draws of the bootstrap of ratings and of groups."""
-
-_Z = 1.959964
-"""Standard deviations on either side of a normal mean that hold 95 %."""
 
 
 @dataclass(frozen=True)
@@ -369,14 +367,6 @@ def format_measure(measure: str, value: float) -> str:
     if measure in SHARES or measure == "performance":
         return "-" if math.isnan(value) else f"{100 * value:.0f} %"
     return format_number(value, digits=1 if abs(value) < 100 else 0)
-
-
-def wilson(share: float, count: int) -> tuple[float, float]:
-    """Return the ends of Wilson's (1927) 95 % interval of a share of so many."""
-    square = _Z**2 / count
-    middle = (share + square / 2.0) / (1.0 + square)
-    width = math.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)
-    return max(0.0, middle - width), min(1.0, middle + width)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:

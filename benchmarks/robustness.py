@@ -1,0 +1,67 @@
+"""How well the shipped policies and the experts stand disturbances, as a table.
+
+    python benchmarks/robustness.py [--policies POLICY ...] [--episodes N] [ENV_ID ...]
+
+Each environment's rows replace those of the same policies in docs/tables/robustness.md,
+which is written anew after each; the numbers are in robustness.json beside it.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import collaborative_gym as cg
+from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.policies.policy import BASELINES
+
+TABLE = Path(__file__).parents[1] / "docs" / "tables" / "robustness"
+ENVS = [each for each in cg.list_envs() if (BASELINES / f"{each}.safetensors").exists()]
+
+
+def main() -> None:
+    """Measure, and bring the table up to that."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("envs", nargs="*", metavar="ENV_ID")
+    parser.add_argument("--policies", nargs="+", default=["baseline", "expert"])
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    numbers, episodes = TABLE.with_suffix(".json"), options.episodes
+    for env_id in options.envs or ENVS:
+        for policy in options.policies:
+            reports = measure_robustness(
+                env_id, policy, episodes=episodes, seed=options.seed, num_threads=1
+            )
+            row = {
+                name: [report.completion.mean, report.performance.mean]
+                for name, report in reports.items()
+            }
+            rows = json.loads(numbers.read_text()) if numbers.exists() else {}
+            rows[f"{env_id} {policy}"] = {"episodes": episodes, **row}
+            numbers.write_text(json.dumps(rows, indent=1, sort_keys=True) + "\n")
+            TABLE.with_suffix(".md").write_text(table(rows))
+
+
+def table(rows: dict[str, dict]) -> str:
+    """Return the rows as Markdown, in the order of the environments."""
+    cells = [["environment", "policy", *DISTURBANCES], ["---"] * 2]
+    cells[1] += ["---:"] * len(DISTURBANCES)
+    for name in sorted(rows, key=lambda each: cg.list_envs().index(each.split()[0])):
+        shares = (rows[name][each] for each in DISTURBANCES)
+        told = (" / ".join(f"{100 * share:.0f}" for share in pair) for pair in shares)
+        cells.append([*name.split(), *told])
+    lines = [f"| {' | '.join(line)} |" for line in cells]
+    counts = sorted({row["episodes"] for row in rows.values()})
+    low = 100 * wilson(1.0, counts[0])[0]
+    told = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
+    lines += [
+        "",
+        f"Completion and performance in %, over {told} episodes of each cell. Of"
+        f" {counts[0]} episodes 100 % is 95 % surely {low:.0f} % or more (Wilson).",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""The command that writes report cards."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from collaborative_gym.cli.terminal import (
+    Command,
+    Envs,
+    File,
+    Folder,
+    Policies,
+    Randomization,
+    Robots,
+    check_files,
+    progress_bars,
+    put,
+    read_policies,
+    tell,
+)
+
+if TYPE_CHECKING:
+    from collaborative_gym.cards.card import ReportCard
+    from collaborative_gym.tasks.task import Task
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Write report cards: all that there is to say of policies, on a page for each id.
+
+    A card has completion, performance and time to success with intervals; how gently
+    the arms act: clearance, speeds, torques, energy and changes of action; what each
+    disturbance alone, and all together, change; and who plays how well with whom.
+
+    Attributes:
+      envs: environment ids, or tasks' names.
+      policies: who is reported on, each given as for evaluate.
+      episodes: number of episodes of each policy by itself.
+      disturbed: number of episodes with each of the disturbances; 0 leaves them out.
+      paired: number of episodes of each pairing of the policies and the expert; 0
+        leaves them out.
+      any_env: let trained policies play an environment that they were not trained for.
+      robots: robots to use instead of the environment's own, one per agent.
+      randomization: how much episodes differ: default, paper for the thesis's fixed
+        starts, or hard for starts twice as far off and disturbances.
+      seed: number of a series of episodes; another seed gives other episodes.
+      num_envs: worlds that play at the same time; the results do not depend on it.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
+      output: folder for the pages, ENV.md with ENV.json and pictures.
+      json: file for all numbers; - for standard output.
+    """
+
+    envs: Envs
+    policies: Policies = ("expert",)
+    episodes: int = 1000
+    disturbed: int = 100
+    paired: int = 100
+    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
+    robots: Robots = ()
+    randomization: Randomization = "default"
+    seed: int = 0
+    num_envs: Annotated[
+        int | None,
+        tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
+    ] = None
+    num_threads: int = 0
+    output: Folder = None
+    json: File = None
+
+    def run(self) -> None:
+        """Tell the cards and write their pages."""
+        from rich.markdown import Markdown
+
+        from collaborative_gym.cards.card import report_card
+        from collaborative_gym.evaluation.report import plain_to_json
+        from collaborative_gym.tasks.registry import as_task
+
+        if not self.envs:
+            raise ValueError("name the environments to report on")
+        robots, policies = self.robots or None, read_policies(self.policies)
+        tasks = [as_task(each, robots, self.randomization) for each in self.envs]
+        pages = [self._page(task) for task in tasks] if self.output else []
+        check_files(*pages, self.json)
+        cards, besides = {}, (self.json,)
+        with progress_bars() as progress:
+            for task in tasks:
+                cards[task.name] = report_card(
+                    task,
+                    policies,
+                    episodes=self.episodes,
+                    disturbed=self.disturbed,
+                    paired=self.paired,
+                    seed=self.seed,
+                    num_envs=self.num_envs,
+                    num_threads=self.num_threads,
+                    any_env=self.any_env,
+                    on_progress=progress(task.name),
+                )
+        for card in cards.values():
+            tell(Markdown(card.to_markdown()), besides=besides)
+        put(self.json, plain_to_json({n: card.plain() for n, card in cards.items()}))
+        for page, task in zip(pages, tasks, strict=True):
+            self._write(page, task, cards[task.name])
+
+    def _page(self, task: "Task") -> Path:
+        """Return the file of an environment's page."""
+        return (self.output or Path()) / f"{task.name.replace('/', '_')}.md"
+
+    def _write(self, page: Path, task: "Task", card: "ReportCard") -> None:
+        """Write a card's page, numbers and pictures, as far as these can be drawn."""
+        from collaborative_gym.cards.picture import draw_card, draw_strip
+
+        put(page.with_suffix(".json"), card.to_json())
+        pictures, but = [], ""
+        try:
+            for i, policy in enumerate(read_policies(self.policies)):
+                strip = page.with_name(f"{page.stem}_{i + 1}.png")
+                draw_strip(task, policy, strip, seed=self.seed)
+                pictures.append(strip.name)
+            chart = page.with_suffix(".png")
+            draw_card(card, chart)
+            pictures.append(chart.name)
+        except (ImportError, RuntimeError) as error:
+            but = f", but not all pictures: {error}"
+        put(page, card.to_markdown(pictures))
+        tell(f"wrote {page}{but}", besides=(self.json,))
