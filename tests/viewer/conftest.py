@@ -16,7 +16,8 @@ def make_session(make_env):
 
     def make(policy="expert", **settings):
         env = make_env(**settings)
-        session = Session(env, load_policy(policy, env), print)
+        policies = dict.fromkeys(env.agents, policy)
+        session = Session(env, load_policy(policy, env), print, policies=policies)
         session.speed = FASTEST
         return session
 
@@ -79,12 +80,15 @@ def unwatched(make_env):
 @pytest.fixture
 def make_page(make_session):
     """Return a function that serves a session on a free port, and stop it after."""
+    from collaborative_gym.viewer.menu import Menu
     from collaborative_gym.viewer.web import Page
 
     pages = []
 
     def make(session=None, host="127.0.0.1", port=0):
-        page = Page(session or make_session(), "a title", host, port)
+        session = session or make_session()
+        menu = Menu(session.env, session.policies)
+        page = Page(session, menu, host, port)
         pages.append(page)
         return page
 

@@ -12,16 +12,17 @@ pytest.importorskip("viser", reason="the extra `view` is not installed")
 pytest.importorskip("playwright", reason="no playwright to drive a browser with")
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 
 from collaborative_gym.envs.make import make_vec
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.policies import load_policy
+from collaborative_gym.viewer.menu import Menu
 from collaborative_gym.viewer.session import FASTEST, Session
 from collaborative_gym.viewer.web import Page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-WIDTH, HEIGHT = 1000, 520
+WIDTH, HEIGHT = 1240, 520
 REBOUND = "rebound.test"  # A stranger's name that now leads to this machine.
 PATIENCE = 120.0  # s; without a graphics card a picture may take seconds
 ENVS = (
@@ -61,9 +62,10 @@ def serve(start):
 
     def serve(env_id, policy="expert"):
         env = make_vec(env_id, 1, num_threads=1)
-        session = Session(env, load_policy(policy, env), print)
+        policies = dict.fromkeys(env.agents, policy)
+        session = Session(env, load_policy(policy, env), print, policies=policies)
         session.pause()
-        page = Page(session, env_id, "127.0.0.1", 0)
+        page = Page(session, Menu(env, policies), "127.0.0.1", 0)
         served.append((start(session, page.refresh), page))
         return session, page
 
@@ -89,7 +91,9 @@ def open_tab(browser):
         tab.on("pageerror", lambda error: tab.errors.append(str(error)))
         tab.goto(page.url)
         tab.get_by_text("episode of seed 0").wait_for()
-        tab.get_by_role("checkbox").uncheck()  # Shadows, which take seconds each.
+        # Where there is no graphics card, the tab does without shadows by itself.
+        shadows = tab.get_by_label("Shadows", exact=True)
+        expect(shadows).not_to_be_checked(timeout=PATIENCE * 1000)
         # Where there is no graphics card the page says so, in front of the scene.
         notice = tab.locator(".mantine-Notification-closeButton")
         notice.first.click()
@@ -134,7 +138,7 @@ def likeness(one, other):
 
 def pixel_of(tab, page, body):
     """Return where the middle of a body is in the tab."""
-    data, model = page._data, page._model
+    data, model = page._stage._data, page._stage._model
     left, top, width, height = canvas(tab)
     camera = data.camera(CAMERA)
     seen = camera.xmat.reshape(3, 3).T @ (data.body(body).xpos - camera.xpos)
@@ -184,9 +188,9 @@ def test_the_buttons_work(serve, open_tab, wait_until):
     press(tab, "Reset")
     wait_until(lambda: session.reading.time == 0)
     assert session.reading.episode == 0
-    press(tab, "Next episode")
+    press(tab, "Next")
     wait_until(lambda: session.reading.episode == 1)
-    speed = tab.get_by_role("textbox").first
+    speed = tab.get_by_role("textbox").nth(1)
     speed.fill("2.5")
     speed.press("Enter")
     wait_until(lambda: session.speed == 2.5)
@@ -238,9 +242,9 @@ def test_a_tab_that_closes_lets_go_and_another_goes_on(serve, open_tab, wait_unt
 def test_shadows_can_be_had(serve, open_tab, wait_until):
     _, page = serve(ENVS[0])
     tab = open_tab(page)
-    assert [light.cast_shadow for light in page._lights] == [False]
-    tab.get_by_role("checkbox").check()
-    wait_until(lambda: page._lights[0].cast_shadow)
+    assert [light.cast_shadow for light in page._stage._lights] == [False]
+    tab.get_by_label("Shadows", exact=True).check()
+    wait_until(lambda: page._stage._lights[0].cast_shadow)
 
 
 ATTACK = """async (url) => {

@@ -186,7 +186,7 @@ def test_a_viser_that_starts_otherwise_is_refused(make_session, monkeypatch):
     monkeypatch.setattr(viser, "ViserServer", serve_otherwise)
     before = websockets.serve
     with pytest.raises(RuntimeError, match="cannot be guarded from foreign pages"):
-        guard.start_server("127.0.0.1", 0)
+        guard.start_server("127.0.0.1", 0, links="/play/", on_link=pytest.fail)
     assert closing_like.has_stopped
     assert websockets.serve is before
 
@@ -220,10 +220,20 @@ def update(handle, updates):
 
 def test_clicks_ticks_and_speeds_arrive(page, tab, wait_until):
     session = page._session
-    send(tab, update(page._play, {"value": True}))
+    send(tab, update(page._panel._play, {"value": True}))
     wait_until(lambda: session.is_paused)
-    send(tab, update(page._speed, {"value": 2}))
+    send(tab, update(page._panel._speed, {"value": 2}))
     wait_until(lambda: session.speed == 2)
+
+
+def test_names_that_are_offered_arrive(page, tab, wait_until):
+    panel = page._panel
+    send(tab, update(panel._view, {"value": "above"}))
+    wait_until(lambda: panel.view == "above")
+    send(tab, update(panel._moves, {"value": "Step"}))
+    wait_until(lambda: page._session.is_paused)
+    send(tab, update(panel._looks["forces"], {"value": True}))
+    wait_until(lambda: panel.looks["forces"])
 
 
 def drag(page, **changes):
@@ -267,7 +277,7 @@ def test_a_drag_pulls_until_its_end_or_the_tab_closes(page, wait_until, capfd):
 
 def malformed(page):
     """Return messages that no page of ours sends."""
-    play, speed = page._play, page._speed
+    play, speed = page._panel._play, page._panel._speed
     far = [1e9, 0, 0]
     nan = float("nan")
     start = {"source_component_uuid": play._impl.uuid, "transfer_uuid": "a"}
@@ -287,7 +297,15 @@ def malformed(page):
         update(speed, {"value": 1e9}),
         update(speed, {"value": -1}),
         update(speed, {"value": nan}),
-        update(page._panel, {"content": "<script>alert(1)</script>"}),
+        update(speed, {"value": "2"}),
+        update(speed, {"value": True}),
+        update(page._panel._view, {"value": "nowhere"}),
+        update(page._panel._view, {"value": 1}),
+        update(page._panel._moves, {"value": "Jump"}),
+        update(page._panel._time, {"value": 1e3}),
+        update(page._panel._looks["forces"], {"value": "yes"}),
+        {"type": "GuiUpdateMessage", "uuid": "none", "updates": {"value": True}},
+        update(page._panel._table, {"content": "<script>alert(1)</script>"}),
         {"type": "ShareUrlRequest"},
         {"type": "ShareUrlDisconnect"},
         {"type": "FileTransferStartUpload", **start, "part_count": 0, "size_bytes": 0}
@@ -323,7 +341,7 @@ def malformed(page):
 def test_what_no_page_sends_is_dropped(page, tab, wait_until, capfd):
     session = page._session
     page.refresh()
-    label, content = page._play.label, page._panel.content
+    label, content = page._panel._play.label, page._panel._table.content
     for message in malformed(page):
         send(tab, message)
     for raw in (b"", b"\xc1", b"\x91" * 9999, b"\xd9\xff\xff", b"\x81\xa4type" * 999):
@@ -331,15 +349,15 @@ def test_what_no_page_sends_is_dropped(page, tab, wait_until, capfd):
     tab.send("text")
     tab.send('{"type": "GuiUpdateMessage"}')
     draw = random.Random(0)
-    sane = msgspec.msgpack.encode(update(page._speed, {"value": 1.0}))
+    sane = msgspec.msgpack.encode(update(page._panel._speed, {"value": 1.0}))
     for _ in range(2000):
         damaged = bytearray(sane)
         damaged[draw.randrange(len(sane))] = draw.randrange(256)
         tab.send(bytes(damaged[: draw.randrange(1, 2 * len(sane))]))
     page.refresh()
-    assert (page._play.label, page._panel.content) == (label, content)
+    assert (page._panel._play.label, page._panel._table.content) == (label, content)
     assert not session.is_paused and session.perturb is None
-    send(tab, update(page._play, {"value": True}))  # It is still heard.
+    send(tab, update(page._panel._play, {"value": True}))  # It is still heard.
     wait_until(lambda: session.is_paused)
     page.refresh()
     assert capfd.readouterr() == ("", "")
@@ -347,12 +365,12 @@ def test_what_no_page_sends_is_dropped(page, tab, wait_until, capfd):
 
 def test_a_message_that_says_two_things_says_one(page, tab, wait_until):
     # A map with a key twice, of which two readers may take another.
-    pause = update(page._play, {"value": True})
+    pause = update(page._panel._play, {"value": True})
     parts = [msgspec.msgpack.encode(part) for pair in pause.items() for part in pair]
     props = msgspec.msgpack.encode("updates") + msgspec.msgpack.encode({"props": None})
     tab.send(b"\x84" + b"".join(parts[:4]) + props + b"".join(parts[4:]))
     tab.send(b"\x84" + b"".join(parts) + props)
-    send(tab, update(page._speed, {"value": 2}))
+    send(tab, update(page._panel._speed, {"value": 2}))
     wait_until(lambda: page._session.speed == 2)
     page.refresh()  # Which writes to the button.
 
@@ -363,13 +381,16 @@ def test_what_is_too_large_ends_the_connection(page, wait_until):
         for _ in range(1000):
             tab.recv(timeout=10)
     with closing(join(page)) as other:
-        send(other, update(page._play, {"value": True}))
+        send(other, update(page._panel._play, {"value": True}))
         wait_until(lambda: page._session.is_paused)
 
 
 def test_uploads_fill_no_memory(page, tab, wait_until):
     part = {"type": "FileTransferPart", "content": b"x" * 2**13, "part_index": 0}
-    part |= {"source_component_uuid": page._play._impl.uuid, "transfer_uuid": "a"}
+    part |= {
+        "source_component_uuid": page._panel._play._impl.uuid,
+        "transfer_uuid": "a",
+    }
     start = {"type": "FileTransferStartUpload", "filename": "a", "mime_type": "b"}
     start |= {"part_count": 9999, "size_bytes": 2**40}
     start |= {key: part[key] for key in ("source_component_uuid", "transfer_uuid")}
@@ -377,7 +398,7 @@ def test_uploads_fill_no_memory(page, tab, wait_until):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for index in range(4000):  # 32 MB.
         send(tab, part | {"part_index": index})
-    send(tab, update(page._play, {"value": True}))
+    send(tab, update(page._panel._play, {"value": True}))
     wait_until(lambda: page._session.is_paused)
     assert page._server.gui._current_file_upload_states == {}
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
@@ -406,3 +427,64 @@ def test_two_start_at_once_and_both_are_guarded(make_page):
     pages = [make_page() for _ in range(2)]
     for page in pages:
         assert statuses(page, [("Host", "evil.com")]) == [403, 403]
+
+
+@pytest.fixture
+def linked():
+    """Return a server whose links lead somewhere, and where its pages were led."""
+    led = []
+
+    def read(link):
+        if not link.startswith("/play/env="):
+            raise KeyError("no such start")
+        return lambda: led.append(link)
+
+    server = guard.start_server("127.0.0.1", 0, links="/play/", on_link=read)
+    yield f"http://127.0.0.1:{server.get_port()}", led
+    server.stop()
+
+
+def get(url, path, **headers):
+    web = HTTPConnection(url.removeprefix("http://"), timeout=10)
+    web.request("GET", path, headers=headers)
+    answer = web.getresponse()
+    answer.read()
+    web.close()
+    return answer.status
+
+
+def test_a_link_is_a_page_and_leads_once_that_connects(linked, wait_until):
+    url, led = linked
+    assert get(url, "/play/env=Lift") == 200
+    assert led == []  # A picture in a foreign page could ask for that much.
+    path = url.replace("http", "ws") + "/play/env=Lift"
+    with closing(connect(path, origin=url, subprotocols=[PROTOCOL], max_size=None)):
+        wait_until(lambda: led == ["/play/env=Lift"])
+
+
+def test_a_link_to_nothing_is_missing(linked):
+    url, led = linked
+    assert get(url, "/play/nothing") == 404
+    assert get(url, "/missing") == 404
+    with pytest.raises(InvalidStatus) as refused:
+        connect(
+            url.replace("http", "ws") + "/play/nothing",
+            origin=url,
+            subprotocols=[PROTOCOL],
+        )
+    assert refused.value.response.status_code == 404
+    assert led == []
+
+
+def test_a_foreign_page_follows_no_link(linked):
+    url, led = linked
+    assert get(url, "/play/env=Lift", Origin="http://evil.com") == 403
+    for origin in ("http://evil.com", "null"):
+        with pytest.raises(InvalidStatus) as refused:
+            connect(
+                url.replace("http", "ws") + "/play/env=Lift",
+                origin=origin,
+                subprotocols=[PROTOCOL],
+            )
+        assert refused.value.response.status_code == 403
+    assert led == []

@@ -17,7 +17,7 @@ class Face:
     url, is_public, was_closed = "http://somewhere", False, False
 
     def __init__(self, session):
-        self.refresh = session.end
+        self.session, self.refresh = session, session.end
 
     def close(self):
         self.was_closed = True
@@ -59,7 +59,7 @@ def test_where_no_window_opens_it_serves_a_page_and_says_so(
     told = []
     launch.view(carry_id, told.append, warn=pytest.fail, policy="expert", port=1234)
     assert opened[0][0] == "page" and opened[0][1].was_closed
-    assert opened[0][2:] == (f"{carry_id}, expert", "127.0.0.1", 1234)
+    assert opened[0][2:] == (False, "127.0.0.1", 1234)
     assert told == [
         "there is no display; showing it in the browser instead",
         "open http://somewhere in a browser; Ctrl-C ends it",
@@ -78,7 +78,7 @@ def test_a_page_for_all_the_world_comes_with_a_warning(carry_id, opened, monkeyp
 def test_each_robot_may_have_a_policy_of_its_own(carry_id, opened):
     policy = {"robot_1": "idle", "robot_2": "random"}
     launch.view(carry_id, str, warn=pytest.fail, policy=policy, web=True)
-    assert opened[0][2] == f"{carry_id}, robot_1=idle robot_2=random"
+    assert opened[0][1].session.policies == policy
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window may open")

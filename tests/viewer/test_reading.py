@@ -44,10 +44,12 @@ def played(make_env):
     return played
 
 
-def test_a_start_has_measures_and_no_rewards(played):
+def test_a_start_has_measures_and_has_earned_nothing(played):
     env, _, start = played(0)
     assert (start.episode, start.seed, start.time) == (0, 0, 0.0)
-    assert (start.rewards, start.previous, start.trouble) == ({}, "so", "")
+    assert (start.previous, start.trouble) == ("so", "")
+    for agent, terms in start.rewards.items():
+        assert terms == dict.fromkeys(env.reward_terms[agent], 0.0)
     assert start.players == {"side_1": "expert"}
     assert (start.success, start.returns) == ({"side_1": False}, {"side_1": 0.0})
     names = ["distance robot_1", "distance robot_2", "height", "highest"]
@@ -188,3 +190,38 @@ def test_facts_need_not_be_a_dataclass(make_env, monkeypatch, kind):
     _, infos = env.reset(seed=0)
     monkeypatch.setattr(env, "facts", kind(to_cube={"robot_1": np.array([0.5])}))
     assert read(env, infos, None).measures == {"to cube robot_1": 0.5}
+
+
+def test_rows_stay_where_they_are(make_env):
+    env = make_env()
+    _, infos = env.reset()
+    latest = read(env, infos, None)
+    names = [name for name, _ in latest.rows]
+    for _ in range(14):
+        _, _, _, _, infos = env.step(env.expert())
+        latest = read(env, infos, latest)
+        if infos["ended"][0]:
+            latest = replace(latest, previous="so")
+        assert [name for name, _ in latest.rows][:-1] == names[:-1]
+        assert len(latest.rows) == len(names)
+
+
+def test_measures_have_the_units_that_the_task_names(make_env):
+    env = make_env()
+    env.task.units = {"distance": "m", "height": "km"}
+    _, infos = env.reset()
+    latest = read(env, infos, None)
+    assert latest.units == {
+        "distance robot_1": "m",
+        "distance robot_2": "m",
+        "height": "km",
+    }
+    assert dict(latest.rows)["  height"] == f"{latest.measures['height']:.3f} km"
+    assert dict(latest.rows)["  highest"].replace(".", "").isdigit()
+
+
+@pytest.mark.parametrize("env_id", ["LiftTaskSawyers-v0", "TugPandas-v0"])
+def test_units_are_those_of_facts(env_id):
+    env = cg.make_vec(env_id, 1, num_threads=1)
+    env.reset()
+    assert set(env.task.units) <= set(vars(env.facts))

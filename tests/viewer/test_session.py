@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from collaborative_gym.policies import load_policy
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 
 
@@ -198,3 +199,104 @@ def test_what_fails_to_draw_ends_it(make_session):
 def test_it_plays_one_world(make_env):
     with pytest.raises(ValueError, match="plays 1 world, got 2"):
         Session(make_env(2), lambda observations: {}, print)
+
+
+def film_of(session):
+    return [frame.reading.time for frame in session.film]
+
+
+@pytest.fixture
+def played(make_session, start, wait_until):
+    """Return a paused session of which some steps were played."""
+
+    def played(steps, policy="expert", **settings):
+        session = make_session(policy, **settings)
+        session.pause()
+        start(session)
+        for _ in range(steps):
+            session.step()
+        wait_until(lambda: steps_done(session) == steps)
+        return session
+
+    return played
+
+
+def test_an_episode_can_be_gone_back_in_and_goes_on_with_the_same_bits(
+    played, unwatched, wait_until
+):
+    session = played(5, "random")
+    expected = unwatched(6, "random")
+    assert film_of(session) == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    for step in (2, 4, 0, 3):
+        session.seek(step)
+        wait_until(lambda step=step: steps_done(session) == step)
+        np.testing.assert_array_equal(positions(session), expected[step])
+        assert session.reading is session.film[step].reading
+    assert len(session.film) == 6  # What was played is kept until time goes on.
+    session.step()
+    wait_until(lambda: steps_done(session) == 4)
+    assert len(session.film) == 5
+    session.step()
+    session.step()
+    wait_until(lambda: steps_done(session) == 6)
+    np.testing.assert_array_equal(positions(session), expected[6])
+
+
+def test_beyond_what_was_played_there_is_its_last_step(played, wait_until):
+    session = played(3)
+    session.seek(1)
+    wait_until(lambda: steps_done(session) == 1)
+    session.seek(99)
+    wait_until(lambda: steps_done(session) == 3)
+
+
+def test_back_leads_to_the_end_of_what_was_played_before(played, unwatched, wait_until):
+    expected = unwatched(3)
+    session = played(3)
+    session.next()
+    wait_until(lambda: session.reading.episode == 1)
+    assert film_of(session) == [0.0]
+    session.back()
+    wait_until(lambda: session.reading.episode == 0)
+    np.testing.assert_array_equal(positions(session), expected[3])
+    session.seek(1)
+    wait_until(lambda: steps_done(session) == 1)
+    np.testing.assert_array_equal(positions(session), expected[1])
+    session.back()  # There is nothing before.
+    session.next()
+    wait_until(lambda: session.reading.episode == 1)
+
+
+def test_another_world_and_policy_take_over(played, make_env, wait_until):
+    session = played(3)
+    other = make_env(seed=5, max_episode_steps=30)
+    policies = {"robot_1": "idle", "robot_2": "random"}
+    session.change(lambda env: (other, load_policy(policies, other), policies), 7, 2)
+    wait_until(lambda: session.env is other)
+    assert (session.reading.seed, session.reading.episode) == (7, 2)
+    assert session.reading.players == {"side_1": "robot_1=idle robot_2=random"}
+    assert session.policies == policies
+    session.step()
+    wait_until(lambda: steps_done(session) == 1)
+    assert film_of(session) == pytest.approx([0.0, 0.1])
+    session.back()  # Not to a world that is no more.
+    session.step()
+    wait_until(lambda: steps_done(session) == 2)
+
+
+def test_what_cannot_be_loaded_is_told_and_changes_nothing(make_env, start, wait_until):
+    env, warned = make_env(), []
+    session = Session(env, load_policy("expert", env), warned.append)
+    session.pause()
+    start(session)
+
+    def fail(env):
+        raise FileNotFoundError("no baseline is shipped")
+
+    session.change(fail, 0, 0)
+    wait_until(lambda: session.reading.trouble)
+    assert warned == ["the choice failed: FileNotFoundError: no baseline is shipped"]
+    assert session.env is env
+    session.step()
+    wait_until(lambda: steps_done(session) == 1)
+    assert session.reading.trouble == ""

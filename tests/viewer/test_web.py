@@ -12,6 +12,7 @@ import viser
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from collaborative_gym.viewer.menu import Menu
 from collaborative_gym.viewer.web import Page
 
 only_linux = pytest.mark.skipif(
@@ -111,8 +112,8 @@ def test_every_body_is_where_the_world_has_it(make_session, make_page):
         session.env.step(session.env.expert())
     page.refresh()
     data = session.env.sim.data(0)
-    assert len(page._frames) > 15
-    for body, frame in page._frames.items():
+    assert len(page._stage._frames) > 15
+    for body, frame in page._stage._frames.items():
         np.testing.assert_allclose(frame.position, data.xpos[body], atol=1e-4)
         np.testing.assert_allclose(frame.wxyz, data.xquat[body], atol=1e-4)
 
@@ -122,8 +123,8 @@ def test_the_panel_says_what_the_reading_says(make_session, make_page):
     page = make_page(session)
     page.refresh()
     for name, value in session.reading.rows:
-        assert f">{name}<" in page._panel.content
-        assert html.escape(value) in page._panel.content
+        assert f">{name}<" in page._panel._table.content
+        assert html.escape(value) in page._panel._table.content
 
 
 def test_a_world_that_cannot_be_drawn_leaves_no_server(make_session):
@@ -135,6 +136,6 @@ def test_a_world_that_cannot_be_drawn_leaves_no_server(make_session):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with pytest.raises(ValueError, match="is a HFIELD"):
-        Page(session, "a title", "127.0.0.1", port)
+        Page(session, Menu(session.env, session.policies), "127.0.0.1", port)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port))

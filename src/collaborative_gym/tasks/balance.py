@@ -27,8 +27,10 @@ two in five of the moves and tilts that the task needs. At 0.6 m the handle is o
 reach. So the board starts at 0.95 m.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -111,6 +113,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     """Keep a ball on the middle of a board that two arms hold."""
 
     config_class = BalanceConfig
+    units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     success_after = 5
     performance_from_start = True
 

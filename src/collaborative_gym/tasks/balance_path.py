@@ -21,7 +21,9 @@ and the ball is on the board. Performance counts how long it is below that dista
 then on.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -92,6 +94,7 @@ class BalancePath(Balance):
 
     config_class = BalancePathConfig
     config: BalancePathConfig
+    units: ClassVar[Mapping[str, str]] = {"distance": "m", "followed": "s"}
     performance_from_start = False
 
     @property

@@ -60,7 +60,9 @@ sphere that is taller than the disc in the picture, so a mallet that is lifted b
 than 0.1 m still touches it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -151,6 +153,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     robot_counts = (2, 4)
     config_class = HockeyConfig
     performance_from_start = True
+    units: ClassVar[Mapping[str, str]] = {"clock": "s"}
     shaping = ("drive", "near", "height", "upright", "effort")
 
     @property

@@ -135,7 +135,7 @@ class LiftFacts:
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
-    """The task of this module.
+    """Lift a pot that is too heavy for one arm to a target, and keep it level.
 
     Attributes:
       target: nominal place of the target, (3,).
@@ -144,6 +144,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
     """
 
     gripping = True
+    units: ClassVar[Mapping[str, str]] = {
+        "to_handle": "m",
+        "to_target": "m",
+        "tilt": "rad",
+        "speed": "m/s",
+    }
     styles: ClassVar[Mapping[str, str]] = {
         "first-leads": "robot_1 lifts, and robot_2 only keeps the pot level",
         "second-leads": "robot_2 lifts, and robot_1 only keeps the pot level",

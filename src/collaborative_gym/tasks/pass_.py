@@ -118,10 +118,11 @@ class PassFacts:
 
 
 class Pass(Task[PassConfig, PassFacts]):
-    """The task that this module describes."""
+    """Hand a cube over, from one arm to the other, and take it to a target."""
 
     gripping = True
     config_class = PassConfig
+    units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
     styles: ClassVar[Mapping[str, str]] = {
         "nearer": "they hand over 0.2 m nearer to the arms' bases"
     }

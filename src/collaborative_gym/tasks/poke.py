@@ -99,6 +99,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     """Put the stick of one arm through the ring of the other."""
 
     config_class = TaskConfig
+    units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     styles: ClassVar[Mapping[str, str]] = {
         "ring-moves": "the stick holds still, and the ring comes over it"
     }

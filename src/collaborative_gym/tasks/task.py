@@ -161,6 +161,7 @@ class Task(Generic[ConfigT, FactsT]):
         instead of from the step at which the goal was first reached.
       shaping: names of the reward's terms that are there to lead learners, and that
         training may fade out. Those of opponents that are not shaping add up to zero.
+      units: of the facts that are single numbers, by their names; viewers show them.
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
@@ -175,6 +176,7 @@ class Task(Generic[ConfigT, FactsT]):
     performance_from_start: bool = False
     styles: ClassVar[Mapping[str, str]] = {}
     shaping: tuple[str, ...] = ()
+    units: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
         self.name = type(self).__name__

@@ -43,6 +43,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from operator import or_
+from typing import ClassVar
 
 import numpy as np
 from array_api_compat import array_namespace
@@ -126,7 +127,7 @@ class TugFacts:
 
 
 class Tug(Task[TugConfig, TugFacts]):
-    """The task of this module.
+    """Pull the bar over the own line, against the other arm.
 
     Attributes:
       lines: distance of each agent's line from where the bar starts, in m.
@@ -135,6 +136,7 @@ class Tug(Task[TugConfig, TugFacts]):
 
     config_class = TugConfig
     performance_from_start = True
+    units: ClassVar[Mapping[str, str]] = {"missing": "m"}
     shaping = ("way", "effort")
 
     @property

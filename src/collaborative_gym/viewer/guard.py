@@ -15,7 +15,6 @@ from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
 from collaborative_gym.viewer.address import is_loopback
-from collaborative_gym.viewer.session import FASTEST, SLOWEST
 
 PULL = "cmd/ctrl"
 """What to hold down while the mouse pulls at a body."""
@@ -44,7 +43,9 @@ _LOGGER.addHandler(logging.NullHandler())  # Who scans ports must not fill a ter
 _starting = threading.Lock()
 
 
-def start_server(host: str, port: int) -> viser.ViserServer:
+def start_server(
+    host: str, port: int, *, links: str, on_link: Callable[[str], Callable[[], object]]
+) -> viser.ViserServer:
     """Return a server that listens at an address, and answers its own pages alone.
 
     A web page may send requests to every server that its reader's browser reaches. So
@@ -52,17 +53,24 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     `Origin`, which browsers send with each WebSocket, is the same. Of the messages,
     those are dropped that no page of ours sends.
 
+    A link is a path of the page that says what it is to show. The page connects by the
+    same path, and only by that it takes effect: a mere request, which other pages can
+    cause, changes nothing.
+
     Args:
       host: the address. Its names are `localhost`, loopback addresses and the address
         itself; where other machines reach it also this machine's name and all numeric
         addresses, which no foreign page can turn to another machine as it can a name.
       port: the port.
+      links: how the paths of links begin.
+      on_link: takes a link and returns what shows what it says; raises a KeyError or
+        ValueError for one that says what cannot be shown.
 
     Raises:
       RuntimeError: if the installed viser starts its server in a way that is not known
         here, so that it would be unguarded.
     """
-    guard = _Guard(host)
+    guard = _Guard(host, links, on_link)
     # viser has no option for this, and listens as soon as it is made.
     with _starting:
         unguarded, websockets.serve = websockets.serve, guard.serve
@@ -76,6 +84,7 @@ def start_server(host: str, port: int) -> viser.ViserServer:
             f"viser {viser.__version__} cannot be guarded from foreign pages; install"
             " the version that this package was tested with: pip install viser==1.1.1"
         )
+    guard.gui = server.gui
     return server
 
 
@@ -84,10 +93,15 @@ class _Guard:
 
     Attributes:
       has_served: whether it guards a server.
+      gui: the inputs of its pages.
     """
 
-    def __init__(self, host: str):
+    def __init__(
+        self, host: str, links: str, on_link: Callable[[str], Callable[[], object]]
+    ):
         self.has_served = False
+        self.gui: viser.GuiApi | None = None
+        self._links, self._on_link = links, on_link
         self._is_public = not is_loopback(host)
         self._names = {"localhost", host.lower()}
         if self._is_public:
@@ -106,6 +120,8 @@ class _Guard:
 
         def answer(connection: Any, request: Request) -> Response | None:
             refusal = self._refuse(connection, request)
+            if refusal is None and request.path.startswith(self._links):
+                refusal = self._follow(connection, request)
             response = refusal or process_request(connection, request)
             if response is not None:
                 # Nor may a foreign page show ours, and lead its reader's clicks to it.
@@ -123,6 +139,27 @@ class _Guard:
         """Return whether so many connections may be open, one more or one less."""
         self._open += change
         return self._open <= _MOST
+
+    def takes(self, sent: "_Input | _Drag | _Camera") -> bool:
+        """Return whether a message fits what the page has."""
+        if not isinstance(sent, _Input):
+            return True
+        inputs = getattr(self.gui, "_gui_input_handle_from_uuid", {})
+        own = inputs.get(sent.uuid)
+        return own is not None and all(
+            _fits(own, value) for value in sent.updates.values()
+        )
+
+    def _follow(self, connection: Any, request: Request) -> Response | None:
+        """Show what a link says once a page connects by it; refuse what is no link."""
+        try:
+            show = self._on_link(request.path)
+        except (KeyError, ValueError) as error:
+            return connection.respond(HTTPStatus.NOT_FOUND, f"{error}\n")
+        if "Upgrade" in request.headers:
+            show()
+        request.path = "/"
+        return None
 
     def _refuse(self, connection: Any, request: Request) -> Response | None:
         hosts = [host.lower() for host in request.headers.get_all("Host")]
@@ -176,10 +213,12 @@ class _Connection(websockets.ServerConnection):
         while True:
             message = await super().recv(decode=False)
             try:
-                # Written anew, nothing is left that viser could read in another way.
-                return _WRITER.encode(_READER.decode(message))
+                sent = _READER.decode(message)
             except ValueError:
                 continue
+            if self.guard.takes(sent):
+                # Written anew, nothing is left that viser could read in another way.
+                return _WRITER.encode(sent)
 
 
 _serve = websockets.serve
@@ -190,7 +229,6 @@ _Pixels = Annotated[float, msgspec.Meta(ge=-_PIXELS, le=_PIXELS)]
 _Size = Annotated[int, msgspec.Meta(ge=0, le=_PIXELS)]
 _Part = Annotated[float, msgspec.Meta(ge=-1.01, le=1.01)]
 _Text = Annotated[str, msgspec.Meta(max_length=200)]
-_Speed = Annotated[float, msgspec.Meta(ge=SLOWEST, le=FASTEST)]
 
 
 class _Message(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
@@ -198,10 +236,10 @@ class _Message(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
 
 
 class _Input(_Message, tag="GuiUpdateMessage"):
-    """A click, a tick or the speed. viser itself knows which `uuid` there are."""
+    """A click, a tick, a number or one of the names that are offered."""
 
     uuid: _Text
-    updates: dict[Literal["value"], bool | _Speed]
+    updates: dict[Literal["value"], bool | float | _Text]
 
 
 class _Drag(_Message, tag="SceneNodeDragMessage"):
@@ -231,6 +269,15 @@ class _Camera(_Message, tag="ViewerCameraMessage"):
     image_width: _Size
     look_at: _Place
     up_direction: _Place
+
+
+def _fits(own: Any, value: bool | float | str) -> bool:
+    """Return whether a page may give one of its inputs this value."""
+    if isinstance(own, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
+        return value in own.options
+    if isinstance(own, viser.GuiSliderHandle):
+        return not isinstance(value, bool | str) and own.min <= value <= own.max
+    return isinstance(value, bool)
 
 
 _READER = msgspec.msgpack.Decoder(_Input | _Drag | _Camera)

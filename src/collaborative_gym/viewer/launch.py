@@ -1,12 +1,11 @@
 """Showing a policy at work, in real time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.match import name_players
+from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization
@@ -54,11 +53,12 @@ def view(
     env = VectorEnv(task, 1, seed=seed, num_threads=1)
     with closing(env):
         act = as_policy(policy, env, any_env=any_env)
-        players = name_players(policy, env.sides)
-        session = Session(env, act, warn, players=players)
+        is_shared = not isinstance(policy, Mapping)
+        policies = dict.fromkeys(env.agents, policy) if is_shared else policy
+        session = Session(env, act, warn, policies=policies)
         face = None if web else _window(session, tell)
         if face is None:
-            face = _page(session, f"{env_id}, {name_policy(policy)}", host, port)
+            face = _page(session, any_env, host, port)
             if face.is_public:
                 warn(
                     f"WARNING: the viewer listens on {host}. Everyone who reaches this"
@@ -81,13 +81,14 @@ def _window(session: Session, tell: Callable[[str], object]) -> Any:
         return None
 
 
-def _page(session: Session, title: str, host: str, port: int) -> Any:
+def _page(session: Session, any_env: bool, host: str, port: int) -> Any:
     """Return a page's server.
 
     Raises:
       ImportError: if the extra `view` is not installed; says how to.
     """
     try:
+        from collaborative_gym.viewer.menu import Menu
         from collaborative_gym.viewer.web import Page
     except ImportError as error:
         raise ImportError(
@@ -95,4 +96,5 @@ def _page(session: Session, title: str, host: str, port: int) -> Any:
             " install 'collaborative-gym[view]', or make a video instead:"
             " collaborative-gym record ENV --output video.mp4"
         ) from error
-    return Page(session, title, host, port)
+    menu = Menu(session.env, session.policies, any_env=any_env)
+    return Page(session, menu, host, port)

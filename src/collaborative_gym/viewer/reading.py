@@ -23,8 +23,9 @@ class Reading:
       scores: the points of each side, by its name; of a single one there are none.
       success: whether each side's goal is met now.
       returns: what each side has earned since the start.
-      rewards: the last control step's named terms, by agent; at a start there are none.
+      rewards: the last control step's named terms, by agent; at a start 0.
       measures: distances and whatever else the task measures, by name.
+      units: of these measures that have one, as far as the task names them.
       previous: how the episode before ended, a sentence; empty at the first.
       trouble: why it cannot go on, a sentence; empty where it can.
     """
@@ -38,6 +39,7 @@ class Reading:
     returns: Mapping[str, float]
     rewards: Mapping[str, Mapping[str, float]]
     measures: Mapping[str, float | bool]
+    units: Mapping[str, str]
     previous: str
     trouble: str = ""
 
@@ -45,6 +47,7 @@ class Reading:
     def rows(self) -> list[tuple[str, str]]:
         """The reading as rows of name and value; the heading of a part has no value."""
         rows = [("stopped", ""), (f"  {self.trouble}", "")] if self.trouble else []
+        # Below, there are the same rows at any time, so that none jumps.
         rows.append((f"episode of seed {self.seed}", str(self.episode)))
         rows.append(("time", f"{self.time:.1f} s"))
         indent = "  " * (len(self.players) > 1)
@@ -60,11 +63,10 @@ class Reading:
         if self.measures:
             rows.append(("measured", ""))
             rows += [
-                (f"  {name}", _word(value)) for name, value in self.measures.items()
+                (f"  {name}", f"{_word(value)} {self.units.get(name, '')}".rstrip())
+                for name, value in self.measures.items()
             ]
-        if self.previous:
-            rows += [("previous", ""), (f"  {self.previous}", "")]
-        return rows
+        return [*rows, ("previous", ""), (f"  {self.previous or 'none'}", "")]
 
 
 def read(
@@ -82,17 +84,17 @@ def read(
       players: who plays each side, by its name.
     """
     place = env.progress
+    # Of the step that ended an episode, what is shown is the start of the next.
     has_begun = place["step"][0] > 0
-    terms = infos.get("reward_terms", {}) if has_begun else {}
     rewards = {
-        agent: {name: float(term[0]) for name, term in named.items()}
-        for agent, named in terms.items()
+        agent: {name: float(has_begun * term[0]) for name, term in named.items()}
+        for agent, named in infos["reward_terms"].items()
     }
     earned = before.returns if before is not None and place["step"][0] > 1 else {}
     success = _by_side(env.sides, infos["success"])
     points = infos["metrics"].get("score", {})
-    # Of the step that ended an episode, what is shown is the start of the next.
-    scores = {side: has_begun * float(own[0]) for side, own in points.items()}
+    measures = list(_measures(env.facts, env.task.units))
+    scores = {side: float(has_begun * own[0]) for side, own in points.items()}
     return Reading(
         episode=int(place["episode"][0]),
         seed=int(place["seed"][0]),
@@ -106,7 +108,8 @@ def read(
             for side, agents in env.sides.items()
         },
         rewards=rewards,
-        measures=dict(_measures(env.facts)),
+        measures={name: value for name, _, value in measures},
+        units={name: unit for name, unit, _ in measures if unit},
         previous="" if before is None else before.previous,
     )
 
@@ -116,8 +119,10 @@ def _by_side(sides: Iterable[str], told: Any) -> list[tuple[str, Any]]:
     return [(side, told[side] if isinstance(told, Mapping) else told) for side in sides]
 
 
-def _measures(facts: Any) -> Iterator[tuple[str, float | bool]]:
-    """Yield the facts that are a single number or truth of each world, by name."""
+def _measures(
+    facts: Any, units: Mapping[str, str]
+) -> Iterator[tuple[str, str, float | bool]]:
+    """Yield name, unit and value of the facts that are one number or truth a world."""
     named = facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
     for fact, value in named.items():
         parts = value.items() if isinstance(value, Mapping) else [("", value)]
@@ -125,7 +130,8 @@ def _measures(facts: Any) -> Iterator[tuple[str, float | bool]]:
             if getattr(part, "ndim", None) == 1:
                 name = f"{fact.replace('_', ' ')} {agent}".rstrip()
                 is_truth = np.asarray(part).dtype == bool
-                yield name, bool(part[0]) if is_truth else float(part[0])
+                value = bool(part[0]) if is_truth else float(part[0])
+                yield name, units.get(fact, ""), value
 
 
 def _word(value: float | bool) -> str:

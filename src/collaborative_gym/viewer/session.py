@@ -4,16 +4,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 
+from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.plugins import location_of
 from collaborative_gym.policies import Policy
 from collaborative_gym.policies.match import name_players
-from collaborative_gym.viewer.reading import read, sum_up
+from collaborative_gym.viewer.reading import Reading, read, sum_up
 from collaborative_gym.viewer.spring import Spring
 
 SLOWEST, FASTEST = 0.1, 4.0
@@ -25,7 +26,21 @@ _PICTURES = 60
 _LAG = 0.1
 """How far the world may be late and still catch up, in s."""
 
-_Request = Literal["step", "reset", "next"]
+Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
+"""From the world that plays to another, its policy, and who commands each agent."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What an episode has come to after a control step.
+
+    Attributes:
+      state: from which it goes on.
+      reading: what to say of it.
+    """
+
+    state: EnvState
+    reading: Reading
 
 
 class Session:
@@ -39,11 +54,14 @@ class Session:
       env: the world, a batch of one.
       policy: who commands the robots. Where it fails, the session says so and pauses.
       warn: takes what went wrong, a sentence.
-      players: who plays each side, by its name; None for the policy's name.
+      policies: who commands each agent, as `evaluate` takes it; None for the policy.
 
     Attributes:
       env: the world.
+      policies: who commands each agent.
       reading: what to say of the present state.
+      film: the episode so far, a frame for its start and for each control step. Its
+        later ones are of a future that may differ once time goes on again.
       perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
         the same bits as in every other environment.
     """
@@ -54,25 +72,29 @@ class Session:
         policy: Policy,
         warn: Callable[[str], object],
         *,
-        players: Mapping[str, str] | None = None,
+        policies: Mapping[str, Any] | None = None,
     ):
         if env.num_envs != 1:
             raise ValueError(f"a session plays 1 world, got {env.num_envs}")
         self.env = env
+        self.policies = policies or dict.fromkeys(env.agents, policy)
+        self.film: list[Frame] = []
         self.perturb: mujoco.MjvPerturb | None = None
         self._policy = policy
         self._warn = warn
         self._speed = 1.0
         self._is_paused = False
         self._has_ended = False
-        self._requests: deque[_Request] = deque()
+        self._requests: deque[Callable[[], None]] = deque()
         self._asked = threading.Event()
         self._spring = Spring(env)
         self._refresh: Callable[[], object] = lambda: None
         self._due = self._shown = 0.0
+        self._previous: list[Frame] = []
+        self._players = name_players(self.policies, env.sides)
         self._observations, infos = env.reset()
-        self._players = players or name_players(policy, env.sides)
         self.reading = read(env, infos, None, self._players)
+        self.film.append(Frame(env.get_state(), self.reading))
 
     @property
     def is_paused(self) -> bool:
@@ -110,15 +132,35 @@ class Session:
     def step(self) -> None:
         """Do one control step and pause."""
         self._is_paused = True
-        self._ask("step")
+        self._ask(self._step)
 
     def reset(self) -> None:
         """Start the same episode again, with the same bits."""
-        self._ask("reset")
+        self._ask(lambda: self._start(self.reading.seed, [self.reading.episode]))
 
     def next(self) -> None:
         """Start the seed's next episode."""
-        self._ask("next")
+        self._ask(self._start)
+
+    def seek(self, step: int) -> None:
+        """Pause, and go to a control step of the film, or to its last."""
+        self._is_paused = True
+        self._ask(lambda: self._go_to(step))
+
+    def back(self) -> None:
+        """Pause, and go to the end of what was played before this episode, if any."""
+        self._is_paused = True
+        self._ask(self._go_back)
+
+    def change(self, load: Load, seed: int, episode: int) -> None:
+        """Start an episode of another world, or with other policies.
+
+        Args:
+          load: called in the session's thread; where it fails, all stays as it is.
+          seed: the episode's seed.
+          episode: its index.
+        """
+        self._ask(lambda: self._change(load, seed, episode))
 
     def end(self) -> None:
         """Let `run` return."""
@@ -141,7 +183,7 @@ class Session:
         finally:
             self.env.watch(None)
 
-    def _ask(self, request: _Request) -> None:
+    def _ask(self, request: Callable[[], None]) -> None:
         self._requests.append(request)
         self._asked.set()
 
@@ -151,25 +193,62 @@ class Session:
         request = self._requests.popleft() if self._requests else None
         if self._requests:
             self._asked.set()
-        if request in ("reset", "next"):
-            self._restart(same=request == "reset")
-        elif request == "step" or not self._is_paused:
+        if request is not None:
+            request()
+        elif not self._is_paused:
             self._step()
         else:
             self._draw()
             self._asked.wait(1 / _PICTURES)
             self._due = time.perf_counter()
 
-    def _restart(self, same: bool) -> None:
-        reading = self.reading
+    def _start(self, *episode: Any) -> None:
+        """Start an episode, by its seed and index, or the next one."""
         self._spring.forget()
-        if same:
-            begun = self.env.reset(reading.seed, [reading.episode])
-        else:
-            begun = self.env.reset()
-        self._observations, infos = begun
-        self.reading = read(self.env, infos, reading, self._players)
+        self._observations, infos = self.env.reset(*episode)
+        self._roll_on(read(self.env, infos, self.reading, self._players))
         self._draw()
+
+    def _change(self, load: Load, seed: int, episode: int) -> None:
+        try:
+            env, policy, policies = load(self.env)
+            begun = env.reset(seed, [episode])
+        except Exception as error:
+            self._stop("the choice", error)
+            return
+        if env is not self.env:
+            self.env.close()
+            env.watch(self._after_physics, env.substeps)
+            self.env, self._spring, self.perturb = env, Spring(env), None
+            self.film, self._previous = [], []
+        self._spring.forget()
+        self._policy, self.policies = policy, policies
+        self._players = name_players(policies, env.sides)
+        self._observations, infos = begun
+        self._roll_on(read(env, infos, None, self._players))
+        self._draw()
+
+    def _roll_on(self, reading: Reading) -> None:
+        """Show a new state, and film it; a start begins a new film."""
+        step = self.env.progress["step"][0]
+        if step == 0:
+            if len(self.film) > 1:
+                self._previous = self.film
+            self.film = []
+        self.reading = reading
+        self.film = [*self.film[:step], Frame(self.env.get_state(), reading)]
+
+    def _go_to(self, step: int) -> None:
+        frame = self.film[min(step, len(self.film) - 1)]
+        self._spring.forget()
+        self._observations = self.env.set_state(frame.state)
+        self.reading = frame.reading
+        self._draw()
+
+    def _go_back(self) -> None:
+        if self._previous:
+            self.film, self._previous = self._previous, []
+            self._go_to(len(self.film))
 
     def _step(self) -> None:
         try:
@@ -179,7 +258,7 @@ class Session:
         except Exception as error:
             if self._has_ended:  # It was no policy that failed, but what draws it.
                 raise
-            self._stop(error)
+            self._stop("the policy", error)
             return
         before = self.reading
         if infos["ended"][0]:
@@ -187,18 +266,18 @@ class Session:
             is_over = any(ended[0] for ended in terminated.values())
             previous = sum_up(infos, self._players, is_over)
             before = replace(before, previous=previous)
-        self.reading = read(self.env, infos, before, self._players)
+        self._roll_on(read(self.env, infos, before, self._players))
         if self._is_paused:
             self._draw()
 
-    def _stop(self, error: Exception) -> None:
-        """Pause, and say what failed; whoever plays on tries again."""
+    def _stop(self, what: str, error: Exception) -> None:
+        """Pause, and say what failed and why; whoever plays on tries again."""
         location = location_of(error)
         trouble = (
             f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"
         )
         self.reading = replace(self.reading, trouble=trouble)
-        self._warn(f"the policy failed: {trouble}")
+        self._warn(f"{what} failed: {trouble}")
         self._is_paused = True
         self._draw()
 

@@ -1,0 +1,203 @@
+"""What a viewer may play: environments, arms, policies and starts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+from urllib.parse import parse_qs, urlencode
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import look_up
+from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
+from collaborative_gym.policies.policy import BASELINES, Policy
+from collaborative_gym.policies.scripted import STYLES
+from collaborative_gym.robots import Robot, list_robots
+from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.registry import list_envs, make_task
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
+
+LINK = "/play/"
+"""How the paths of links begin."""
+
+_SCRIPTED = ("expert", "random", "idle", "gripping", "frozen")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What plays, by names.
+
+    Attributes:
+      env: an environment id, or a task's name.
+      robots: the arms, in the order of the agents.
+      policies: who commands each of them.
+      randomization: how starts are drawn.
+      seed: which series of episodes.
+      episode: index of the episode within it.
+    """
+
+    env: str
+    robots: tuple[str, ...]
+    policies: tuple[str, ...]
+    randomization: str
+    seed: int = 0
+    episode: int = 0
+
+    @property
+    def link(self) -> str:
+        """The path of a page's address that opens this start."""
+        return LINK + urlencode(vars(self), doseq=True)
+
+
+class Menu:
+    """What may be chosen: what the package has, and what a viewer was started with.
+
+    Args:
+      env: the world that a viewer was started with.
+      policies: who commands each of its agents, as `evaluate` takes it.
+      any_env: whether a trained policy may play another environment than its own.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        policies: Mapping[str, AnyPolicy],
+        *,
+        any_env: bool = False,
+    ):
+        self._task, self._any_env = env.task, any_env
+        self._policies: dict[str, Any] = {name: name for name in _SCRIPTED}
+        for policy in policies.values():
+            self._policies[name_policy(policy)] = policy
+        self._robots: dict[str, str | Robot] = {name: name for name in list_robots()}
+        self._robots |= {robot.name: robot for robot in env.task.robots.values()}
+        self._randomizations: dict[str, Randomization] = dict(RANDOMIZATIONS)
+        own = env.task.config.randomization
+        if own not in RANDOMIZATIONS.values():
+            self._randomizations["own"] = own
+
+    @property
+    def envs(self) -> tuple[str, ...]:
+        """The environments."""
+        return tuple(dict.fromkeys([*list_envs(), self._task.name]))
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The arms."""
+        return tuple(self._robots)
+
+    @property
+    def randomizations(self) -> tuple[str, ...]:
+        """The ways to draw starts."""
+        return tuple(self._randomizations)
+
+    def policies(self, choice: Choice) -> tuple[str, ...]:
+        """Return who may command the arms of a choice."""
+        styles = {**STYLES, **self._make(choice).styles}
+        names = [*self._policies, *(f"expert:{style}" for style in styles)]
+        if self._has_baseline(choice):
+            names.insert(1, "baseline")
+        return tuple(dict.fromkeys(names))
+
+    def chosen(self, env: VectorEnv, policies: Mapping[str, AnyPolicy]) -> Choice:
+        """Return what plays, by names.
+
+        Args:
+          env: the world.
+          policies: who commands each agent.
+        """
+        own = env.task.config.randomization
+        names = {value: name for name, value in self._randomizations.items()}
+        return Choice(
+            env=env.task.name,
+            robots=_arms(env.task),
+            policies=tuple(name_policy(policies[agent]) for agent in env.agents),
+            randomization=names[own],
+            seed=int(env.progress["seed"][0]),
+            episode=int(env.progress["episode"][0]),
+        )
+
+    def moved(self, choice: Choice, env: str) -> Choice:
+        """Return the choice of another environment, with its own arms.
+
+        Who played before goes on if anybody can play so there, and else the expert.
+        """
+        robots = self._usual(env)
+        choice = replace(choice, env=env, robots=robots)
+        able = {*_SCRIPTED, *(["baseline"] if self._has_baseline(choice) else [])}
+        names = [name if name in able else "expert" for name in choice.policies]
+        names += names[-1:] * len(robots)
+        return replace(choice, policies=tuple(names[: len(robots)]))
+
+    def read(self, link: str) -> Choice:
+        """Return the choice of a link; what it does not say is as usual.
+
+        Raises:
+          KeyError: if it names what may not be chosen.
+          ValueError: if it is no link, or its numbers do not fit.
+        """
+        parts = parse_qs(link.removeprefix(LINK), strict_parsing=True)
+        env = _one_of("environment", parts.get("env", [""])[0], self.envs)
+        robots = tuple(
+            _one_of("robot", name, self.robots)
+            for name in parts.get("robots", self._usual(env))
+        )
+        drawn = parts.get("randomization", ["default"])[0]
+        choice = Choice(
+            env=env,
+            robots=robots,
+            policies=("expert",) * len(robots),
+            randomization=_one_of("randomization", drawn, self.randomizations),
+            seed=int(parts.get("seed", ["0"])[0]),
+            episode=int(parts.get("episode", ["0"])[0]),
+        )
+        names, able = parts.get("policies", choice.policies), self.policies(choice)
+        if len(names) != len(robots):
+            raise ValueError(
+                f"the link names {len(names)} policies for {len(robots)} robots"
+            )
+        policies = tuple(_one_of("policy", name, able) for name in names)
+        return replace(choice, policies=policies)
+
+    def load(
+        self, choice: Choice, env: VectorEnv
+    ) -> tuple[VectorEnv, Policy, dict[str, AnyPolicy]]:
+        """Return a world, what plays it, and who commands each agent.
+
+        Args:
+          choice: what to play.
+          env: the world that plays now, which is returned if it is the one.
+
+        Raises:
+          Exception: as `make_vec` and `load_policy` do.
+        """
+        task = self._make(choice)
+        if Identity.of(task).differences(env.identity):
+            env = VectorEnv(task, 1, num_threads=1)
+        policies = {
+            agent: self._policies.get(name, name)
+            for agent, name in zip(env.agents, choice.policies, strict=True)
+        }
+        return env, as_policy(policies, env, any_env=self._any_env), policies
+
+    def _make(self, choice: Choice) -> Task:
+        own, randomization = self._task, self._randomizations[choice.randomization]
+        names = choice.env, choice.robots, randomization
+        if names == (own.name, _arms(own), own.config.randomization):
+            return own
+        robots = [self._robots[name] for name in choice.robots]
+        return make_task(choice.env, robots, randomization)
+
+    def _usual(self, env: str) -> tuple[str, ...]:
+        """Return an environment's own arms."""
+        return _arms(make_task(env) if env in list_envs() else self._task)
+
+    def _has_baseline(self, choice: Choice) -> bool:
+        is_shipped = (BASELINES / f"{choice.env}.safetensors").exists()
+        return is_shipped and choice.robots == self._usual(choice.env)
+
+
+def _arms(task: Task) -> tuple[str, ...]:
+    return tuple(robot.name for robot in task.robots.values())
+
+
+def _one_of(kind: str, given: str, names: tuple[str, ...]) -> str:
+    return look_up(kind, given, {name: name for name in names})

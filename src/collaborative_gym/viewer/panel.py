@@ -1,0 +1,251 @@
+"""A page's panel: the controls, what may be chosen, and what is measured."""
+
+import html
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from collaborative_gym.pictures.rendering import CAMERA
+from collaborative_gym.tasks.task import Task
+from collaborative_gym.viewer.menu import Choice, Menu
+from collaborative_gym.viewer.plots import Plots
+from collaborative_gym.viewer.reading import Reading
+from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
+from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
+
+_LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
+"""Texts by which a tab finds the panel and a box in it."""
+
+_SCRIPT = """
+document.title = %s;
+const gl = document.createElement("canvas").getContext("webgl");
+const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
+const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+const labels = [...document.querySelectorAll("label")];
+const shadows = labels.find(label => label.textContent == %s);
+const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
+if (!window.isKnown && isSlow && shadows && shadows.control.checked) shadows.click();
+const parts = [...document.querySelectorAll("div")];
+const bar = parts.findLast(part => part.textContent == %s);
+if (!window.isKnown && matchMedia("(max-width: 36em)").matches && bar) bar.click();
+window.isKnown = true;
+"""
+"""What a tab does once it has the panel: it takes its title, unticks the shadows if it
+draws without a graphics card, where a picture takes a second with them, and on a phone
+folds the panel, which would hide the arms."""
+
+
+class Panel:
+    """The panel of all tabs, which share its controls.
+
+    Args:
+      server: the page's server.
+      session: what it controls.
+      menu: what may be chosen.
+      on_view: takes the camera that is chosen.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        session: Session,
+        menu: Menu,
+        *,
+        on_view: Callable[[str], object],
+    ):
+        self._session, self._menu, self._gui = session, menu, server.gui
+        self._said: Reading | None = None
+        self._offered: tuple[Any, ...] = ()
+        self._offers: list[Any] = []
+        gui = server.gui
+        gui.set_panel_label(_LABEL)
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        self._heading = gui.add_html("")
+        self._add_controls()
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Now"):
+            self._table = gui.add_html("")
+        self._choices = tabs.add_tab("Choose")
+        self._plots = Plots(gui, tabs.add_tab("Plots"))
+        with tabs.add_tab("Look"):
+            self._add_looks(on_view)
+        self._script = gui.add_html("")
+
+    @property
+    def view(self) -> str:
+        """The camera that is chosen."""
+        return self._view.value
+
+    @property
+    def looks(self) -> dict[str, bool]:
+        """What is to be drawn besides the shapes, as `Stage.refresh` takes it."""
+        return {name: box.value for name, box in self._looks.items()}
+
+    def refresh(self) -> None:
+        """Say what there is to say now. Only the session's thread may call this."""
+        session = self._session
+        self._play.label = "Play" if session.is_paused else "Pause"
+        self._plots.refresh(session.film)
+        reading = session.reading
+        if self._said is reading:
+            return
+        self._said = reading
+        self._heading.content = _heading(session.env.task, reading)
+        self._table.content = _table(reading.rows)
+        self._time.value = reading.time
+        offered = session.env, session.policies, reading.trouble, reading.episode
+        if self._offered != offered:
+            self._offered = offered
+            self._offer()
+
+    def offer_views(self, views: Iterable[str]) -> None:
+        """Offer the cameras of another world."""
+        self._view.options = views
+
+    def play(self, choice: Choice) -> None:
+        """Let the session play what is chosen."""
+        self._session.change(
+            lambda env: self._menu.load(choice, env), choice.seed, choice.episode
+        )
+
+    def _add_controls(self) -> None:
+        session, gui = self._session, self._gui
+        self._play = gui.add_button("Pause", hint="Let time stand still, or go on")
+        moves = {
+            "Step": session.step,
+            "Reset": session.reset,
+            "Back": session.back,
+            "Next": session.next,
+        }
+        self._moves = gui.add_button_group(
+            "Episode", list(moves), hint="Back: to the end of what was played before it"
+        )
+        self._time = gui.add_slider(
+            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
+        )
+        self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
+        # Not in a tab: while those are not open, no script finds what is in them.
+        self._shadows = gui.add_checkbox(
+            _SHADOWS, True, hint="Slow where there is no graphics card"
+        )
+        self._play.on_click(
+            lambda _: session.play() if session.is_paused else session.pause()
+        )
+        self._moves.on_click(lambda event: moves[event.target.value]())
+        step = session.env.control_dt
+        _on_user(self._time, lambda value: session.seek(round(value / step)))
+        _on_user(self._speed, lambda value: setattr(session, "speed", value))
+
+    def _add_looks(self, on_view: Callable[[str], object]) -> None:
+        gui = self._gui
+        self._view = gui.add_dropdown("Camera", [CAMERA])
+        _on_user(self._view, on_view)
+        arrows = f"Arrows, 1 m long for {NEWTONS_PER_METRE:g} N"
+        self._looks = {
+            "shadows": self._shadows,
+            "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
+            "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
+        }
+        gui.add_markdown(
+            "To pull at an object, drag it with Ctrl (on a Mac Cmd) held down."
+        )
+
+    @property
+    def _choice(self) -> Choice:
+        return self._menu.chosen(self._session.env, self._session.policies)
+
+    def _offer(self) -> None:
+        """Offer what may be chosen beside what plays now."""
+        menu, choice, env = self._menu, self._choice, self._session.env
+        self._time.max = env.task.config.max_episode_steps * env.control_dt
+        for old in self._offers:
+            old.remove()
+        with self._choices:
+            self._offers = [
+                self._ask("Environment", menu.envs, choice.env, menu.moved),
+                self._ask(
+                    "Starts",
+                    menu.randomizations,
+                    choice.randomization,
+                    lambda now, name: replace(now, randomization=name),
+                ),
+            ]
+            for i, agent in enumerate(env.agents):
+                for what, field, options in (
+                    ("arm", "robots", menu.robots),
+                    ("policy", "policies", menu.policies(choice)),
+                ):
+                    self._offers.append(
+                        self._ask(
+                            f"{agent}, {what}",
+                            options,
+                            getattr(choice, field)[i],
+                            lambda now, name, i=i, field=field: _with(
+                                now, field, i, name
+                            ),
+                        )
+                    )
+            link = f'<a href="{html.escape(choice.link)}">link to this start</a>'
+            self._offers.append(self._gui.add_html(_STYLE % link))
+        title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
+        script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
+        # A picture that there is not, since pages run no scripts that come later.
+        self._script.content = (
+            f'<img src="data:," hidden onerror="{html.escape(script)}">'
+        )
+
+    def _ask(
+        self,
+        label: str,
+        options: Iterable[str],
+        value: str,
+        change: Callable[[Choice, str], Choice],
+    ) -> Any:
+        """Offer names, of which one is changed to in what plays then."""
+        box = self._gui.add_dropdown(
+            label, list(dict.fromkeys([*options, value])), initial_value=value
+        )
+        _on_user(box, lambda name: self.play(change(self._choice, name)))
+        return box
+
+
+_STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
+
+
+def _on_user(box: Any, do: Callable[[Any], object]) -> None:
+    """Do something when a user changes an input, but not when the program does."""
+    box.on_update(lambda event: event.client and do(event.target.value))
+
+
+def _with(choice: Choice, field: str, i: int, name: str) -> Choice:
+    names = list(getattr(choice, field))
+    names[i] = name
+    return replace(choice, **{field: tuple(names)})
+
+
+def _heading(task: Task, reading: Reading) -> str:
+    """Return the goal in a sentence, and how it stands, as HTML."""
+    goal = (type(task).__doc__ or task.name).partition("\n")[0]
+    sides = [
+        f"{player} <b>{reading.scores[side]:g}</b>"
+        if side in reading.scores
+        else f"{player}{': <b>success</b>' if reading.success[side] else ''}"
+        for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
+    ]
+    return _STYLE % f"{html.escape(goal)}<br>{' : '.join(sides)}"
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> str:
+    """Return rows of names and values as HTML."""
+    lines = "".join(
+        f'<tr><td style="padding-left:{name.startswith(" "):d}em">{html.escape(name)}'
+        f'<td style="text-align:right;white-space:nowrap">{html.escape(value)}'
+        for name, value in rows
+    )
+    # Figures of equal width, so that nothing trembles.
+    style = "width:100%;font-variant-numeric:tabular-nums"
+    return _STYLE % f'<table style="{style}">{lines}</table>'

@@ -1,0 +1,110 @@
+import pytest
+
+import collaborative_gym as cg
+from collaborative_gym.robots import get_robot
+from collaborative_gym.viewer.menu import LINK, Choice, Menu
+
+LIFT = "LiftTaskSawyers-v0"
+SAWYERS = ("sawyer", "sawyer")
+
+
+@pytest.fixture(scope="module")
+def env():
+    return cg.make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
+
+
+@pytest.fixture
+def menu(env):
+    return Menu(env, {"robot_1": "expert", "robot_2": "idle"})
+
+
+def lift(*policies, **changes):
+    return Choice(LIFT, SAWYERS, policies or ("expert", "idle"), "paper", **changes)
+
+
+def test_what_plays_is_told_by_names(menu, env):
+    env.reset(seed=3, episodes=[5])
+    chosen = menu.chosen(env, {"robot_1": "expert", "robot_2": "idle"})
+    assert chosen == Choice(
+        "PokeTaskSawyers-v0", SAWYERS, ("expert", "idle"), "default", 3, 5
+    )
+
+
+def test_a_link_says_it_all_and_is_read_again(menu):
+    choice = lift("expert:first-leads", "baseline", seed=7, episode=2)
+    assert choice.link.startswith(LINK) and "?" not in choice.link
+    assert menu.read(choice.link) == choice
+
+
+def test_what_a_link_does_not_say_is_as_usual(menu):
+    assert menu.read(f"{LINK}env={LIFT}&episode=4") == Choice(
+        LIFT, SAWYERS, ("expert", "expert"), "default", 0, 4
+    )
+
+
+@pytest.mark.parametrize(
+    ("link", "told"),
+    [
+        ("env=Nothing-v0", "no environment 'Nothing-v0'"),
+        ("nonsense", "bad query field"),
+        (f"env={LIFT}&robots=sawyer&robots=tank", "no robot 'tank'"),
+        (f"env={LIFT}&robots=sawyer", "needs 2 robots, got 1"),
+        (f"env={LIFT}&policies=idle", "1 policies for 2 robots"),
+        (f"env={LIFT}&policies=idle&policies=/etc/passwd", "no policy '/etc/passwd'"),
+        (f"env={LIFT}&randomization=wild", "no randomization 'wild'"),
+        (f"env={LIFT}&seed=x", "invalid literal"),
+    ],
+)
+def test_a_link_to_what_may_not_be_chosen_is_refused(menu, link, told):
+    with pytest.raises((KeyError, ValueError), match=told):
+        menu.read(LINK + link)
+
+
+def test_baselines_are_offered_where_they_are_shipped(menu):
+    assert "baseline" in menu.policies(lift())
+    others = Choice(LIFT, ("panda", "jaco"), ("expert", "expert"), "default")
+    assert "baseline" not in menu.policies(others)
+
+
+def test_styles_of_the_experts_are_offered(menu):
+    assert {"expert:late", "expert:second-leads"} <= set(menu.policies(lift()))
+    assert "expert:second-leads" not in menu.policies(
+        menu.moved(lift(), "PassTaskSawyers-v0")
+    )
+
+
+def test_another_environment_has_its_own_arms_and_able_players(menu):
+    choice = lift("expert:first-leads", "baseline")
+    moved = menu.moved(choice, "PassTaskJacoSawyer-v0")
+    assert moved.robots == ("sawyer", "jaco")
+    assert moved.policies == ("expert", "baseline")
+    doubles = menu.moved(lift("baseline", "idle"), "HockeyDoubles-v0")
+    assert doubles.policies == ("expert", "idle", "idle", "idle")
+    assert len(doubles.robots) == 4
+
+
+def test_the_same_world_is_kept_for_other_policies_and_starts(menu, env):
+    chosen = menu.chosen(env, {"robot_1": "idle", "robot_2": "idle"})
+    same, act, policies = menu.load(chosen, env)
+    assert same is env
+    assert policies == {"robot_1": "idle", "robot_2": "idle"}
+    observations, _ = env.reset(seed=0)
+    assert {len(actions) for actions in act(observations).values()} == {1}
+    other, *_ = menu.load(menu.moved(chosen, LIFT), env)
+    assert other.task.name == LIFT
+
+
+def test_what_a_viewer_was_started_with_may_be_chosen():
+    def mine(observations):
+        return {}
+
+    arm = cg.get_robot("panda")
+    wide = cg.Randomization(joint_noise=0.2)
+    env = cg.make_vec("Poke", 1, robots=(arm, "jaco"), randomization=wide)
+    env.reset()
+    menu = Menu(env, dict.fromkeys(env.agents, mine))
+    chosen = menu.chosen(env, dict.fromkeys(env.agents, mine))
+    assert chosen == Choice("Poke", ("panda", "jaco"), ("mine", "mine"), "own")
+    assert menu.load(chosen, env)[2] == {"robot_1": mine, "robot_2": mine}
+    assert menu.load(chosen, env)[0] is env
+    assert get_robot("panda") is arm
