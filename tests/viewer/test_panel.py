@@ -1,0 +1,149 @@
+"""What the panel offers and says, and what becomes of what its users choose."""
+
+import html
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from collaborative_gym.envs.make import make_vec
+from collaborative_gym.policies import load_policy
+from collaborative_gym.viewer.menu import Menu
+from collaborative_gym.viewer.session import Session
+from collaborative_gym.viewer.stage import NEWTONS_PER_METRE, _arrows
+from collaborative_gym.viewer.web import Page
+
+
+def choose(page, label, value):
+    """Do what viser does when a tab chooses from a list."""
+    box = offers(page)[label]
+    assert value in box.options
+    box._impl.value = value
+    event = SimpleNamespace(client=object(), target=box)
+    for callback in box._impl.update_cb:
+        callback(event)
+
+
+def offers(page):
+    boxes = page._panel._offers
+    return {box.label: box for box in boxes if hasattr(box, "options")}
+
+
+@pytest.fixture
+def poke(start):
+    """Return a paused session of Poke and its page."""
+    env = make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
+    policies = {"robot_1": "expert", "robot_2": "idle"}
+    session = Session(env, load_policy(policies, env), pytest.fail, policies=policies)
+    session.pause()
+    page = Page(session, Menu(env, policies), "127.0.0.1", 0)
+    end = start(session, page.refresh)
+    yield session, page
+    end()
+    page.close()
+
+
+def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
+    session, page = poke
+    wait_until(lambda: "Environment" in offers(page))
+    before = {label: box.value for label, box in offers(page).items()}
+    assert before == {
+        "Environment": "PokeTaskSawyers-v0",
+        "Starts": "default",
+        "robot_1, arm": "sawyer",
+        "robot_1, policy": "expert",
+        "robot_2, arm": "sawyer",
+        "robot_2, policy": "idle",
+    }
+    first = session.env
+    choose(page, "robot_2, policy", "random")
+    wait_until(lambda: session.policies["robot_2"] == "random")
+    assert session.env is first
+    choose(page, "robot_1, arm", "panda")
+    wait_until(lambda: page._stage.env is not first, timeout=120)
+    assert session.env.task.robots["robot_1"].name == "panda"
+    wait_until(lambda: offers(page)["robot_1, arm"].value == "panda")
+    assert "baseline" not in offers(page)["robot_1, policy"].options
+    choose(page, "Environment", "HockeyPandas-v0")
+    wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
+    wait_until(lambda: "Score more goals" in page._panel._heading.content)
+    assert "robot_1 expert <b>0</b> : robot_2 random <b>0</b>" in (
+        page._panel._heading.content
+    )
+    titles = {title for title, *_ in page._panel._plots._charts}
+    wait_until(lambda: "HockeyPandas-v0" in page._panel._script.content)
+    assert titles == {"reward of robot_1", "reward of robot_2", "measured"}
+
+
+def test_labels_stand_over_the_arms_and_say_who_plays(poke, wait_until):
+    session, page = poke
+    labels = page._stage._labels
+    wait_until(lambda: labels["robot_2"].text == "robot_2: idle")
+    data, model = session.env.sim.data(0), session.env.model
+    for agent, label in labels.items():
+        own = [
+            data.xpos[i]
+            for i in range(model.nbody)
+            if model.body(i).name.startswith(f"{agent}/")
+        ]
+        assert label.position[2] == pytest.approx(
+            max(p[2] for p in own) + 0.1, abs=0.01
+        )
+    page._panel._looks["labels"].value = False
+    wait_until(lambda: not any(label.visible for label in labels.values()))
+
+
+def test_plots_follow_the_episode(poke, wait_until):
+    session, page = poke
+    for _ in range(3):
+        session.step()
+    wait_until(lambda: len(session.film) == 4)
+    charts = page._panel._plots._charts
+    reward = next(key for key in charts if key[0] == "reward of robot_1")
+    wait_until(lambda: len(charts[reward].data[0]) == 4)
+    np.testing.assert_allclose(charts[reward].data[0], [0.0, 0.1, 0.2, 0.3])
+    for name, curve in zip(reward[1:], charts[reward].data[1:], strict=True):
+        terms = [frame.reading.rewards["robot_1"][name] for frame in session.film]
+        np.testing.assert_array_equal(curve, terms)
+    assert next(key for key in charts if key[0] == "measured")[1] == "distance, m"
+
+
+def test_the_time_shows_and_leads(poke, wait_until):
+    session, page = poke
+    for _ in range(2):
+        session.step()
+    wait_until(lambda: page._panel._time.value == pytest.approx(0.2))
+    assert page._panel._time.max == pytest.approx(20.0)
+    event = SimpleNamespace(client=object(), target=SimpleNamespace(value=0.1))
+    for callback in page._panel._time._impl.update_cb:
+        callback(event)
+    wait_until(lambda: session.reading.time == pytest.approx(0.1))
+
+
+def test_contact_forces_bear_what_lies_on_the_ground():
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])
+    body = spec.worldbody.add_body(pos=[0.0, 0.0, 0.1])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1], mass=2.0)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, 500)
+    mujoco.mj_forward(model, data)
+    arrows = _arrows(model, data)
+    forces = NEWTONS_PER_METRE * (arrows[:, 1] - arrows[:, 0])
+    np.testing.assert_allclose(forces.sum(axis=0), [0.0, 0.0, 2.0 * 9.81], atol=0.05)
+    np.testing.assert_allclose(arrows[:, 0, 2], 0.0, atol=1e-3)
+
+
+def test_a_link_is_shown_and_plays_its_start(poke, wait_until):
+    session, page = poke
+    wait_until(lambda: page._panel._offers)
+    wait_until(lambda: hasattr(page._panel._offers[-1], "content"))
+    link = page._panel._choice.link
+    assert html.escape(link) in page._panel._offers[-1].content
+    page._open(link.replace("episode=0", "episode=6"))()
+    wait_until(lambda: session.reading.episode == 6)
