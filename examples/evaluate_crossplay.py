@@ -1,11 +1,12 @@
-"""Cross-play: each robot led by a policy that was trained, or written, apart.
+"""Cross-play: each robot has a policy that was trained, or written, without the other.
 
     python examples/evaluate_crossplay.py
     python examples/evaluate_crossplay.py --policies baseline runs/mine runs/theirs
 
-Policies that do well together may have agreed on what no stranger knows. Prints in how
-many episodes every pair reaches the goal, with the policies of robot_1 as lines and
-those of robot_2 as columns, and what each loses with strangers. A minute at most.
+Policies that learned together may use a convention that no stranger knows. The script
+prints in how many episodes every pair reaches the goal, with the policies of robot_1 as
+lines and those of robot_2 as columns, and what each loses with strangers. It takes a
+minute at most.
 """
 
 import tyro

@@ -1,11 +1,11 @@
-"""A policy of one's own: any function from observations to actions can be evaluated.
+"""A policy of your own: you can evaluate any function from observations to actions.
 
     python examples/evaluate_policy.py
     python examples/evaluate_policy.py --csv episodes.csv
 
-Both are dictionaries by robot of arrays with a row for each world. The same episodes
-are played as for every other policy, so that the numbers can be set beside theirs.
-Prints a Markdown table with 95 % intervals; the CSV has a line for each episode.
+Observations and actions are dictionaries by robot, of arrays with a row for each world.
+Every policy plays the same episodes, so you can compare the numbers. The script prints
+a Markdown table with 95 % intervals; the CSV has a line for each episode.
 """
 
 from collections.abc import Mapping

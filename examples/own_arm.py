@@ -5,8 +5,8 @@
     collaborative-gym record Pass --module examples/own_arm.py --robots own panda \
         --output own_arm.mp4
 
-The arm is a generic one with six joints; its model is written twice, as MJCF and as
-URDF, which is what most makers have. Prints what the task's expert achieves. Seconds.
+The arm is a generic one with six joints. Its model is written twice, as MJCF and as
+URDF, which most makers offer. The script prints what the expert achieves, in seconds.
 """
 
 from dataclasses import replace

@@ -3,10 +3,11 @@
     python examples/run_batched.py
     python examples/run_batched.py --num-envs 1024 --policy random
 
-Every array has a row for each world. Where an episode ends, the same step starts the
-next one: the observation that `step` returns is the new episode's first, and the old
-one's last is in `infos["final_observation"]`. Prints the mean return and completion of
-each batch of episodes, and how many environment steps a second took. Seconds.
+Every array has a row for each world. A step that ends an episode also starts the next
+one: `step` returns the first observation of the new episode, and
+`infos["final_observation"]` has the last one of the old episode. The script prints the
+mean return and completion of each batch of episodes, and the environment steps per
+second. It takes seconds.
 """
 
 import time

@@ -3,9 +3,9 @@
     python examples/run_numpy_policy.py
     python examples/run_numpy_policy.py --policy runs/poke
 
-That is all that a robot's controller needs: observations by robot go in, one row each,
-and actions in [-1, 1] come out. Prints what the file tells of the policy, what it does
-from a first observation, and how long it thinks. Fractions of a second.
+A robot's controller needs no more: observations by robot go in, one row each, and
+actions in [-1, 1] come out. The script prints what the file says of the policy, its
+action for a first observation, and the time that this takes. It ends at once.
 """
 
 import sys

@@ -3,8 +3,8 @@
     python examples/run_pettingzoo.py
     python examples/run_pettingzoo.py --env Lift --robots panda jaco --policy expert
 
-Prints what each robot earned, by the terms of its reward, and whether and when they
-reached the goal together. Fractions of a second.
+The script prints what each robot earned, by the terms of its reward, and whether and
+when they reached the goal together. It ends at once.
 """
 
 from collections import Counter

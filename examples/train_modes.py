@@ -4,9 +4,9 @@
     python examples/train_modes.py
     python examples/train_modes.py --env Balance --total-steps 1000000
 
-Trains each mode into a folder of its own (a second start goes on with what is there),
-prints a table of how the policies do in episodes that none was trained on, and draws
-the learning curves into `modes.png`. A few minutes.
+The script trains each mode into a folder of its own; a second start continues. It
+prints a table of how the policies do in episodes on which none was trained, and draws
+the learning curves into `modes.png`. It takes a few minutes.
 """
 
 import csv

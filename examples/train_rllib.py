@@ -1,4 +1,4 @@
-"""An RLlib script of one's own, on environments that RLlib knows by their ids.
+"""An RLlib script of your own, on environments that RLlib knows by their ids.
 
     pip install -e ".[rllib]"
     python examples/train_rllib.py

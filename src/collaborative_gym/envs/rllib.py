@@ -1,9 +1,9 @@
 """One world as an RLlib multi-agent environment.
 
-Importing this module registers every environment with RLlib under its id, so that a
-script of one's own says `PPOConfig().environment("LiftTaskSawyers-v0")`. What
-`env_config` holds goes to `make_task`: `robots`, `randomization` and fields of the
-task's config; `render_mode` is the environment's.
+The import of this module registers every environment with RLlib under its id, so your
+script can say `PPOConfig().environment("LiftTaskSawyers-v0")`. `env_config` may have
+`robots`, `randomization` and fields of the task's config, which go to `make_task`, and
+the `render_mode` of the environment.
 """
 
 from collections.abc import Mapping

@@ -64,10 +64,10 @@ class _Part(NamedTuple):
 class BatchedEnvRunner(MultiAgentEnvRunner):
     """RLlib's multi-agent runner on one `VectorEnv`.
 
-    It is given as `env_runner_cls`; the environment is one of ours, by its id. Metrics,
-    checkpoints and evaluation are those of RLlib's runner; of the callbacks of
-    episodes, `on_episode_end` alone is called. A runner in a process of its own uses as
-    many physics threads as Ray gives it CPUs, the local one all.
+    Give it as `env_runner_cls`, with the id of an environment of this package. Metrics,
+    checkpoints and evaluation are those of RLlib's runner. Of the callbacks of
+    episodes, it calls only `on_episode_end`. A runner in a process of its own uses as
+    many physics threads as Ray gives it CPUs; the local runner uses all CPUs.
 
     Args:
       config: of the algorithm.

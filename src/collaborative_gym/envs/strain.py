@@ -24,13 +24,13 @@ otherwise:
 
 Tools are parts of their arms. Shapes that cannot collide have no clearance.
 
-The internal force is our definition. Arms pull at one thing with forces f_i, whose sum
-is F. An arm may bear any share of F, from nothing to all. Only the distance of its f_i
-from the line between 0 and F is spent against the others, and the greatest counts.
-Two arms always have the same; it is 0 where both pull in one direction, and the smaller
-force where they pull in opposite ones. Other definitions (Williams and Khatib, "The
-virtual linkage", 1993) divide forces along lines between the grasps, which arms that
-grip at one point do not have.
+We defined the internal force ourselves. Arms pull at one thing with forces f_i, whose
+sum is F. An arm may bear any share of F, from nothing to all. So only the distance of
+its f_i from the line between 0 and F works against the others. The greatest of these
+distances counts. For two arms it is the same: 0 if they pull in one direction, and the
+smaller force if they pull in opposite directions. Other definitions (Williams and
+Khatib, "The virtual linkage", 1993) divide forces along lines between the grasps, which
+arms that grip at one point do not have.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,9 +1,9 @@
 """What an environment is, as one value that files keep and that can be compared.
 
-What was made for one environment goes wrong silently on another. So policies,
-checkpoints and states carry the `Identity` of theirs. What may differ depends on what
-is done with them: `ON_PLAYING` for a policy, `ON_STATE` for the state of worlds, and
-nothing for a training run that continues.
+A policy, a checkpoint or a state of one environment would fail silently on another. So
+each carries the `Identity` of its environment. Some differences do not matter:
+`ON_PLAYING` names those for a policy, `ON_STATE` those for a state of worlds. A
+training run that continues allows none.
 """
 
 import hashlib

@@ -20,10 +20,10 @@ Reward of each agent:
 Success: the pot's middle is within 0.15 m of the target, level within 15 degrees and
 slower than 0.3 m/s, while both arms grip it.
 
-The pot's mass follows from the arms, so that none can hold it alone. `lift_mass` says
+The pot's mass follows from the arms, so that no arm can hold it alone. `lift_mass` says
 how, and `benchmarks/lift_capacity.py` measures it in simulation. The distance alone is
-not enough: an arm can swing the pot past the target by its momentum, even while the
-other arm only holds on. A pot that is swung is tilted or fast.
+not enough for success: one arm can swing the pot past the target while the other arm
+only holds its handle. But then the pot is tilted or fast.
 """
 
 from collections.abc import Mapping
@@ -317,7 +317,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
         """Return motions of arms that grip, wait for each other and lift together.
 
-        Where one loses its grip on the way, both let go and begin anew.
+        If one arm loses its grip on the way, both let go and begin anew.
         """
         return self._lift(sim, facts, self._lifted_handles(facts))
 

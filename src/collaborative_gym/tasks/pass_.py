@@ -28,12 +28,12 @@ Reward of each agent: robot_2 is "near" while its tool centre point is within
 - `success` of both: 1 while the goal is reached, else 0.
 
 Success: the cube is within `success_radius` of the target and robot_2 holds it. The
-thesis asks for the distance alone. Nothing at the target could carry the cube, so the
-second condition only rules out that robot_1 throws it through the target, which a
-search found its arm able to do. While it carries the cube, robot_1 stays 0.27 m or more
-outside the radius. robot_2 lacks 0.18 m or more to grip the cube on robot_1's table.
-This holds for all that the default randomisation draws, for every pair of Sawyer, Panda
-and Jaco.
+thesis asks only for the distance. The second condition rules out that robot_1 throws
+the cube through the target; a search found that its arm can do that. robot_1 cannot
+carry the cube to the target: it stays 0.27 m or more outside the radius. robot_2 cannot
+pick the cube up from robot_1's table: it is 0.18 m or more too far away. This holds for
+all starts that the default randomisation draws, for every pair of Sawyer, Panda and
+Jaco.
 """
 
 from collections.abc import Mapping
