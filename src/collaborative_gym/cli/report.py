@@ -8,7 +8,6 @@ import tyro
 
 from collaborative_gym.cli.terminal import (
     Command,
-    Envs,
     File,
     Folder,
     Policies,
@@ -52,7 +51,9 @@ class Report(Command):
       json: file for all numbers; - for standard output.
     """
 
-    envs: Envs
+    envs: Annotated[
+        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="ENV ...")
+    ]
     policies: Policies = ("expert",)
     episodes: int = 1000
     disturbed: int = 100

@@ -372,8 +372,7 @@ class VectorEnv:
         if shots < 1 or self.substeps % shots:
             raise ValueError(f"shots must divide {self.substeps}, got {shots}")
         check_callback("watcher", watcher)
-        self._watcher = watcher
-        self._shots = 1 if watcher is None else shots
+        self._watcher, self._shots = watcher, 1 if watcher is None else shots
 
     def render(
         self, env_id: int = 0, *, width: int = 640, height: int = 480
