@@ -110,6 +110,14 @@ def test_a_function_is_a_policy(carry):
     assert report.completion.mean == 0.0
 
 
+def done(report):
+    """Return all that is known of episodes but what was chosen and not done."""
+    return [
+        {name: repr(value) for name, value in row.items() if name != "action_change"}
+        for row in report.episodes
+    ]
+
+
 def test_delayed_actions_are_done_late_and_nothing_before_them(carry):
     def counting(first):
         steps = iter(range(first, 99))
@@ -126,9 +134,7 @@ def test_delayed_actions_are_done_late_and_nothing_before_them(carry):
     for delay in (1, 3):
         late = cg.evaluate(carry(), counting(0), delay=delay, **options)
         assert late.settings["delay"] == delay
-        assert (
-            late.to_csv() == cg.evaluate(carry(), counting(-delay), **options).to_csv()
-        )
+        assert done(late) == done(cg.evaluate(carry(), counting(-delay), **options))
     on_time = cg.evaluate(carry(), counting(0), **options)
     assert on_time.settings["delay"] == 0 and on_time.to_csv() != late.to_csv()
 
@@ -137,7 +143,7 @@ def test_every_episode_begins_without_delayed_actions(carry):
     options = {"delay": 12, "num_envs": 1, "num_threads": 1}
     wild = cg.evaluate(carry(), "random", episodes=3, **options)
     idle = cg.evaluate(carry(), "idle", episodes=3, **options)
-    assert wild.to_csv() == idle.to_csv()
+    assert done(wild) == done(idle)
 
 
 def test_diverged_episodes_count_as_failed(carry):
@@ -228,7 +234,8 @@ def test_a_report_of_several_sides_adds_nothing_up_over_them(carry):
     first, second = report.sides["side_1"], report.sides["side_2"]
     assert first.mean_reward == report.returns["robot_1"]
     assert first.performance != second.performance
-    assert (first.score, second.score) == (first.completion, second.completion)
+    for side in first, second:
+        assert side.score.mean == side.completion.mean
     for row in report.episodes:
         assert row["side_1/return"] == row["robot_1/return"] and "return" not in row
     with pytest.raises(ValueError, match="has the sides side_1, side_2, each with"):
