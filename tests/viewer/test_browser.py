@@ -80,17 +80,17 @@ def open_tab(browser):
     """Return a function that opens a page in a tab, and waits until it is drawn."""
     tabs = []
 
-    def open_tab(page):
+    def open_tab(page, link="", width=WIDTH, height=HEIGHT):
         tab = browser.new_page(
-            viewport={"width": WIDTH, "height": HEIGHT}, device_scale_factor=0.5
+            viewport={"width": width, "height": height}, device_scale_factor=0.5
         )
         tab.set_default_timeout(PATIENCE * 1000)
         tabs.append(tab)
         tab.asked, tab.errors = [], []
         tab.on("request", lambda request: tab.asked.append(request.url))
         tab.on("pageerror", lambda error: tab.errors.append(str(error)))
-        tab.goto(page.url)
-        tab.get_by_text("episode of seed 0").wait_for()
+        tab.goto(page.url + link)
+        tab.get_by_text("episode of seed 0").wait_for(state="attached")
         # Where there is no graphics card, the tab does without shadows by itself.
         shadows = tab.get_by_label("Shadows", exact=True)
         expect(shadows).not_to_be_checked(timeout=PATIENCE * 1000)
@@ -137,14 +137,19 @@ def likeness(one, other):
 
 
 def pixel_of(tab, page, body):
-    """Return where the middle of a body is in the tab."""
+    """Return where the middle of a body is in the tab, as all tabs see it."""
     data, model = page._stage._data, page._stage._model
     left, top, width, height = canvas(tab)
-    camera = data.camera(CAMERA)
-    seen = camera.xmat.reshape(3, 3).T @ (data.body(body).xpos - camera.xpos)
+    camera = next(iter(page._server.get_clients().values())).camera
+    forward = camera.look_at - camera.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    away = data.body(body).xpos - camera.position
     scale = height / 2 / np.tan(np.radians(model.camera(CAMERA).fovy[0]) / 2)
-    column, row = scale * seen[:2] / -seen[2] * (1, -1)
-    return left + width / 2 + column, top + height / 2 + row
+    scale /= away @ forward
+    column, row = scale * (away @ right), scale * (away @ np.cross(right, forward))
+    return left + width / 2 + column, top + height / 2 - row
 
 
 @pytest.mark.parametrize("env_id", ENVS)
@@ -237,6 +242,35 @@ def test_a_tab_that_closes_lets_go_and_another_goes_on(serve, open_tab, wait_unt
     press(other, "Pause")
     wait_until(lambda: session.is_paused)
     wait_until(lambda: f"{session.reading.time:.1f} s" in other.inner_text("table"))
+
+
+def test_a_tab_has_the_title_of_what_plays(serve, open_tab):
+    _, page = serve(ENVS[0])
+    tab = open_tab(page)
+    assert tab.title() == f"{ENVS[0]}: expert"
+
+
+def test_a_link_opens_the_same_start(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    link = page._panel._choice.link.replace("episode=0", "episode=4")
+    tab = open_tab(page, link.replace(ENVS[0], ENVS[1]).replace("=sawyer", "=panda", 1))
+    wait_until(lambda: session.env.task.name == ENVS[1], timeout=PATIENCE)
+    assert session.reading.episode == 4
+    wait_until(lambda: tab.title().startswith(ENVS[1]), timeout=PATIENCE)
+    tab.get_by_role("tab", name="Choose").click()
+    shown = tab.get_by_role("link", name="link to this start").get_attribute("href")
+    assert shown == page._panel._choice.link
+
+
+def test_a_phone_shows_the_arms_and_a_folded_panel(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    tab = open_tab(page, width=390, height=800)
+    wait_until(lambda: not tab.get_by_text("episode of seed 0").is_visible())
+    for agent in session.env.agents:
+        base = f"{agent}/base"
+        wait_until(lambda base=base: 20 < pixel_of(tab, page, base)[0] < 370)
+    tab.get_by_text("Collaborative Gym").click()
+    tab.get_by_role("button", name="Play").wait_for()
 
 
 def test_shadows_can_be_had(serve, open_tab, wait_until):

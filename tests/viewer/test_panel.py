@@ -142,8 +142,14 @@ def test_contact_forces_bear_what_lies_on_the_ground():
 def test_a_link_is_shown_and_plays_its_start(poke, wait_until):
     session, page = poke
     wait_until(lambda: page._panel._offers)
-    wait_until(lambda: hasattr(page._panel._offers[-1], "content"))
     link = page._panel._choice.link
-    assert html.escape(link) in page._panel._offers[-1].content
+    wait_until(lambda: html.escape(link) in page._panel._link.content)
+    page._open(link.replace("idle", "random"))()
+    wait_until(lambda: session.policies["robot_2"] == "random")
     page._open(link.replace("episode=0", "episode=6"))()
     wait_until(lambda: session.reading.episode == 6)
+    wait_until(lambda: "episode=6" in page._panel._link.content)
+    boxes = page._panel._offers
+    session.next()
+    wait_until(lambda: "episode=7" in page._panel._link.content)
+    assert page._panel._offers is boxes  # A list that somebody has open stays open.

@@ -358,7 +358,8 @@ class Benchmark(Command):
 class View(_World):
     """Watch a policy in real time, and pull at things to disturb it.
 
-    It opens a window, or serves a page for the browser if it cannot open one.
+    It opens a window, or serves a page for the browser if it cannot open one. On the
+    page you can change environment, robots, policies and starts without a restart.
     `python -m collaborative_gym --env ENV` does the same.
 
     Attributes:

@@ -97,10 +97,12 @@ class Panel:
         self._heading.content = _heading(session.env.task, reading)
         self._table.content = _table(reading.rows)
         self._time.value = reading.time
-        offered = session.env, session.policies, reading.trouble, reading.episode
+        offered = session.env, session.policies, reading.trouble
         if self._offered != offered:
             self._offered = offered
             self._offer()
+        link = html.escape(self._choice.link)
+        self._link.content = _STYLE % f'<a href="{link}">link to this start</a>'
 
     def offer_views(self, views: Iterable[str]) -> None:
         """Offer the cameras of another world."""
@@ -189,8 +191,8 @@ class Panel:
                             ),
                         )
                     )
-            link = f'<a href="{html.escape(choice.link)}">link to this start</a>'
-            self._offers.append(self._gui.add_html(_STYLE % link))
+            self._link = self._gui.add_html("")
+            self._offers.append(self._link)
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
         # A picture that there is not, since pages run no scripts that come later.
@@ -228,7 +230,7 @@ def _with(choice: Choice, field: str, i: int, name: str) -> Choice:
 
 
 def _heading(task: Task, reading: Reading) -> str:
-    """Return the goal in a sentence, and how it stands, as HTML."""
+    """Return the goal in a sentence, how it stands, and who won last, as HTML."""
     goal = (type(task).__doc__ or task.name).partition("\n")[0]
     sides = [
         f"{player} <b>{reading.scores[side]:g}</b>"
@@ -236,7 +238,10 @@ def _heading(task: Task, reading: Reading) -> str:
         else f"{player}{': <b>success</b>' if reading.success[side] else ''}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
-    return _STYLE % f"{html.escape(goal)}<br>{' : '.join(sides)}"
+    lines = [html.escape(goal), " : ".join(sides)]
+    if reading.scores:
+        lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
+    return _STYLE % "<br>".join(lines)
 
 
 def _table(rows: Iterable[tuple[str, str]]) -> str:
