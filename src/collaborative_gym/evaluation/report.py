@@ -77,8 +77,8 @@ class Worst:
 
     Attributes:
       mean: of the episodes.
-      worst: of them all, the greatest, but of the clearance the least.
-      episode: the one in which it was.
+      worst: the greatest value of all episodes; for the clearance, the least.
+      episode: the episode that has it.
     """
 
     mean: float
@@ -98,12 +98,12 @@ class Score:
     """How one side did, over the episodes.
 
     Attributes:
-      mean_reward: of the return, the sum over all steps and the side's agents.
-      completion: of whether the goal was reached, 0 to 1.
-      performance: of the share of steps at the goal, 0 to 1, as the task counts it.
-      time_to_success: of the time until the goal was reached, over the episodes in
-        which it was, in s.
-      score: of the points, where there are several sides, else None.
+      mean_reward: the return, which is the sum over all steps and the side's agents.
+      completion: whether the goal was reached, 0 to 1.
+      performance: the share of steps at the goal, 0 to 1, as the task counts it.
+      time_to_success: the time until the goal was reached in s, over the episodes in
+        which it was reached.
+      score: the points if there are several sides, else None.
     """
 
     mean_reward: Statistic

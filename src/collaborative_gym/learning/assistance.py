@@ -16,14 +16,14 @@ _EASE, _RISE = 0.01, 0.02
 class Assistance:
     """Makes a task easier until it succeeds, and then harder.
 
-    At first it carries a share of the weight of what moves freely. A pot that takes all
-    the strength of two arms is not lifted by chance. What is learned on a lighter one
-    carries over as its weight comes back. What a task itself pushes by `disturb` is not
-    carried.
+    At first it carries a share of the weight of all loose things. Chance does not lift
+    a pot that needs all the strength of two arms. Robots learn with a lighter pot, and
+    keep what they learned while its weight comes back. It does not carry what the task
+    itself pushes by `disturb`.
 
-    What training demands beyond the task's reward (penalties, late actions, lost grips)
-    begins with nothing: who pays for torque before a lift was ever paid for never tries
-    one.
+    The demands of training beyond the task's reward (penalties, late actions, lost
+    grips) begin at zero. A robot that pays for torque before it was ever paid for a
+    lift never tries one.
 
     Attributes:
       share: of the weight, from 0 to 1.

@@ -1,4 +1,4 @@
-"""What training can be told."""
+"""The settings of training."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -41,77 +41,80 @@ class Hyperparameters:
     Attributes:
       total_steps: environment steps in all, counted over all worlds; the last update
         may go past it.
-      num_envs: worlds to collect from beside one another.
+      num_envs: worlds that collect side by side.
       rollout_steps: control steps in each world between two updates.
       epochs: passes over what was collected, in an update.
-      minibatch_size: rows of a gradient step. A row is a control step of one robot, or
-        in the modes collaborative and centralized of all robots.
+      minibatch_size: rows of a gradient step. A row is a control step of one robot; in
+        the modes collaborative and centralized it is a control step of all robots.
       discount: what a reward is worth one control step earlier.
       gae_lambda: trace decay of generalized advantage estimation.
       clip: how far an action's probability may move in an update, as a share.
       entropy: weight of the policy's entropy in the loss.
       value_weight: weight of the critic's loss.
       max_grad_norm: largest norm of a gradient; 0 for no limit.
-      learning_rate: of Adam, at first.
-      target_kl: the learning rate falls where an epoch moves the policy more than twice
-        as far as this Kullback-Leibler divergence, and rises below half of it; 0 keeps
-        it.
+      learning_rate: Adam's first learning rate.
+      target_kl: the learning rate falls if an epoch moves the policy by more than twice
+        this Kullback-Leibler divergence, and rises if it moves it by less than half of
+        it; with 0 the learning rate stays.
       min_learning_rate: the learning rate never falls below this.
       max_learning_rate: the learning rate never rises above this.
       initial_std: standard deviation of the first actions.
       initial_grip_std: standard deviation of their grip component.
-      final_noise: share of these that is left in the end. They shrink with each rollout
-        after which penalties grow; 1 leaves them as they are learned.
-      grip_limit: greatest mean of a grip's command, 0 for any. Its noise then reaches
-        both sides of zero for as long as it is about half as large: a robot that holds
-        on can still find out what it gains by letting go.
-      grip_persistence: how much of the grip's noise stays for the next action, from 0
-        to below 1. A grip that noise opens now and then loses what it carries, and
-        carrying would not be learned; noise that lasts tries long holds and long
+      final_noise: share of this noise that is left at the end. The noise shrinks after
+        each rollout after which penalties grow; with 1 it stays as it is learned.
+      grip_limit: greatest mean of a grip's command, 0 for no limit. The noise can then
+        change the sign of the command while it is about half as large as this limit. So
+        a robot that holds a thing can still find out what it gains by letting go.
+      grip_persistence: share of the grip's noise that stays for the next action, from 0
+        to below 1. If noise opens a grip in single steps, the robot drops what it
+        carries, and does not learn to carry. Noise that lasts tries long holds and long
         releases.
-      assistance: share of the weight of loose things that is carried at first. It falls
-        by 0.01 after each rollout in which half of the episodes are completed. In
-        validations nothing is carried.
-      torque_penalty: what a control step costs a robot while its servos ask for their
-        torque limits: this times the mean square of asked torque over limit; beyond
-        the limit it grows evenly.
-      change_penalty: what a change of action costs it: this times its mean square.
-        Penalties are never part of a reported return. These, late actions and lost
-        grips begin with nothing, and grow by 2 % after each rollout in which half of
-        the episodes are completed.
-      contact_penalty: what a control step costs each robot for every mm that the
-        deepest contact is deep, at most 10 mm: any contact of an arm with another or
-        with what is fixed, and one of a loose thing from 1 mm on.
+      assistance: share of the weight of loose things that the simulator carries at
+        first. It falls by 0.01 after each rollout in which half of the episodes are
+        completed. In validations the simulator carries nothing.
+      torque_penalty: price of torque. In each control step a robot pays this times the
+        mean square of the torque that its servos ask for, as a share of their limits;
+        beyond a limit the price grows linearly.
+      change_penalty: price of jerky actions. In each control step a robot pays this
+        times the mean square of the change of its action. No reported return contains
+        penalties. These two, the contact penalty, late actions and lost grips begin at
+        zero. They grow by 2 % after each rollout in which half of the episodes are
+        completed.
+      contact_penalty: price of contacts. In each control step all robots pay this for
+        every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
+        arm or with fixed things count, and contacts of loose things above 1 mm.
         Measuring it makes collecting about a quarter slower.
-      range_penalty: what a control step costs a robot while its joints are at the ends
-        of their ranges: this times the mean square of how far they are in the outer
-        tenth. It is charged from the beginning.
+      range_penalty: price of joints at the ends of their ranges. In each control step a
+        robot pays this times the mean square of how far its joints are in the outer
+        tenth of their ranges. It holds from the beginning.
       delayed: share of the worlds in which each action is done one control step late.
-        No validation is delayed.
-      lost_grips: how likely a robot loses its grip in a control step, whatever it
-        asked for; 0.005 is once in an episode. So it learns to take it again. None is
-        lost in validations.
-      dense_share: share of the total steps over which the task's shaping terms fade
-        out of what is learned, linearly (Bansal et al. 2017, arXiv 1710.03748, who fade
-        in what remains; here that counts from the first step); 0 keeps them.
-      population: policies for each robot, where partners are a population.
-      league_main_share: of a league's worlds, those in which its main policy learns;
-        the exploiters share the others (our choice).
+        In validations no action is late.
+      lost_grips: how likely a robot loses its grip in a control step, whatever it asks
+        for; 0.005 means about once in an episode. So it learns to grip again. In
+        validations no grip is lost.
+      dense_share: share of the total steps over which the task's shaping terms fade out
+        linearly; 0 keeps them. (Bansal et al. 2017, arXiv 1710.03748, fade the other
+        terms in meanwhile; here these count from the first step.)
+      population: number of policies for each robot, if partners are a population.
+      league_main_share: share of a league's worlds in which its main policy learns; the
+        exploiters share the others (our choice).
       league_self: share of the main policy's worlds in which it plays itself (0.35 in
-        AlphaStar's pseudocode, Vinyals et al. 2019, as are the next ones).
-      league_verify: share of its worlds in which it plays exploiters, or former selves,
-        that it does not beat, where there are any (0.15).
-      league_exploited: share of points below which such an exploiter is verified (0.3).
-      league_hopeless: share of points from the main policy below which its exploiter
-        plays former ones instead (0.1).
-      league_win_rate: share of points from each of its opponents above which a member
-        leaves a copy (0.7).
-      league_least_steps: environment steps of a member between two copies at least (our
-        choice; AlphaStar's is 2e9).
-      league_most_steps: those after which it leaves one in any case (our choice;
-        AlphaStar's is 4e9).
-      league_reset: how often the league exploiter begins anew after a copy (0.25).
-      league_decay: what a game counts after the next one of the same two (0.99).
+        AlphaStar's pseudocode, Vinyals et al. 2019; the next numbers are also theirs).
+      league_verify: share of its worlds in which it plays exploiters, or former
+        versions of itself, that it does not beat, if there are any (0.15).
+      league_exploited: it verifies against an exploiter from which it gains less than
+        this share of the points (0.3).
+      league_hopeless: an exploiter that gains less than this share of the points from
+        the main policy plays former versions of it instead (0.1).
+      league_win_rate: a member leaves a copy when it gains more than this share of the
+        points from each of its opponents (0.7).
+      league_least_steps: least number of environment steps of a member between two
+        copies (our choice; AlphaStar's is 2e9).
+      league_most_steps: number of steps after which a member leaves a copy in any case
+        (our choice; AlphaStar's is 4e9).
+      league_reset: how likely the league exploiter begins anew after a copy (0.25).
+      league_decay: factor by which a game counts less after each later game of the same
+        two (0.99).
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for only one, at
@@ -212,7 +215,7 @@ class Resources:
     """What a run may use; none of it is part of what is learned.
 
     Attributes:
-      device: of torch, such as cpu or cuda.
+      device: torch's device, such as cpu or cuda.
       num_threads: physics threads, 0 for one per CPU; with the backend ray those of
         each collector, 0 for one.
       torch_threads: torch's threads, 0 for one per CPU. With networks this small a

@@ -1,4 +1,4 @@
-"""Guests: policies that play beside those who learn, and that nobody learns."""
+"""Guests: policies that play beside the learners, and do not learn themselves."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

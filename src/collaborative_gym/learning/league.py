@@ -8,9 +8,9 @@ beats all of these, or has learned for long, leaves a copy of itself, which stay
 is and is played against from then on: `main-1` and so on. After that the main exploiter
 begins anew, and sometimes the league exploiter does.
 
-Other than there, what begins anew begins as `main` is, since no policy was learned from
-people to go back to; and it leaves its copy before, not after. A copy inherits the
-results of whom it was copied from.
+Two things differ from AlphaStar. A member that begins anew begins as a copy of `main`,
+because there is no policy learned from people. And it leaves its own copy before that,
+not after. A copy inherits the results of the member that it was copied from.
 """
 
 import json

@@ -93,8 +93,8 @@ def train_all(
 
     Each run has a folder of its own in `output`, named after environment, mode and
     seed, and a process of its own. A run that fails does not end the others. Ctrl-C
-    ends all, each after its current update; the same call goes on with those that are
-    not finished. What is wrong with the arguments shows before the work.
+    ends all, each after its current update; the same call then continues those that are
+    not finished. Wrong arguments raise before the work.
 
     Args:
       envs: environment ids or tasks' names; tasks of your own come from `load_module`.
@@ -103,7 +103,7 @@ def train_all(
       jobs: processes at a time, 0 for one per CPU. Where there are several, each has
         one physics thread unless `resources` say otherwise.
       output: the folder of all runs.
-      robots: as in `train`, for all runs; and so are the next ones.
+      robots: as in `train`, for all runs; the same holds for the arguments below.
       randomization: how starts are drawn.
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name.

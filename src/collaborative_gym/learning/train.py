@@ -62,29 +62,29 @@ def train(
 
     Args:
       env: an environment id, a task's name, or a task.
-      mode: who learns what, see `Mode`; None for "collaborative", but for "shared"
-        where robots with equal spaces learn against policies or in a league.
+      mode: who learns what, see `Mode`; None for "collaborative", or for "shared" if
+        robots with equal spaces learn against policies or in a league.
       seed: of the run; None for 0.
       output: a new folder; None for one in `runs/` named after environment, mode and
         seed.
-      resume: the folder of a run to continue, in place of `output`. What it was
-        started with holds, and need not be given again; `total_steps` may be raised,
-        and validations changed.
+      resume: the folder of a run to continue, in place of `output`. It keeps the
+        settings with which it was started; you need not give them again. You may raise
+        `total_steps` and change the validations.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for `recipe(env)`.
-      opponent: who plays against what is learned, where there are several sides:
-        "self" (None), the latest policies on all sides; names of policies, as
-        `load_policy` knows them, of which each episode draws one, while the learners
-        play either side, or the other one of `{"side_2": "expert"}`; "league", or a
-        sequence of it and names of further policies that the league plays against.
-      partner: who plays with what is learned, where there is one side: names of
-        policies, of which each episode draws one while the learners play the other
-        robots by turns, or those that `{"robot_2": "idle"}` leaves; or "population", of
-        which all pairs learn together.
-      start_from: a trained policy to begin with, as `load_policy` knows it, in place of
-        networks drawn by chance; also of another environment, if its spaces have the
-        same sizes. Its noise is drawn from `initial_std` anew, and critics learn alone
+      opponent: who plays against the learner, if there are several sides. "self", or
+        None: the latest policies play all sides. Names of policies, as `load_policy`
+        knows them: each episode draws one, and the learner plays every side in turn; or
+        only the other side, as with `{"side_2": "expert"}`. "league": a league; in a
+        sequence, names of policies may follow, against which the league plays, too.
+      partner: who plays with the learner, if there is one side. Names of policies: each
+        episode draws one, and the learner plays the other robots in turn; or only the
+        other robots, as with `{"robot_2": "idle"}`. "population": several policies for
+        each robot learn, and all pairs of them play.
+      start_from: a trained policy to begin with, as `load_policy` knows it, instead of
+        random networks. It may come from another environment with spaces of the same
+        sizes. Its noise begins anew with `initial_std`, and only the critics learn
         during the first rollouts.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
       resources: device and threads.
