@@ -90,7 +90,7 @@ def test_labels_stand_over_the_arms_and_say_who_plays(poke, wait_until):
             if model.body(i).name.startswith(f"{agent}/")
         ]
         assert label.position[2] == pytest.approx(
-            max(p[2] for p in own) + 0.1, abs=0.01
+            max(p[2] for p in own) + 0.2, abs=0.01
         )
     page._panel._looks["labels"].value = False
     wait_until(lambda: not any(label.visible for label in labels.values()))

@@ -21,7 +21,7 @@ _SKY = (230, 239, 248)
 _HAZE = (15.0, 40.0)
 """Distances at which things begin to fade, and at which they have, in m."""
 
-_ABOVE = 0.1
+_ABOVE = 0.2
 """How far above an arm its label is, in m."""
 
 _FORCE = (210, 40, 30)
