@@ -102,7 +102,7 @@ def test_a_run_shorter_than_an_update_says_what_it_trained(carry_id, tmp_path, c
     assert main([*arguments, *TINY]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith(
-        "trains 32 steps, not 1: an update takes 32 steps, which are --num"
+        "trained 32 steps, not 1: an update takes 32 steps, which are --num"
     )
 
 

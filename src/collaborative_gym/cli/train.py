@@ -126,14 +126,7 @@ class Train(Command):
         from collaborative_gym.learning.train import train
 
         env, hyperparameters = self._what()
-        total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
-        whole = math.ceil(total / update) * update
-        if whole > 1.01 * total:
-            tell(
-                f"trains {whole:,} steps, not {total:,}: an update takes {update:,}"
-                " steps, which are --num-envs times --rollout-steps"
-            )
-        with Display(env, total) as display:
+        with Display(env, hyperparameters.total_steps) as display:
             result = train(
                 env,
                 self.mode,
@@ -150,6 +143,13 @@ class Train(Command):
                 resources=self.resources,
                 checkpoint_interval=self.checkpoint_interval,
                 on_row=display.show,
+            )
+        total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
+        trained = math.ceil(total / update) * update
+        if trained > 1.01 * total:
+            tell(
+                f"trained {trained:,} steps, not {total:,}: an update takes {update:,}"
+                " steps, which are --num-envs times --rollout-steps"
             )
         tell(f"wrote {result.folder / 'policy.safetensors'}")
 
