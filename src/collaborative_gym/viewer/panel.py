@@ -167,7 +167,7 @@ class Panel:
         for old in self._offers:
             old.remove()
         with self._choices:
-            self._offers = [
+            offers = [
                 self._ask("Environment", menu.envs, choice.env, menu.moved),
                 self._ask(
                     "Starts",
@@ -181,7 +181,7 @@ class Panel:
                     ("arm", "robots", menu.robots),
                     ("policy", "policies", menu.policies(choice)),
                 ):
-                    self._offers.append(
+                    offers.append(
                         self._ask(
                             f"{agent}, {what}",
                             options,
@@ -192,7 +192,8 @@ class Panel:
                         )
                     )
             self._link = self._gui.add_html("")
-            self._offers.append(self._link)
+            offers.append(self._link)
+        self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
         # A picture that there is not, since pages run no scripts that come later.
