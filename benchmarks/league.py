@@ -3,10 +3,11 @@
     python benchmarks/league.py ENV_ID RUN [--output FOLDER]
 
 RUN is the folder of a run with `--opponent league`. Some of its main policy's copies,
-evenly over the run, its latest policy and the expert play a tournament. Told are the
-ratings over the steps at which the copies were made, the rank correlation of the two
-(Spearman's), and which share of the decided episodes the latest policy wins against the
-expert from each seat. With an output the tournament can be stopped and goes on.
+evenly over the run, its latest policy and the expert play a tournament. It prints the
+card of the latest policy: the ratings over the steps at which the copies were made, the
+rank correlation of the two (Spearman's), and which share of the decided episodes the
+latest policy wins against the expert from each seat. With an output the tournament can
+be stopped and goes on.
 """
 
 import argparse
@@ -16,9 +17,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 import collaborative_gym as cg
+from collaborative_gym.evaluation.machine import describe_machine
+from collaborative_gym.learning.baselines import training_command
+from collaborative_gym.learning.checkpoint import Checkpoint
+from collaborative_gym.learning.config import Resources
 
 
 def copies(run: Path, count: int) -> dict[str, int]:
@@ -45,8 +49,48 @@ def decided(result: cg.Tournament, seat: str) -> str:
     i, j = result.players.index("main"), result.players.index("expert")
     points = result.values["points"][result.turns.index(seat), i, j]
     wins, losses = int((points == 1.0).sum()), int((points == 0.0).sum())
-    share = 100.0 * wins / max(wins + losses, 1)
-    return f"{seat}: {wins} of {wins + losses} decided episodes ({share:.0f} %)"
+    share, draws = wins / max(wins + losses, 1), len(points) - wins - losses
+    return f"from {seat} {wins} of {wins + losses} ({share:.0%}; {draws} draws)"
+
+
+def card(run: Path, steps: dict[str, int], result: cg.Tournament) -> str:
+    """Return what is told of a league, as Markdown."""
+    checkpoint = Checkpoint.load(run / "last.pt")
+    settings, done = checkpoint.settings, checkpoint.backend["steps"]
+    robots = ", ".join(dict.fromkeys(settings.identity.robot_names))
+    machine = describe_machine()
+    ratings = [result.ratings[name].mean for name in steps]
+    lines = [
+        f"# {settings.identity.name}: baseline",
+        "",
+        f"One policy for each seat ({robots}), the main policy of a league, trained by"
+        " PPO from scratch; it never played the scripted player.",
+        "",
+        f"- command: `{training_command(settings, Resources())}`",
+        f"- {done / 1e6:.1f} M environment steps of all members together, in"
+        f" {checkpoint.seconds / 60:.0f} min",
+        f"- machine: {machine['cpu']}, {machine['cores']} cores, one of them used,"
+        f" MuJoCo {machine['mujoco']}",
+        f"- rank correlation of steps and ratings of the copies:"
+        f" {correlation(list(steps.values()), ratings):.2f}",
+        f"- episodes that it wins against the expert, of those decided:"
+        f" {', '.join(decided(result, seat) for seat in result.turns)}",
+        "",
+        f"Everybody against everybody from each seat, {result.settings['episodes']}"
+        " episodes of seed 0 each; ratings, 95 % bootstrap intervals over episodes:",
+        "",
+        "| player | steps | rating | wins | draws | losses |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for name, standing in result.standings.items():
+        rating = result.ratings[name]
+        when = f"{steps.get(name, done) / 1e6:.2f} M" if name != "expert" else ""
+        lines.append(
+            f"| {name} | {when} | {rating.mean:.0f} ({rating.low:.0f} to"
+            f" {rating.high:.0f}) | {standing.wins} | {standing.draws} |"
+            f" {standing.losses} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
@@ -63,7 +107,6 @@ def main() -> None:
     steps = copies(options.run, options.copies)
     policies = {name: f"{options.run}/{name}" for name in steps}
     policies |= {"main": str(options.run), "expert": "expert"}
-    console = Console()
     with Progress(console=Console(stderr=True)) as progress:
         bar = progress.add_task(options.env, total=1.0)
         result = cg.tournament(
@@ -74,21 +117,7 @@ def main() -> None:
             output=options.output,
             on_progress=lambda share: progress.update(bar, completed=share),
         )
-    table = Table("player", "steps", "rating", "wins", "draws", "losses")
-    for name, standing in result.standings.items():
-        rating = result.ratings[name]
-        table.add_row(
-            name,
-            f"{steps[name] / 1e6:.2f} M" if name in steps else "",
-            f"{rating.mean:.0f} ({rating.low:.0f} to {rating.high:.0f})",
-            *(str(n) for n in (standing.wins, standing.draws, standing.losses)),
-        )
-    console.print(table)
-    ratings = [result.ratings[name].mean for name in steps]
-    rank = correlation(list(steps.values()), ratings)
-    print(f"rank correlation of steps and ratings of the copies: {rank:.2f}")
-    for seat in result.turns:
-        print(f"main against the expert from {decided(result, seat)}")
+    print(card(options.run, steps, result), end="")
 
 
 if __name__ == "__main__":

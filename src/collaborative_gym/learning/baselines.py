@@ -121,7 +121,7 @@ def write_card(
         f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {hyperparameters.validation_episodes} validation episodes that are not those"
         " below",
-        f"- command: `{_command(env_id, settings, resources)}`",
+        f"- command: `{training_command(settings, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -185,8 +185,9 @@ def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
     )
 
 
-def _command(env_id: str, settings: Settings, resources: Resources) -> str:
+def training_command(settings: Settings, resources: Resources) -> str:
     """Return the command that trains such a run again."""
+    env_id = settings.identity.name
     others = changed(settings.hyperparameters, recipe(env_id))
     if settings.start_from:
         others["start_from"] = settings.start_from
@@ -196,6 +197,8 @@ def _command(env_id: str, settings: Settings, resources: Resources) -> str:
     options = [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
+    if settings.opponents:
+        options.append(f"--opponent {' '.join(settings.opponents)}")
     return " ".join(
         [f"collaborative-gym train {env_id} --seed {settings.seed}", *options]
     )
