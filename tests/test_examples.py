@@ -43,11 +43,6 @@ RUNS = {
         "--episodes 4 --csv episodes.csv",
         writes=("episodes.csv",),
     ),
-    "nearer_grips.py": Run(
-        (r"PassNearSawyers-v0\W+-?[\d.]+\W+100 %",),
-        "--policy expert --episodes 2",
-        "-m collaborative_gym evaluate PassNearSawyers-v0 --module",
-    ),
     "own_arm.py": Run((r"Pass with own and panda: 100% completed",), "--episodes 2"),
     "run_batched.py": Run(
         (

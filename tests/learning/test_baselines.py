@@ -93,3 +93,8 @@ def test_what_is_changed_is_laid_over_the_recipe(
     assert settings.hyperparameters.discount == 0.8
     assert "a curriculum: at first 50 % of the weight" in card.read_text()
     assert "--discount 0.8" in card.read_text()
+
+
+def test_a_card_says_how_starts_were_drawn(train_both):
+    text = train_both(randomization="wide").read_text()
+    assert "randomization `wide`" in text and " --randomization wide`" in text

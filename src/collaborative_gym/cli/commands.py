@@ -68,7 +68,8 @@ class _World(Command):
       any_env: let a trained policy play an environment that it was not trained for.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, or hard for starts twice as far off and disturbances.
+        starts, wide for starts half as far again, or hard for starts twice as far off
+        and disturbances.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 
@@ -268,7 +269,8 @@ class Certify(Command):
       quick: take only seconds. This shows that certify works, and proves nothing.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, or hard for starts twice as far off and disturbances.
+        starts, wide for starts half as far again, or hard for starts twice as far off
+        and disturbances.
       seed: number of a series of episodes; another seed gives other episodes.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: where certificates.md goes, and a folder for each environment, with its

@@ -43,7 +43,8 @@ class Report(Command):
       any_env: let trained policies play an environment that they were not trained for.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, or hard for starts twice as far off and disturbances.
+        starts, wide for starts half as far again, or hard for starts twice as far off
+        and disturbances.
       seed: number of a series of episodes; another seed gives other episodes.
       num_envs: worlds that play at the same time; the results do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.

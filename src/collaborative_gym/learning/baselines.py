@@ -24,6 +24,7 @@ from collaborative_gym.learning.folder import CURVE
 from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Settings
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
 """What a card reports on; no run is trained on these episodes or chosen by them. Where
@@ -114,7 +115,7 @@ def write_card(
         f" {_beginning(settings.start_from, settings.start)}; mode collaborative, no"
         f" shaping, {_curriculum(hyperparameters)}.",
         "",
-        f"- environment: `{env_id}`, randomization `default`",
+        f"- environment: `{env_id}`, randomization `{_randomization(settings)}`",
         f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
         f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
@@ -197,11 +198,20 @@ def training_command(settings: Settings, resources: Resources) -> str:
     options = [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
+    if (preset := _randomization(settings)) != "default":
+        options.append(f"--randomization {preset}")
     if settings.opponents:
         options.append(f"--opponent {' '.join(settings.opponents)}")
     return " ".join(
         [f"collaborative-gym train {env_id} --seed {settings.seed}", *options]
     )
+
+
+def _randomization(settings: Settings) -> str:
+    """Return the preset by which a run's starts were drawn, or else the value."""
+    own = Randomization(**settings.identity.config["randomization"])
+    names = [name for name, preset in RANDOMIZATIONS.items() if preset == own]
+    return names[0] if names else str(own)
 
 
 def _option(value: Any) -> str:

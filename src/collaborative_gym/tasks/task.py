@@ -73,6 +73,7 @@ LEVEL = np.array([1.0, 1.0, 0.0])
 RANDOMIZATIONS = {
     "default": Randomization(),
     "paper": Randomization(0.0, 0.0, 0.0, 0.0),
+    "wide": Randomization(0.075, 0.075, math.radians(22.5), 0.075),
     "hard": Randomization(
         joint_noise=0.1,
         object_position=0.1,
@@ -89,8 +90,8 @@ RANDOMIZATIONS = {
         angle_noise=0.01,
     ),
 }
-"""The presets: `paper` starts as the thesis does, `default` is drawn around it, `hard`
-twice as far off and with every disturbance."""
+"""The presets: `paper` starts as the thesis does, `default` is drawn around it, `wide`
+half as far again, for training, `hard` twice as far and with every disturbance."""
 
 
 @dataclass(frozen=True)
