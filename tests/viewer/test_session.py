@@ -99,11 +99,17 @@ def test_it_keeps_the_speed(make_session, start, wait_until, speed):
     session.speed = speed
     start(session)
     wait_until(lambda: session.reading.time > 0)
-    started, before = time.perf_counter(), session.reading.time
-    time.sleep(1.5)
-    passed = session.reading.time - before
-    # Above what is asked it never goes; below it may, where others use the processor.
-    assert 0.3 * speed < passed / (time.perf_counter() - started) < 1.15 * speed
+
+    def pace():
+        started, before = time.perf_counter(), session.reading.time
+        time.sleep(1.5)
+        return (session.reading.time - before) / (time.perf_counter() - started)
+
+    # It never goes above what is asked. Below it may, while others use the processor.
+    paces = [pace()]
+    while paces[-1] < 0.3 * speed and len(paces) < 10:
+        paces.append(pace())
+    assert max(paces) < 1.15 * speed and paces[-1] > 0.3 * speed
 
 
 @pytest.mark.parametrize("speed", [0.0, SLOWEST / 2, 2 * FASTEST, float("nan")])
