@@ -115,9 +115,7 @@ class Disturbances:
             }
             self._sim.vary(env_ids, factors)
 
-    def deliver(
-        self, actions: Mapping[str, Array], resting: Array
-    ) -> Mapping[str, Array]:
+    def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
         """Return the actions by agent that arrive in this control step.
 
         Args:

@@ -430,7 +430,7 @@ class VectorEnv:
             self._check_open()
             raise RuntimeError(f"call reset() before {name}()")
 
-    def _advance(self, actions: Mapping[str, Array], resting: Array) -> Array:
+    def _advance(self, actions: dict[str, Array], resting: Array) -> Array:
         """Step the physics; return which worlds diverged. Those are put back."""
         sim, idle = self.sim, _where(resting, self.sim.xp)
         kept = sim.get_state(idle) if len(idle) else None
@@ -462,7 +462,7 @@ class VectorEnv:
         return diverged
 
     def _reward(
-        self, facts: Any, actions: Mapping[str, Array], lost: Array
+        self, facts: Any, actions: dict[str, Array], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
         terms: dict[str, Terms] = {
