@@ -4,7 +4,6 @@ All is drawn from the seed and the index of an episode alone, before its first s
 a state holds nothing of it but the actions that are on their way.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import mujoco
