@@ -179,7 +179,7 @@ def shares(total):
         ("PokeTaskSawyers-v0", "random", 12, {"energy", "speed_over_limit"}),
         ("LiftTaskSawyers-v0", "baseline", 20, {"internal_force"}),
         ("BalanceTaskSawyers-v0", "baseline", 8, {"internal_force"}),
-        ("PassTaskSawyers-v0", "baseline", 30, {"contact_depth_arms"}),
+        ("PassTaskJacoSawyer-v0", "baseline", 30, {"contact_depth_arms"}),
     ],
 )
 def test_the_strain_is_what_mujoco_finds(env_id, policy, steps, nonzero):

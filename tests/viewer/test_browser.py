@@ -3,6 +3,8 @@
 import io
 import shutil
 import threading
+import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
@@ -15,7 +17,7 @@ from PIL import Image
 from playwright.sync_api import expect, sync_playwright
 
 from collaborative_gym.envs.make import make_vec
-from collaborative_gym.pictures.rendering import CAMERA
+from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.policies import load_policy
 from collaborative_gym.viewer.menu import Menu
 from collaborative_gym.viewer.session import FASTEST, Session
@@ -152,18 +154,30 @@ def pixel_of(tab, page, body):
     return left + width / 2 + column, top + height / 2 - row
 
 
+def off_screen(session, width, height):
+    """Return a picture of the world, once the session's thread is out of it."""
+    while True:
+        with suppress(RuntimeError):
+            return session.env.render(width=width, height=height)
+        time.sleep(0.01)
+
+
 @pytest.mark.parametrize("env_id", ENVS)
 def test_the_scene_is_drawn_as_off_screen(serve, open_tab, wait_until, env_id):
     session, page = serve(env_id)
     tab = open_tab(page)
+    # The page's own camera steps back until the arms fit.
+    camera = next(iter(page._server.get_clients().values())).camera
+    places = overview(page._stage._model, page._stage._data)
+    camera.position, camera.look_at = places
     _, _, *size = canvas(tab)
-    at_start = session.env.render(width=size[0], height=size[1])
+    at_start = off_screen(session, *size)
     wait_until(lambda: likeness(drawn(tab), at_start) > 0.9, timeout=PATIENCE)
     for _ in range(12):
         session.step()
     session.speed = FASTEST
     wait_until(lambda: session.reading.time > 1.15)
-    now = session.env.render(width=size[0], height=size[1])
+    now = off_screen(session, *size)
     assert likeness(now, at_start) < 0.99
     wait_until(lambda: likeness(drawn(tab), now) > 0.9, timeout=PATIENCE)
     wait_until(

@@ -83,8 +83,8 @@ class Report(Command):
             raise ValueError("name the environments to report on")
         robots, policies = self.robots or None, read_policies(self.policies)
         tasks = [as_task(each, robots, self.randomization) for each in self.envs]
-        pages = [self._page(task) for task in tasks] if self.output else []
-        check_files(*pages, self.json)
+        pages = {task: self._page(task) for task in tasks if self.output is not None}
+        check_files(*pages.values(), self.json)
         cards, besides = {}, (self.json,)
         with progress_bars() as progress:
             for task in tasks:
@@ -103,7 +103,7 @@ class Report(Command):
         for card in cards.values():
             tell(Markdown(card.to_markdown()), besides=besides)
         put(self.json, plain_to_json({n: card.plain() for n, card in cards.items()}))
-        for page, task in zip(pages, tasks, strict=True):
+        for task, page in pages.items():
             self._write(page, task, cards[task.name])
 
     def _page(self, task: "Task") -> Path:

@@ -38,6 +38,9 @@ _SAME_SPREAD = 0.01
 _HOLD = 1.0
 """How long a film shows what came of an episode, in s."""
 
+_LONGEST = 36_000.0
+"""Greatest length of a film, in s, that can be asked for."""
+
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
 
@@ -87,8 +90,8 @@ def record(
         episodes; the first one decides when the next start comes. Each picture says
         the time, who plays, and whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
-      seconds: how long the film lasts at least. An episode that has begun by then is
-        shown to its end.
+      seconds: how long the film lasts at least, up to 36,000. An episode that has
+        begun by then is shown to its end.
       seed: which episodes.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
@@ -104,7 +107,7 @@ def record(
       TypeError: if the policy or a number is of another kind.
       ValueError: if a number is out of range or the file has another suffix.
     """
-    seconds = check_number("seconds", seconds, above=0.0)
+    seconds = check_number("seconds", seconds, above=0.0, at_most=_LONGEST)
     check_kind("output", output, (str, Path), "path")
     output = Path(output)
     kind = _format(output)
