@@ -66,7 +66,7 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: page._stage.env is not first, timeout=120)
     assert session.env.task.robots["robot_1"].name == "panda"
     wait_until(lambda: offers(page)["robot_1, arm"].value == "panda")
-    assert "baseline" not in offers(page)["robot_1, policy"].options
+    wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
     choose(page, "Environment", "HockeyPandas-v0")
     wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
