@@ -13,10 +13,10 @@ from pathlib import Path
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
-from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.policies.policy import has_baseline
 
 TABLE = Path(__file__).parents[1] / "docs" / "tables" / "robustness"
-ENVS = [each for each in cg.list_envs() if (BASELINES / f"{each}.safetensors").exists()]
+ENVS = [each for each in cg.list_envs() if has_baseline(each)]
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from collaborative_gym.cli.terminal import (
     Env,
     Envs,
     File,
+    NumEnvs,
     Policies,
     Randomization,
     Robots,
@@ -143,10 +144,7 @@ class Evaluate(_World):
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     episodes: int = 200
     delay: int = 0
-    num_envs: Annotated[
-        int | None,
-        tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
-    ] = None
+    num_envs: NumEnvs = None
     num_threads: int = 0
     json: File = None
     csv: File = None

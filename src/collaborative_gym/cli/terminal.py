@@ -70,6 +70,10 @@ File = Annotated[
 Folder = Annotated[
     Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")
 ]
+NumEnvs = Annotated[
+    int | None,
+    tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
+]
 Size = Annotated[
     tuple[int, int],
     tyro.conf.arg(

@@ -11,6 +11,7 @@ from collaborative_gym.cli.terminal import (
     Env,
     File,
     Folder,
+    NumEnvs,
     Policies,
     Randomization,
     Robots,
@@ -66,10 +67,7 @@ class Tournament(Command):
     robots: Robots = ()
     randomization: Randomization = "default"
     seed: int = 0
-    num_envs: Annotated[
-        int | None,
-        tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
-    ] = None
+    num_envs: NumEnvs = None
     num_threads: int = 0
     output: Folder = None
     json: File = None

@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlencode
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import look_up
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.policy import BASELINES, Policy
+from collaborative_gym.policies.policy import Policy, has_baseline
 from collaborative_gym.policies.scripted import STYLES
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
@@ -191,7 +191,7 @@ class Menu:
         return _arms(make_task(env) if env in list_envs() else self._task)
 
     def _has_baseline(self, choice: Choice) -> bool:
-        is_shipped = (BASELINES / f"{choice.env}.safetensors").exists()
+        is_shipped = has_baseline(choice.env)
         return is_shipped and choice.robots == self._usual(choice.env)
 
 
