@@ -225,3 +225,18 @@ def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Scor
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
     is_share = column.endswith("completion")
     return Statistic.of([row[column] for row in rows], is_share=is_share)
+
+
+def part_of(
+    on_progress: Callable[[float], object] | None, i: int, count: int
+) -> Callable[[float], object] | None:
+    """Return what tells the progress of the i-th of some equal parts as that of all.
+
+    Args:
+      on_progress: called with the share of all that is done; None for nothing.
+      i: which part, from 0.
+      count: how many there are.
+    """
+    if on_progress is None:
+        return None
+    return lambda share: on_progress((i + share) / count)

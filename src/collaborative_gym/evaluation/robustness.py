@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 
-from collaborative_gym.evaluation.play import evaluate
+from collaborative_gym.evaluation.play import evaluate, part_of
 from collaborative_gym.evaluation.report import Report
 from collaborative_gym.policies import AnyPolicy
 from collaborative_gym.robots import Robot
@@ -69,13 +69,6 @@ def measure_robustness(
             num_envs=num_envs,
             num_threads=num_threads,
             any_env=any_env,
-            on_progress=on_progress and _part(on_progress, i),
+            on_progress=part_of(on_progress, i, len(DISTURBANCES)),
         )
     return reports
-
-
-def _part(
-    on_progress: Callable[[float], object], done: int
-) -> Callable[[float], object]:
-    """Return what tells the progress of one of the disturbances as that of all."""
-    return lambda share: on_progress((done + share) / len(DISTURBANCES))

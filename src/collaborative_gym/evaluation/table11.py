@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from collaborative_gym.errors import UnknownName, check_callback, check_count, unknown
-from collaborative_gym.evaluation.play import evaluate
+from collaborative_gym.evaluation.play import evaluate, part_of
 from collaborative_gym.evaluation.report import (
     Report,
     Statistic,
@@ -259,7 +259,7 @@ def reproduce_table11(
             seed=seed,
             randomization=randomization,
             num_threads=num_threads,
-            on_progress=_part(on_progress, i, len(jobs)),
+            on_progress=part_of(on_progress, i, len(jobs)),
         )
     comparisons = [
         Comparison(env_id, THESIS[env_id], columns)
@@ -280,12 +280,3 @@ def _is_shipped(env_id: str) -> bool:
     except FileNotFoundError:
         return False
     return True
-
-
-def _part(
-    on_progress: Callable[[float], object] | None, i: int, count: int
-) -> Callable[[float], object] | None:
-    """Return what reports the progress of the i-th of some equal parts."""
-    if on_progress is None:
-        return None
-    return lambda share: on_progress((i + share) / count)

@@ -18,7 +18,7 @@ from collaborative_gym.errors import (
     look_up,
     shown,
 )
-from collaborative_gym.evaluation.play import play_episodes, worlds_for
+from collaborative_gym.evaluation.play import part_of, play_episodes, worlds_for
 from collaborative_gym.evaluation.report import without_nan
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.policies import AnyPolicy, as_policy
@@ -128,9 +128,8 @@ def tournament(
         for i, cast in enumerate(casts):
             pairing = kept.read(cast)
             if pairing is None:
-                pairing = _play(
-                    world, cast, all_seats, settings, _from(on_progress, i, len(casts))
-                )
+                part = part_of(on_progress, i, len(casts))
+                pairing = _play(world, cast, all_seats, settings, part)
                 kept.write(cast, pairing)
                 if on_pairing is not None:
                     on_pairing(pairing)
@@ -265,14 +264,6 @@ def _play(
         if name.rpartition("/")[2] in _KEPT
     }
     return Pairing({seat: player.name for seat, player in cast.items()}, columns)
-
-
-def _from(
-    on_progress: Callable[[float], object] | None, i: int, count: int
-) -> Callable[[float], object] | None:
-    if on_progress is None:
-        return None
-    return lambda share: on_progress((i + share) / count)
 
 
 class _Kept:
