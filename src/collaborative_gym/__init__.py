@@ -8,8 +8,6 @@ from collaborative_gym.pictures.opengl import choose_backend
 choose_backend()  # MuJoCo decides how to draw when it is imported.
 
 from collaborative_gym.control import Motion  # noqa: E402
-from collaborative_gym.envs.make import make, make_vec  # noqa: E402
-from collaborative_gym.envs.vector_env import VectorEnv  # noqa: E402
 from collaborative_gym.plugins import load_entry_points, load_module  # noqa: E402
 from collaborative_gym.robots import (  # noqa: E402
     Gripper,
@@ -39,6 +37,8 @@ if TYPE_CHECKING:
     from collaborative_gym.certificate.certify import certify
     from collaborative_gym.comparisons.compare import compare
     from collaborative_gym.comparisons.result import Comparison
+    from collaborative_gym.envs.make import make, make_vec
+    from collaborative_gym.envs.vector_env import VectorEnv
     from collaborative_gym.evaluation import Report, evaluate
     from collaborative_gym.learning.config import Hyperparameters
     from collaborative_gym.learning.many import Outcome, train_all
@@ -95,10 +95,13 @@ _LATER = {
     "Report": "collaborative_gym.evaluation",
     "ReportCard": "collaborative_gym.cards.card",
     "Tournament": "collaborative_gym.tournaments.result",
+    "VectorEnv": "collaborative_gym.envs.vector_env",
     "certify": "collaborative_gym.certificate.certify",
     "compare": "collaborative_gym.comparisons.compare",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
+    "make": "collaborative_gym.envs.make",
+    "make_vec": "collaborative_gym.envs.make",
     "report_card": "collaborative_gym.cards.card",
     "tournament": "collaborative_gym.tournaments.play",
     "train": "collaborative_gym.learning.train",

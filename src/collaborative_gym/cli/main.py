@@ -1,16 +1,17 @@
 """The command line."""
 
+import functools
+import operator
 import os
 import signal
 import sys
 import threading
 import traceback
-import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -73,20 +74,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-_Command = (
-    Annotated[List, tyro.conf.subcommand("list")]
-    | Annotated[View, tyro.conf.subcommand("view")]
-    | Annotated[Record, tyro.conf.subcommand("record")]
-    | Annotated[Train, tyro.conf.subcommand("train")]
-    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-    | Annotated[Tournament, tyro.conf.subcommand("tournament")]
-    | Annotated[Compare, tyro.conf.subcommand("compare")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
-    | Annotated[Certify, tyro.conf.subcommand("certify")]
-    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
-    | Annotated[Demo, tyro.conf.subcommand("demo")]
-)
+_VERBS = {
+    "list": List,
+    "view": View,
+    "record": Record,
+    "train": Train,
+    "evaluate": Evaluate,
+    "tournament": Tournament,
+    "compare": Compare,
+    "report": Report,
+    "reproduce": Reproduce,
+    "certify": Certify,
+    "benchmark": Benchmark,
+    "demo": Demo,
+}
+
+_DESCRIPTION = """Robot arms that must work together: watch, train, measure.
+
+COMMAND --help tells the options of a command; --version tells which version this is."""
 
 
 class _Terminated(BaseException):
@@ -114,20 +119,36 @@ def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
         tell(f"collaborative-gym {version('collaborative-gym')}")
         return
-    verbs = [kind.__metadata__[0].name for kind in typing.get_args(_Command)]
-    if arguments and arguments[0] not in verbs and arguments[0][:1] != "-":
-        raise UnknownName(unknown("command", arguments[0], verbs))
-    command = tyro.cli(
-        _Command,
-        prog="collaborative-gym",
-        description="Robot arms that must work together: watch, train, measure.\n\n"
-        "COMMAND --help tells the options of a command; --version tells which version"
-        " this is.",
-        args=arguments,
-    )
+    verb = arguments[0] if arguments else ""
+    if verb in _VERBS:  # Reading the options of one command is quicker.
+        command = tyro.cli(
+            _VERBS[verb], prog=f"collaborative-gym {verb}", args=arguments[1:]
+        )
+    elif verb[:1] not in ("", "-"):
+        raise UnknownName(unknown("command", verb, list(_VERBS)))
+    else:
+        command = tyro.cli(
+            _any_command(),
+            prog="collaborative-gym",
+            description=_DESCRIPTION,
+            args=arguments,
+        )
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _any_command() -> Any:
+    """Return the union of the commands, each with the first line of its help."""
+    kinds = [
+        Annotated[kind, tyro.conf.subcommand(verb, description=_first_line(kind))]
+        for verb, kind in _VERBS.items()
+    ]
+    return functools.reduce(operator.or_, kinds)
+
+
+def _first_line(kind: type) -> str:
+    return (kind.__doc__ or "").partition("\n")[0]
 
 
 def _fail(error: Exception) -> int:

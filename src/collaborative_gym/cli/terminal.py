@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich import box
 from rich.console import Console
-from rich.markdown import Markdown
 from rich.progress import (
     BarColumn,
     TaskProgressColumn,
@@ -23,11 +22,14 @@ from rich.table import Table
 
 from collaborative_gym.files import check_writable, write_text
 
+if TYPE_CHECKING:
+    from rich.markdown import Markdown
+
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
 Modules = Annotated[
-    tyro.conf.UseAppendAction[tuple[str, ...]],
+    tyro.conf.UseAppendAction[tuple],
     tyro.conf.arg(metavar="MODULE", help_behavior_hint="(default: none)"),
 ]
 
@@ -160,7 +162,7 @@ def new_table(first: str, *others: str) -> Table:
 
 
 def tell(
-    content: Table | Markdown | str, *, besides: Sequence[Path | None] = ()
+    content: "Table | Markdown | str", *, besides: Sequence[Path | None] = ()
 ) -> None:
     """Print a table, a page or a text on standard output.
 
