@@ -156,12 +156,13 @@ def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_p
 
 
 def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp_path):
-    line = [*f"tournament {carry_id} --policies idle expert --episodes 2".split()]
+    words = f"tournament {carry_id} --policies idle expert --episodes 2"
+    line = [*f"{words} --groups scripted=idle scripted=expert".split()]
     line += ["--num-threads", "1", "--output", str(tmp_path / "out")]
     assert main(line) == 0
     told = capsys.readouterr().out
     assert "idle + expert" in told and "robot_1 / robot_2" in told
-    assert "worst: idle" in told and "self-play" in told
+    assert "worst: idle" in told and "self-play" in told and "2 of scripted" in told
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names >= {"pairings", "tournament.json", "tournament.csv"}
     assert main([*line, "--json", "-"]) == 0

@@ -22,6 +22,7 @@ from ray.cluster_utils import Cluster
 
 from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.collector import Job, OwnCollector
+from collaborative_gym.learning.config import Resources
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.ray_collectors import (
     RayCollectors,
@@ -237,3 +238,19 @@ def test_a_run_outlives_a_node_of_its_cluster(make, two_nodes):
     two_nodes.add_node(num_cpus=1, node_ip_address="127.0.0.1")
     advance_until(backend, lambda steps: steps[-2:] == [30, 30], most=10_000)
     backend.close()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("local_ray")
+def test_guests_sit_in_collectors_elsewhere(train_tiny, duel, tiny):
+    numbers = tiny(num_envs=14, league_least_steps=20, league_most_steps=60)
+    options = {"task": duel, "opponent": ["league", "idle"], "backend": "ray"}
+    options |= {"hyperparameters": numbers}
+    result = train_tiny(**options, resources=Resources(num_collectors=2))
+    assert (result.folder / "players" / "main-1.safetensors").exists()
+    with pytest.raises(ValueError, match="4 worlds are too few for 7 casts"):
+        train_tiny(
+            **options,
+            resources=Resources(num_collectors=3),
+            output=result.folder.parent / "few",
+        )

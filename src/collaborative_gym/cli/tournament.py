@@ -1,5 +1,6 @@
 """The command that lets policies play with one another."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,7 +34,8 @@ class Tournament(Command):
     A seat is a robot; if robots play against one another, it is a side. Players that
     work together are compared by completion, performance and return; opponents by wins,
     scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
-    in one folder count as training runs of one kind, with results of their own.
+    in one folder count as training runs of one kind, with results of their own, unless
+    --groups says which do.
 
     Attributes:
       env: environment id, or a task's name.
@@ -44,6 +46,8 @@ class Tournament(Command):
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:
         all, or the names of some, which saves games with three robots or more.
+      groups: players that are training runs of one kind, with the kind's name before
+        each, such as gentle=runs/one gentle=runs/two; else those in one folder.
       any_env: let trained policies play an environment that they were not trained for.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
@@ -63,6 +67,12 @@ class Tournament(Command):
     seats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="all | SEAT ...")] = (
         "all",
     )
+    groups: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(
+            metavar="KIND=PLAYER ...", help_behavior_hint="(default: by folder)"
+        ),
+    ] = ()
     any_env: tyro.conf.FlagCreatePairsOff[bool] = False
     robots: Robots = ()
     randomization: Randomization = "default"
@@ -88,6 +98,7 @@ class Tournament(Command):
                 episodes=self.episodes,
                 seed=self.seed,
                 seats=self.seats,
+                groups=_groups(self.groups),
                 robots=self.robots or None,
                 randomization=self.randomization,
                 num_envs=self.num_envs,
@@ -105,6 +116,20 @@ class Tournament(Command):
             put(files[0], played.to_json())
             put(files[1], played.to_csv())
             tell(_draw(played, files[2]), besides=besides)
+
+
+def _groups(words: Sequence[str]) -> dict[str, list[str]] | None:
+    """Return the players by kind; None where no kinds are named."""
+    groups: dict[str, list[str]] = {}
+    for word in words:
+        kind, _, player = word.partition("=")
+        if not kind or not player:
+            raise ValueError(
+                "--groups takes the kind of each training run before its player, such"
+                f" as gentle=runs/one gentle=runs/two, got {word!r}"
+            )
+        groups.setdefault(kind, []).append(player)
+    return groups or None
 
 
 def _draw(played: "Played", path: Path) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.bootstrap import bounds, resample, wilson
 from collaborative_gym.evaluation.report import (
     Statistic,
     format_number,
@@ -21,9 +21,6 @@ from collaborative_gym.tournaments.ratings import bradley_terry, cyclic_triples
 
 SHARES = ("points", "completion")
 """Measures of single episodes that are 0 or 1, or half for a draw."""
-
-_RESAMPLES = 1000
-"""Draws of the bootstrap of ratings and of groups."""
 
 
 @dataclass(frozen=True)
@@ -240,9 +237,9 @@ class Tournament:
 
     def _between(self, mean: float, drawn: np.ndarray) -> Statistic:
         """Return a statistic with the interval of what a bootstrap has drawn."""
-        low, high = np.nanquantile(drawn, (0.025, 0.975))
-        if self.is_one_episode:
-            low = high = math.nan
+        known = drawn[~np.isnan(drawn)]
+        has_ends = len(known) and not self.is_one_episode
+        low, high = bounds(known) if has_ends else (math.nan, math.nan)
         return Statistic(*map(float, (mean, low, high, mean, mean)))
 
     def _standing(self, i: int) -> Standing:
@@ -291,9 +288,8 @@ class Tournament:
     @cached_property
     def _weights(self) -> np.ndarray:
         """How often each episode is drawn by the bootstrap, (draws, episodes)."""
-        episodes = self.settings["episodes"]
-        rng = np.random.default_rng(0)
-        return rng.multinomial(episodes, np.full(episodes, 1 / episodes), _RESAMPLES)
+        places = np.arange(self.settings["episodes"])
+        return np.stack([np.bincount(d, minlength=len(d)) for d in resample(places)[0]])
 
     @cached_property
     def _drawn_ratings(self) -> np.ndarray:
@@ -301,7 +297,8 @@ class Tournament:
 
     def _group(self, runs: list[int]) -> dict[str, Statistic]:
         count = len(runs)
-        drawn = np.random.default_rng(0).integers(0, count, (_RESAMPLES, count))
+        # Drawn after the episodes: draws of runs alone would go along with theirs.
+        _, drawn = resample(np.arange(self.settings["episodes"]), np.arange(count))
         if self.is_divided:
             ratings = np.take_along_axis(self._drawn_ratings[:, runs], drawn, axis=1)
             mean = np.mean([self.ratings[self.players[i]].mean for i in runs])

@@ -1,0 +1,116 @@
+"""How policies of one environment get on with one another, as a table.
+
+    python benchmarks/crossplay.py ENV_ID [NAME=]POLICY... [--table NAME]
+
+All pairings are played. The environment's part replaces that in docs/tables/NAME.md
+(crossplay.md unless told otherwise), which is written anew; the numbers are in the JSON
+beside it. With an output the tournament can be stopped and goes on.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import collaborative_gym as cg
+from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.tournaments.result import format_measure
+
+TABLES = Path(__file__).parents[1] / "docs" / "tables"
+
+
+def numbers(result: cg.Tournament) -> dict:
+    """Return what is kept of a tournament: who played, and means by measure."""
+    means = {
+        measure: [[cell.mean for cell in row.values()] for row in matrix.values()]
+        for measure, matrix in result.matrices.items()
+    }
+    standings = {
+        name: {
+            "worst": standing.worst,
+            "self-play": {m: own.mean for m, own in standing.self_play.items()},
+            "cross-play": {
+                m: [own.mean, own.low, own.high]
+                for m, own in standing.cross_play.items()
+            },
+        }
+        for name, standing in result.standings.items()
+    }
+    return {
+        "episodes": result.settings["episodes"],
+        "seats": list(result.seats),
+        "players": list(result.players),
+        "means": means,
+        "standings": standings,
+    }
+
+
+def told(means: dict[str, float]) -> str:
+    """Return a cell: completion and performance in %, and the return."""
+    cells = [format_measure(m, mean).removesuffix(" %") for m, mean in means.items()]
+    return " / ".join(cells)
+
+
+def section(env: str, found: dict) -> list[str]:
+    """Return an environment's part of the page."""
+    names, means = found["players"], found["means"]
+    lines = [
+        f"### {env}",
+        "",
+        f"| {' / '.join(found['seats'])} | {' | '.join(names)} |",
+    ]
+    lines.append("|---|" + "---:|" * len(names))
+    for i, name in enumerate(names):
+        cells = [told({m: means[m][i][j] for m in means}) for j in range(len(names))]
+        lines.append(f"| **{name}** | {' | '.join(cells)} |")
+    lines += ["", "| player | self-play | cross-play | worst partner |"]
+    lines.append("|---|---:|---:|---|")
+    for name, own in found["standings"].items():
+        cross = told({m: mean for m, (mean, _, _) in own["cross-play"].items()})
+        lines.append(
+            f"| {name} | {told(own['self-play'])} | {cross} | {own['worst']} |"
+        )
+    low = 100 * wilson(1.0, found["episodes"])[0]
+    lines += [
+        "",
+        f"{found['episodes']} episodes for each pairing. Of so many, 100 % is",
+    ]
+    lines[-1] += f" 95 % surely {low:.0f} % or more (Wilson)."
+    return [*lines, ""]
+
+
+def main() -> None:
+    """Play the tournament, and bring the table up to it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("env", metavar="ENV_ID")
+    parser.add_argument("policies", nargs="+", metavar="[NAME=]POLICY")
+    parser.add_argument("--table", default="crossplay")
+    parser.add_argument("--episodes", type=int, default=32)
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    words = (word.rpartition("=") for word in options.policies)
+    result = cg.tournament(
+        options.env,
+        {name or policy: policy for name, _, policy in words},
+        episodes=options.episodes,
+        num_threads=1,
+        output=options.output,
+    )
+    path = TABLES / f"{options.table}.json"
+    kept = json.loads(path.read_text()) if path.exists() else {}
+    kept[options.env] = numbers(result)
+    path.write_text(json.dumps(kept, indent=1) + "\n")
+    order = sorted(kept, key=cg.list_envs().index)
+    fewest = min(found["episodes"] for found in kept.values())
+    head = (
+        f"Cells have completion in %, performance in % and return, over {fewest} or more"
+        f" episodes. Of {fewest} episodes 100 % is 95 % surely"
+        f" {100 * wilson(1.0, fewest)[0]:.0f} % or more (Wilson)."
+    )
+    lines = [line for env in order for line in section(env, kept[env])]
+    path.with_suffix(".md").write_text("\n".join([head, "", *lines]).rstrip() + "\n")
+
+
+if __name__ == "__main__":
+    main()
