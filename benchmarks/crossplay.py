@@ -104,7 +104,7 @@ def main() -> None:
     order = sorted(kept, key=cg.list_envs().index)
     fewest = min(found["episodes"] for found in kept.values())
     head = (
-        f"Cells have completion in %, performance in % and return, over {fewest} or more"
+        f"Cells: completion in %, performance in %, return; over {fewest} or more"
         f" episodes. Of {fewest} episodes 100 % is 95 % surely"
         f" {100 * wilson(1.0, fewest)[0]:.0f} % or more (Wilson)."
     )
