@@ -15,7 +15,7 @@ def make_session(make_env):
     """Return a function that makes a session of the small task."""
 
     def make(policy="expert", **settings):
-        env = make_env(**settings)
+        env = make_env(auto_reset=False, **settings)
         policies = dict.fromkeys(env.agents, policy)
         session = Session(env, load_policy(policy, env), print, policies=policies)
         session.speed = FASTEST

@@ -9,10 +9,6 @@ from collaborative_gym.policies.match import name_players
 from collaborative_gym.viewer import reading
 
 
-def sum_up(infos, env, is_over):
-    return reading.sum_up(infos, name_players("expert", env.sides), is_over)
-
-
 def read(env, infos, before):
     return reading.read(env, infos, before, name_players("expert", env.sides))
 
@@ -33,7 +29,7 @@ def played(make_env):
     """Return a function that plays an episode's first steps and reads the last."""
 
     def played(steps, **settings):
-        env = make_env(**settings)
+        env = make_env(auto_reset=False, **settings)
         _, infos = env.reset()
         latest = replace(read(env, infos, None), previous="so")
         for _ in range(steps):
@@ -80,23 +76,21 @@ def test_rows_show_it_all_with_sums(played):
         assert rows[f"reward of {agent}"] == f"{sum(terms.values()):.3f}"
     assert rows["  height"] == f"{after.measures['height']:.3f}"
     assert (rows["episode of seed 0"], rows["time"]) == ("0", "0.4 s")
-    assert list(rows)[-2:] == ["previous", "  so"]
+    assert list(rows)[-2:] == ["ended last", "  so"]
 
 
 def test_what_was_earned_is_summed_from_each_start(make_env):
-    env = make_env()
-    _, infos = env.reset()
-    latest, earned = read(env, infos, None), 0.0
-    for _ in range(15):  # The episode ends after 12.
-        _, rewards, _, _, infos = env.step(env.expert())
-        latest = read(env, infos, latest)
-        earned += sum(reward[0] for reward in rewards.values())
-        if infos["ended"][0]:
-            assert infos["metrics"]["return"][0] == pytest.approx(earned)
-            earned = 0.0
-        assert latest.returns == {"side_1": pytest.approx(earned, rel=1e-4)}
-        assert dict(latest.rows)["return"] == f"{latest.returns['side_1']:.1f}"
-    assert env.progress["step"][0] == 3
+    env, latest = make_env(auto_reset=False), None
+    for _ in range(2):
+        _, infos = env.reset()
+        latest, earned = read(env, infos, latest), 0.0
+        while not latest.has_ended:
+            _, rewards, _, _, infos = env.step(env.expert())
+            latest = read(env, infos, latest)
+            earned += sum(reward[0] for reward in rewards.values())
+            assert latest.returns == {"side_1": pytest.approx(earned, rel=1e-4)}
+            assert dict(latest.rows)["return"] == f"{latest.returns['side_1']:.1f}"
+        assert infos["metrics"]["return"][0] == pytest.approx(earned)
 
 
 @pytest.fixture
@@ -113,18 +107,21 @@ def duel(carry):
     }
     base = carry()
     task = type("Duel", (type(base),), parts)
-    return cg.VectorEnv(task([cg.get_robot("panda")] * 2, base.config), 1)
+    return cg.VectorEnv(
+        task([cg.get_robot("panda")] * 2, base.config), 1, auto_reset=False
+    )
 
 
 def test_sides_are_told_apart(duel):
     env = duel
     _, infos = env.reset()
-    latest, terminated = read(env, infos, None), {"robot_1": [False]}
+    latest = read(env, infos, None)
     assert latest.success == {"side_1": False, "side_2": False}
-    while not terminated["robot_1"][0]:
+    while not latest.has_ended:
         before = latest
-        _, _, terminated, _, infos = env.step(env.expert())
+        _, _, _, _, infos = env.step(env.expert())
         latest = read(env, infos, before)
+    assert latest.success == {"side_1": True, "side_2": False}
     assert before.returns["side_1"] > 0.5
     assert before.returns["side_2"] == pytest.approx(-before.returns["side_1"])
     assert before.rows[2:10] == [
@@ -138,7 +135,7 @@ def test_sides_are_told_apart(duel):
         ("  return", f"{before.returns['side_2']:.1f}"),
     ]
     seconds, earned = infos["step"][0] / 10, infos["metrics"]["return"]
-    assert sum_up(infos, env, True) == (
+    assert latest.previous == (
         f"episode 0: robot_2 expert wins; over after {seconds:.1f} s;"
         f" side_1 success after {seconds:.1f} s,"
         f" return {earned['side_1'][0]:.1f}; side_2 no success,"
@@ -168,20 +165,16 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
     assert read(env, infos, None).measures == {}
 
 
-def test_an_episode_is_summed_up(played):
-    env, infos, _ = played(12)
-    assert infos["ended"][0]
+def test_an_episode_is_summed_up_at_its_end(played):
+    assert played(11)[2].previous == "so"
+    env, infos, last = played(12)
     seconds, earned = infos["metrics"]["time_to_success"], infos["metrics"]["return"]
     expected = f"episode 0: success after {seconds[0]:.1f} s, return {earned[0]:.1f}"
-    assert sum_up(infos, env, False) == expected
+    assert last.has_ended and last.previous == expected
     infos["metrics"]["time_to_success"][0] = np.nan
-    assert "no success" in reading.sum_up(
-        infos, name_players("expert", env.sides), False
-    )
+    assert "no success" in read(env, infos, last).previous
     infos["diverged"][0] = True
-    assert "the physics diverged" in reading.sum_up(
-        infos, name_players("expert", env.sides), False
-    )
+    assert "the physics diverged" in read(env, infos, last).previous
 
 
 @pytest.mark.parametrize("kind", [dict, SimpleNamespace])
@@ -200,8 +193,6 @@ def test_rows_stay_where_they_are(make_env):
     for _ in range(14):
         _, _, _, _, infos = env.step(env.expert())
         latest = read(env, infos, latest)
-        if infos["ended"][0]:
-            latest = replace(latest, previous="so")
         assert [name for name, _ in latest.rows][:-1] == names[:-1]
         assert len(latest.rows) == len(names)
 

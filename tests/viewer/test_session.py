@@ -227,6 +227,28 @@ def played(make_session, start, wait_until):
     return played
 
 
+def test_the_end_of_an_episode_is_shown_before_the_next_starts(
+    make_session, unwatched, start, wait_until
+):
+    session, shown = make_session(), []
+    expected = unwatched(11)  # The episode ends after 12.
+    session.speed = FASTEST
+    start(session, lambda: shown.append((session.reading, positions(session))))
+    wait_until(lambda: session.reading.episode == 1)
+    at_end = [at for reading, at in shown if reading.has_ended]
+    assert len(at_end) > 5
+    assert all(np.array_equal(at, at_end[0]) for at in at_end)
+    assert not np.array_equal(at_end[0], expected[11])
+    session.back()
+    wait_until(lambda: session.reading.has_ended)
+    np.testing.assert_array_equal(positions(session), at_end[0])
+    assert session.reading.time == pytest.approx(1.2)
+    assert session.reading.previous.startswith("episode 0: success after")
+    session.step()  # There is no step after the last.
+    wait_until(lambda: session.reading.episode == 1)
+    assert session.reading.time == 0
+
+
 def test_an_episode_can_be_gone_back_in_and_goes_on_with_the_same_bits(
     played, unwatched, wait_until
 ):
@@ -275,7 +297,7 @@ def test_back_leads_to_the_end_of_what_was_played_before(played, unwatched, wait
 
 def test_another_world_and_policy_take_over(played, make_env, wait_until):
     session = played(3)
-    other = make_env(seed=5, max_episode_steps=30)
+    other = make_env(seed=5, max_episode_steps=30, auto_reset=False)
     policies = {"robot_1": "idle", "robot_2": "random"}
     session.change(lambda env: (other, load_policy(policies, other), policies), 7, 2)
     wait_until(lambda: session.env is other)
@@ -291,18 +313,19 @@ def test_another_world_and_policy_take_over(played, make_env, wait_until):
 
 
 def test_what_cannot_be_loaded_is_told_and_changes_nothing(make_env, start, wait_until):
-    env, warned = make_env(), []
+    env, warned, told = make_env(), [], []
     session = Session(env, load_policy("expert", env), warned.append)
     session.pause()
-    start(session)
+    start(session, lambda: told.append(session.reading.is_loading))
 
     def fail(env):
+        assert told[-1]
         raise FileNotFoundError("no baseline is shipped")
 
     session.change(fail, 0, 0)
     wait_until(lambda: session.reading.trouble)
     assert warned == ["the choice failed: FileNotFoundError: no baseline is shipped"]
-    assert session.env is env
+    assert session.env is env and not session.reading.is_loading
     session.step()
     wait_until(lambda: steps_done(session) == 1)
     assert session.reading.trouble == ""

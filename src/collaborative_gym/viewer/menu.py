@@ -171,7 +171,7 @@ class Menu:
         """
         task = self._make(choice)
         if Identity.of(task).differences(env.identity):
-            env = VectorEnv(task, 1, num_threads=1)
+            env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
         policies = {
             agent: self._policies.get(name, name)
             for agent, name in zip(env.agents, choice.policies, strict=True)

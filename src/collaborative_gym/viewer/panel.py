@@ -239,7 +239,8 @@ def _heading(task: Task, reading: Reading) -> str:
         else f"{player}{': <b>success</b>' if reading.success[side] else ''}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
-    lines = [html.escape(goal), " : ".join(sides)]
+    lines = ["loading ..." if reading.is_loading else html.escape(goal)]
+    lines.append(" : ".join(sides))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
     return _STYLE % "<br>".join(lines)

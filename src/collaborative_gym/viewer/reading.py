@@ -26,8 +26,10 @@ class Reading:
       rewards: the last control step's named terms, by agent; at a start 0.
       measures: distances and whatever else the task measures, by name.
       units: of these measures that have one, as far as the task names them.
-      previous: how the episode before ended, a sentence; empty at the first.
+      previous: how the last episode ended that is over, a sentence, or empty.
+      has_ended: whether this one is over.
       trouble: why it cannot go on, a sentence; empty where it can.
+      is_loading: whether another world is being made in its place.
     """
 
     episode: int
@@ -41,7 +43,9 @@ class Reading:
     measures: Mapping[str, float | bool]
     units: Mapping[str, str]
     previous: str
+    has_ended: bool
     trouble: str = ""
+    is_loading: bool = False
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -66,7 +70,7 @@ class Reading:
                 (f"  {name}", f"{_word(value)} {self.units.get(name, '')}".rstrip())
                 for name, value in self.measures.items()
             ]
-        return [*rows, ("previous", ""), (f"  {self.previous or 'none'}", "")]
+        return [*rows, ("ended last", ""), (f"  {self.previous or 'none'}", "")]
 
 
 def read(
@@ -84,17 +88,17 @@ def read(
       players: who plays each side, by its name.
     """
     place = env.progress
-    # Of the step that ended an episode, what is shown is the start of the next.
-    has_begun = place["step"][0] > 0
+    has_begun = place["step"][0] > 0  # At a start no success counts.
     rewards = {
-        agent: {name: float(has_begun * term[0]) for name, term in named.items()}
+        agent: {name: float(term[0]) for name, term in named.items()}
         for agent, named in infos["reward_terms"].items()
     }
     earned = before.returns if before is not None and place["step"][0] > 1 else {}
     success = _by_side(env.sides, infos["success"])
     points = infos["metrics"].get("score", {})
     measures = list(_measures(env.facts, env.task.units))
-    scores = {side: float(has_begun * own[0]) for side, own in points.items()}
+    scores = {side: float(own[0]) for side, own in points.items()}
+    previous = "" if before is None else before.previous
     return Reading(
         episode=int(place["episode"][0]),
         seed=int(place["seed"][0]),
@@ -110,7 +114,8 @@ def read(
         rewards=rewards,
         measures={name: value for name, _, value in measures},
         units={name: unit for name, unit, _ in measures if unit},
-        previous="" if before is None else before.previous,
+        previous=_sum_up(env, infos, players) if infos["ended"][0] else previous,
+        has_ended=bool(infos["ended"][0]),
     )
 
 
@@ -140,22 +145,19 @@ def _word(value: float | bool) -> str:
     return f"{value:.3f}"
 
 
-def sum_up(infos: Mapping[str, Any], players: Mapping[str, str], is_over: bool) -> str:
-    """Return how an episode ended.
-
-    Args:
-      infos: of its last step.
-      players: who plays each side, by its name.
-      is_over: whether it ended before its time.
-    """
+def _sum_up(
+    env: VectorEnv, infos: Mapping[str, Any], players: Mapping[str, str]
+) -> str:
+    """Return how an episode ended, by the infos of its last step."""
     metrics = infos["metrics"]
     times = _by_side(players, metrics["time_to_success"])
     returns = _by_side(players, metrics["return"])
     results = [result(players, infos)] if len(players) > 1 else []
-    if is_over:
+    has_diverged = infos["diverged"][0]
+    if infos["step"][0] < env.task.config.max_episode_steps and not has_diverged:
         results.append(f"over after {infos['step'][0] * CONTROL_DT:.1f} s")
     for (side, time), (_, earned) in zip(times, returns, strict=True):
-        if infos["diverged"][0]:
+        if has_diverged:
             told = "the physics diverged"
         elif np.isnan(time[0]):
             told = "no success"

@@ -14,7 +14,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.plugins import location_of
 from collaborative_gym.policies import Policy
 from collaborative_gym.policies.match import name_players
-from collaborative_gym.viewer.reading import Reading, read, sum_up
+from collaborative_gym.viewer.reading import Reading, read
 from collaborative_gym.viewer.spring import Spring
 
 SLOWEST, FASTEST = 0.1, 4.0
@@ -25,6 +25,10 @@ _PICTURES = 60
 
 _LAG = 0.1
 """How far the world may be late and still catch up, in s."""
+
+_HOLD = 1.0
+"""How long the end of an episode is shown before the next begins, of the user's time
+in s."""
 
 Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
 """From the world that plays to another, its policy, and who commands each agent."""
@@ -51,7 +55,8 @@ class Session:
     then played without waiting.
 
     Args:
-      env: the world, a batch of one.
+      env: the world, a batch of one that does not reset itself, so that the end of an
+        episode is seen.
       policy: who commands the robots. Where it fails, the session says so and pauses.
       warn: takes what went wrong, a sentence.
       policies: who commands each agent, as `evaluate` takes it; None for the policy.
@@ -89,7 +94,7 @@ class Session:
         self._asked = threading.Event()
         self._spring = Spring(env)
         self._refresh: Callable[[], object] = lambda: None
-        self._due = self._shown = 0.0
+        self._due = self._shown = self._ended = 0.0
         self._previous: list[Frame] = []
         self._players = name_players(self.policies, env.sides)
         self._observations, infos = env.reset()
@@ -195,12 +200,12 @@ class Session:
             self._asked.set()
         if request is not None:
             request()
-        elif not self._is_paused:
-            self._step()
-        else:
+        elif self._is_paused or time.perf_counter() < self._ended + _HOLD:
             self._draw()
             self._asked.wait(1 / _PICTURES)
             self._due = time.perf_counter()
+        else:
+            self._step()
 
     def _start(self, *episode: Any) -> None:
         """Start an episode, by its seed and index, or the next one."""
@@ -210,6 +215,8 @@ class Session:
         self._draw()
 
     def _change(self, load: Load, seed: int, episode: int) -> None:
+        self.reading = replace(self.reading, is_loading=True)
+        self._draw()
         try:
             env, policy, policies = load(self.env)
             begun = env.reset(seed, [episode])
@@ -237,12 +244,13 @@ class Session:
             self.film = []
         self.reading = reading
         self.film = [*self.film[:step], Frame(self.env.get_state(), reading)]
+        self._ended = time.perf_counter() if reading.has_ended else 0.0
 
     def _go_to(self, step: int) -> None:
         frame = self.film[min(step, len(self.film) - 1)]
         self._spring.forget()
         self._observations = self.env.set_state(frame.state)
-        self.reading = frame.reading
+        self.reading, self._ended = frame.reading, 0.0
         self._draw()
 
     def _go_back(self) -> None:
@@ -251,22 +259,19 @@ class Session:
             self._go_to(len(self.film))
 
     def _step(self) -> None:
+        if self.reading.has_ended:
+            self._start()
+            return
         try:
             actions = self._policy(self._observations)
             self._spring.pull(self.perturb)
-            self._observations, _, terminated, _, infos = self.env.step(actions)
+            self._observations, _, _, _, infos = self.env.step(actions)
         except Exception as error:
             if self._has_ended:  # It was no policy that failed, but what draws it.
                 raise
             self._stop("the policy", error)
             return
-        before = self.reading
-        if infos["ended"][0]:
-            self._spring.forget()
-            is_over = any(ended[0] for ended in terminated.values())
-            previous = sum_up(infos, self._players, is_over)
-            before = replace(before, previous=previous)
-        self._roll_on(read(self.env, infos, before, self._players))
+        self._roll_on(read(self.env, infos, self.reading, self._players))
         if self._is_paused:
             self._draw()
 
@@ -276,7 +281,7 @@ class Session:
         trouble = (
             f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"
         )
-        self.reading = replace(self.reading, trouble=trouble)
+        self.reading = replace(self.reading, trouble=trouble, is_loading=False)
         self._warn(f"{what} failed: {trouble}")
         self._is_paused = True
         self._draw()

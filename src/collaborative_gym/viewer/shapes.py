@@ -1,10 +1,9 @@
 """A world's geoms as nodes of a web page's scene."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-import trimesh
 import viser
 
 _MAX_GROUP = 2
@@ -18,6 +17,9 @@ _FLOOR = 40.0
 
 _SQUARE = 1.0
 """Side of the squares in which a plane is coloured, in m."""
+
+_SECTORS = 64
+"""In how many a round shape is divided."""
 
 _MAX_COLORS = 4
 """A texture of more colours than these is drawn in their mean."""
@@ -35,6 +37,18 @@ _CUBE = np.array(
 """Where the columns and rows of a cube texture's faces (x, -x, y, -y, z, -z) go."""
 
 _KIND = mujoco.mjtGeom
+
+
+class _Surface(NamedTuple):
+    """Triangles, whose light is smooth where they share a corner.
+
+    Attributes:
+      vertices: the corners, (corners, 3) in m.
+      faces: the indices of their corners, (triangles, 3), seen from outside.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
 
 
 def add_geom(
@@ -81,31 +95,31 @@ def _rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return own
 
 
-def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+def _mesh(model: mujoco.MjModel, geom: int) -> _Surface:
     """Return a geom's surface in its own frame, with edges where it is not smooth."""
     size = model.geom_size[geom].astype(float)
     match _KIND(model.geom_type[geom]):
         case _KIND.mjGEOM_BOX:
-            mesh = trimesh.creation.box(2 * size)
-            mesh.unmerge_vertices()
-            return mesh
+            return _box(size)
         case _KIND.mjGEOM_CYLINDER:
-            mesh = trimesh.creation.cylinder(size[0], 2 * size[1])
-            is_end = np.abs(mesh.face_normals[:, 2:]) > 0.5
-            faces = mesh.faces + is_end * len(mesh.vertices)
-            return _surface(np.tile(mesh.vertices, (2, 1)), faces)
+            rims = [size[:2] * (1, -1)] * 2 + [size[:2]] * 2
+            return _turned(np.array([(0, -size[1]), *rims, (0, size[1])]))
         case _KIND.mjGEOM_CAPSULE:
-            return trimesh.creation.capsule(2 * size[1], size[0], [16, 16])
+            below, above = _arc(-1, 0), _arc(0, 1)
+            ends = np.concatenate([size[0] * below, size[0] * above])
+            ends[:, 1] += np.repeat([-size[1], size[1]], len(below))
+            return _turned(ends)
         case _KIND.mjGEOM_SPHERE:
-            return trimesh.creation.icosphere(4, size[0])
+            return _turned(size[0] * _arc(-1, 1))
         case _KIND.mjGEOM_ELLIPSOID:
-            return trimesh.creation.icosphere(3).apply_scale(size)
+            ball = _turned(_arc(-1, 1))
+            return ball._replace(vertices=size * ball.vertices)
         case _KIND.mjGEOM_PLANE:
             return _plane(*(half or _FLOOR for half in size[:2]))
         case _KIND.mjGEOM_MESH:
             asset = model.mesh(model.geom_dataid[geom])
             first, face = asset.vertadr[0], asset.faceadr[0]
-            return _surface(
+            return _Surface(
                 model.mesh_vert[first : first + asset.vertnum[0]],
                 model.mesh_face[face : face + asset.facenum[0]],
             )
@@ -115,7 +129,48 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     )
 
 
-def _plane(x: float, y: float) -> trimesh.Trimesh:
+def _box(half: np.ndarray) -> _Surface:
+    """Return a box of these half sides, (3,) in m."""
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    sides = [
+        np.roll(np.insert(square[::sign], 0, sign, axis=1), axis, axis=1)
+        for axis in range(3)
+        for sign in (1, -1)
+    ]
+    faces = 4 * np.arange(6)[:, None, None] + [[0, 1, 2], [0, 2, 3]]
+    return _Surface(half * np.concatenate(sides), faces.reshape(-1, 3))
+
+
+def _turned(profile: np.ndarray) -> _Surface:
+    """Return what a line makes that is turned about z.
+
+    Args:
+      profile: radius and height of its points from below, (points, 2) in m. Where a
+        point comes twice, there is an edge.
+    """
+    angles = 2 * np.pi * np.arange(_SECTORS) / _SECTORS
+    radius, height = profile[:, :1], profile[:, 1:]
+    rings = radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles
+    vertices = np.stack(rings, axis=-1).reshape(-1, 3)
+    here = np.arange(len(profile) - 1)[:, None] * _SECTORS + np.arange(_SECTORS)
+    beside = here - np.arange(_SECTORS) + np.roll(np.arange(_SECTORS), -1)
+    lower = np.stack([here, beside, beside + _SECTORS], axis=-1)
+    upper = np.stack([here, beside + _SECTORS, here + _SECTORS], axis=-1)
+    faces = np.concatenate([lower, upper]).reshape(-1, 3)
+    # At the axis, and between two points at one place, some have no area.
+    corners = vertices[faces]
+    sides = corners[:, 1:] - corners[:, :1]
+    return _Surface(vertices, faces[np.cross(sides[:, 0], sides[:, 1]).any(axis=1)])
+
+
+def _arc(first: int, last: int) -> np.ndarray:
+    """Return an arc of radius 1, (points, 2), between two quarter turns."""
+    angles = np.linspace(first, last, (last - first) * _SECTORS // 4 + 1) * np.pi / 2
+    # On the axis the radius has to be 0 itself.
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1).round(12)
+
+
+def _plane(x: float, y: float) -> _Surface:
     """Return squares that cover a plane, x and y being half its widths in m."""
     columns, rows = (max(1, round(2 * half / _SQUARE)) for half in (x, y))
     across, along = np.meshgrid(
@@ -126,18 +181,14 @@ def _plane(x: float, y: float) -> trimesh.Trimesh:
     corner = corner.reshape(-1, 1)
     above = corner + columns + 1
     triangles = [corner, corner + 1, above + 1, corner, above + 1, above]
-    return _surface(vertices, np.hstack(triangles).reshape(-1, 3))
-
-
-def _surface(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    return trimesh.Trimesh(vertices, faces, process=False)
+    return _Surface(vertices, np.hstack(triangles).reshape(-1, 3))
 
 
 def _painted(
-    model: mujoco.MjModel, geom: int, mesh: trimesh.Trimesh, rgb: np.ndarray
+    model: mujoco.MjModel, geom: int, mesh: _Surface, rgb: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the colours of a surface, 0 to 1, and the faces that have each."""
-    texels = _texels(model, geom, mesh.triangles_center)
+    texels = _texels(model, geom, mesh.vertices[mesh.faces].mean(axis=1))
     if texels is None:
         return [(rgb, mesh.faces)]
     colors, which = np.unique(texels, axis=0, return_inverse=True)
