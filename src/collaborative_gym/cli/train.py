@@ -10,6 +10,7 @@ import tyro
 
 from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, tell
 from collaborative_gym.learning.config import (
+    Algorithm,
     Hyperparameters,
     Mode,
     Resources,
@@ -44,7 +45,7 @@ def _not_given() -> Hyperparameters:
 
 @dataclass(frozen=True, kw_only=True)
 class Train(Command):
-    """Train policies by PPO; stop at any time and continue with --resume.
+    """Train policies by PPO or SAC; stop at any time and continue with --resume.
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
@@ -89,6 +90,7 @@ class Train(Command):
         networks. It may come from another environment with spaces of the same sizes.
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
+      algorithm: ppo (default), or sac for tasks of one side and without partners.
       checkpoint_interval: environment steps between two checkpoints.
       resources: what the run may use.
       hyperparameters: how it learns.
@@ -109,6 +111,7 @@ class Train(Command):
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
     backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
+    algorithm: Annotated[Algorithm | None, tyro.conf.arg(metavar="NAME"), _Own] = None
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
     hyperparameters: Annotated[Hyperparameters, _Flat] = field(
@@ -141,6 +144,7 @@ class Train(Command):
                 partner=self.partner or None,
                 start_from=self.start_from,
                 backend=self.backend,
+                algorithm=self.algorithm,
                 resources=self.resources,
                 checkpoint_interval=self.checkpoint_interval,
                 on_row=display.show,
@@ -166,7 +170,8 @@ class Train(Command):
             own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name environments to train, or pass --all")
-        return envs[0], replace(own or recipe(envs[0]), **self._given())
+        usual = own or recipe(envs[0], self.algorithm or "ppo")
+        return envs[0], replace(usual, **self._given())
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
@@ -197,8 +202,8 @@ class Train(Command):
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import write_baseline
 
-        own = "mode modes seed resume robots randomization opponent partner backend"
-        for option in own.split():
+        own = "mode modes seed resume robots randomization opponent partner"
+        for option in (*own.split(), "backend", "algorithm"):
             if getattr(self, option) not in (None, ()):
                 raise ValueError(
                     f"{option} does not go with --all: all baselines are trained alike"
@@ -236,6 +241,7 @@ class Train(Command):
                 "partner": self.partner or None,
                 "start_from": self.start_from,
                 "backend": self.backend,
+                "algorithm": self.algorithm,
             },
             checkpoint_interval=self.checkpoint_interval,
         )

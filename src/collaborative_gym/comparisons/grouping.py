@@ -16,6 +16,9 @@ from collaborative_gym.comparisons.runs import (
     told,
 )
 
+_TOLD_ALONE = "algorithm", "mode"
+"""Settings whose values say what they are."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -135,7 +138,7 @@ def _words(settings: Mapping[str, Any], names: Sequence[str] | Mapping) -> str:
             # Within a name's parts, the first say where and "name" says nothing.
             *_, last = name.removesuffix(".name").split(".")
             value = told(settings[name])
-            words.append(value if name == "mode" else f"{last} {value}")
+            words.append(value if name in _TOLD_ALONE else f"{last} {value}")
     return ", ".join(words)
 
 

@@ -10,7 +10,7 @@ import torch
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collected, Collectors
 from collaborative_gym.learning.guests import NOBODY, Invitation
-from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.policies.network import NetworkPolicy, Weights
 
 _CRITIC_ALONE = 10
@@ -51,7 +51,7 @@ class Backend:
 
     def __init__(
         self,
-        learners: Sequence[PPOLearner],
+        learners: Sequence[SkrlLearner],
         collectors: Collectors,
         *,
         assistance: float = 0.0,
@@ -117,7 +117,7 @@ class Backend:
         for learner, model in zip(self._of(member), self._of(like), strict=True):
             learner.load_state_dict(deepcopy(model.state_dict()))
 
-    def _of(self, member: str) -> list[PPOLearner]:
+    def _of(self, member: str) -> list[SkrlLearner]:
         learners = self._learners.values()
         return [each for each in learners if each.learner.member == member]
 

@@ -1,6 +1,6 @@
 """The settings of training."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, get_args
 
@@ -30,38 +30,54 @@ it has a critic of its own in collaborative, too, and still the mean reward.
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 
+Algorithm = Literal["ppo", "sac"]
+"""What learns: PPO, from what the latest policy did alone, or SAC, from all that is
+remembered."""
+
 Activation = Literal["relu", "elu", "tanh"]
 """The function between a network's layers."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """How PPO learns.
+    """How it is learned, by PPO or SAC.
 
     Attributes:
       total_steps: environment steps in all, counted over all worlds; the last update
         may go past it.
       num_envs: worlds that collect side by side.
       rollout_steps: control steps in each world between two updates.
-      epochs: passes over what was collected, in an update.
+      epochs: PPO: passes over what was collected, in an update.
       minibatch_size: rows of a gradient step. A row is a control step of one robot; in
         the modes collaborative and centralized it is a control step of all robots.
       discount: what a reward is worth one control step earlier.
-      gae_lambda: trace decay of generalized advantage estimation.
-      clip: how far an action's probability may move in an update, as a share.
-      entropy: weight of the policy's entropy in the loss.
-      value_weight: weight of the critic's loss.
+      gae_lambda: PPO: trace decay of generalized advantage estimation.
+      clip: PPO: how far an action's probability may move in an update, as a share.
+      entropy: PPO: weight of the policy's entropy in the loss.
+      value_weight: PPO: weight of the critic's loss.
       max_grad_norm: largest norm of a gradient; 0 for no limit.
-      learning_rate: Adam's first learning rate.
-      target_kl: the learning rate falls if an epoch moves the policy by more than twice
-        this Kullback-Leibler divergence, and rises if it moves it by less than half of
-        it; with 0 the learning rate stays.
-      min_learning_rate: the learning rate never falls below this.
-      max_learning_rate: the learning rate never rises above this.
+      learning_rate: Adam's first learning rate; with SAC it stays.
+      target_kl: PPO: the learning rate falls if an epoch moves the policy by more than
+        twice this Kullback-Leibler divergence, and rises if it moves it by less than
+        half of it; with 0 the learning rate stays.
+      min_learning_rate: PPO: the learning rate never falls below this.
+      max_learning_rate: PPO: the learning rate never rises above this.
+      replay_size: SAC: rows that it remembers and learns from, the last ones; they are
+        part of each checkpoint (110 MB for PassTaskSawyers; our choice, Haarnoja et al.
+        2018b, arXiv 1812.05905, keep 1e6).
+      warmup: SAC: rows that it collects before the first update (our choice).
+      gradient_steps: SAC: gradient steps of an update (our choice: a core is busy with
+        them for four fifths of the time; Haarnoja et al. do one after each step of one
+        world).
+      polyak: SAC: how far the target critics follow the critics in a gradient step
+        (0.005 in Haarnoja et al.).
+      target_std: SAC: the weight of the entropy is learned so that actions have that of
+        a Gaussian with this standard deviation in each component. (Haarnoja et al. ask
+        for an entropy of -1 in each component, which is 0.09.)
       initial_std: standard deviation of the first actions.
       initial_grip_std: standard deviation of their grip component.
-      final_noise: share of this noise that is left at the end. The noise shrinks after
-        each rollout after which penalties grow; with 1 it stays as it is learned.
+      final_noise: PPO: share of this noise that is left at the end. The noise shrinks
+        after each rollout after which penalties grow; with 1 it stays as it is learned.
       grip_limit: greatest mean of a grip's command, 0 for no limit. The noise can then
         change the sign of the command while it is about half as large as this limit. So
         a robot that holds a thing can still find out what it gains by letting go.
@@ -137,6 +153,11 @@ class Hyperparameters:
     target_kl: float = bounded(0.012, 0.0, 10.0)
     min_learning_rate: float = bounded(1e-5, 0.0, 1.0)
     max_learning_rate: float = bounded(3e-3, 0.0, 1.0)
+    replay_size: int = bounded(200_000, 1, 10**9)
+    warmup: int = bounded(5_000, 0, 10**9)
+    gradient_steps: int = bounded(32, 1, 10**6)
+    polyak: float = bounded(0.005, 0.0, 1.0)
+    target_std: float = bounded(0.1, 1e-3, 7.0)
     initial_std: float = bounded(0.2, 1e-3, 7.0)
     initial_grip_std: float = bounded(0.3, 1e-3, 7.0)
     final_noise: float = bounded(1.0, 0.01, 1.0)
@@ -181,6 +202,11 @@ class Hyperparameters:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"
                 f" max_learning_rate {self.max_learning_rate:g}"
+            )
+        if self.warmup > self.replay_size:
+            raise ValueError(
+                f"warmup {self.warmup} is above replay_size {self.replay_size}, so that"
+                " it would never end"
             )
         check_kind("activation", self.activation, str, "a name, such as 'relu'")
         check_activation(self.activation)
@@ -270,9 +296,74 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
 the defaults."""
 
 
-def recipe(env: str) -> Hyperparameters:
-    """Return the hyperparameters for an environment: its recipe, or the defaults."""
-    return Hyperparameters(**RECIPES.get(env, {}))
+_OWN: Mapping[str, Sequence[str]] = {
+    "ppo": (
+        "epochs",
+        "gae_lambda",
+        "clip",
+        "entropy",
+        "value_weight",
+        "target_kl",
+        "min_learning_rate",
+        "max_learning_rate",
+        "final_noise",
+    ),
+    "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
+}
+"""Hyperparameters that mean something to one algorithm alone."""
+
+_USUAL: Mapping[str, Mapping[str, Any]] = {
+    "ppo": {},
+    # Fewer worlds, as it learns more from each step, and often.
+    "sac": {
+        "total_steps": 500_000,
+        "num_envs": 64,
+        "rollout_steps": 16,
+        "minibatch_size": 512,
+    },
+}
+"""An algorithm's usual hyperparameters, where they are others than the defaults."""
+
+
+def recipe(env: str, algorithm: str = "ppo") -> Hyperparameters:
+    """Return the hyperparameters for an environment: its recipe, or the defaults.
+
+    Recipes are made for PPO. Another algorithm takes over what means something to it,
+    but for what is usual with it.
+
+    Args:
+      env: its name.
+      algorithm: what learns.
+
+    Raises:
+      KeyError: if there is no such algorithm.
+    """
+    usual = look_up("algorithm", algorithm, _USUAL)
+    own = {
+        name: value
+        for name, value in RECIPES.get(env, {}).items()
+        if name not in _foreign(algorithm)
+    }
+    return Hyperparameters(**{**own, **usual})
+
+
+def check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
+    """Raise unless all that is given means something to the algorithm.
+
+    Raises:
+      ValueError: names what does not.
+    """
+    foreign = [n for n in changed(hyperparameters) if n in _foreign(algorithm)]
+    if foreign:
+        raise ValueError(
+            f"{algorithm} knows no {' or '.join(foreign)}; leave out what another"
+            " algorithm alone uses"
+        )
+
+
+def _foreign(algorithm: str) -> set[str]:
+    """Return the hyperparameters that mean nothing to an algorithm."""
+    return {n for other, own in _OWN.items() if other != algorithm for n in own}
 
 
 def changed(
@@ -287,18 +378,21 @@ def changed(
     }
 
 
-def changed_recipe(env: str, changes: Mapping[str, Any] | None) -> Hyperparameters:
+def changed_recipe(
+    env: str, changes: Mapping[str, Any] | None, algorithm: str = "ppo"
+) -> Hyperparameters:
     """Return an environment's hyperparameters, but for what is given in their place.
 
     Args:
       env: its name.
       changes: hyperparameters by name; None for none.
+      algorithm: what learns.
 
     Raises:
-      KeyError: if there is no such hyperparameter.
+      KeyError: if there is no such hyperparameter or algorithm.
     """
     changes = {} if changes is None else changes
     check_kind("changes", changes, Mapping, "a mapping, or None")
     for name in changes:
         look_up("hyperparameter", name, vars(Hyperparameters()))
-    return replace(recipe(env), **changes)
+    return replace(recipe(env, algorithm), **changes)

@@ -169,9 +169,8 @@ class Display:
 
     def _learners(self) -> Table:
         """Return what the last update did, by learner."""
-        learners = [
-            name.removesuffix("/kl") for name in self._known if name.endswith("/kl")
-        ]
+        end = "/learning_rate"
+        learners = [n.removesuffix(end) for n in self._known if n.endswith(end)]
         table = _table("update", *learners)
         for number, (label, digits) in UPDATE.items():
             values = [self._known.get(f"{name}/{number}") for name in learners]

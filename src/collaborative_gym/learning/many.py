@@ -17,7 +17,12 @@ from typing import Any
 
 from collaborative_gym.errors import check_callback, check_count, check_kind, check_name
 from collaborative_gym.evaluation.machine import cores
-from collaborative_gym.learning.config import Mode, Resources, changed_recipe
+from collaborative_gym.learning.config import (
+    Algorithm,
+    Mode,
+    Resources,
+    changed_recipe,
+)
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Named, settle
@@ -85,6 +90,7 @@ def train_all(
     partner: Named | None = None,
     start_from: str | Path | None = None,
     backend: str | None = None,
+    algorithm: Algorithm | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
@@ -111,6 +117,7 @@ def train_all(
       partner: who plays with it.
       start_from: a trained policy to begin with.
       backend: what collects.
+      algorithm: what learns.
       resources: device and threads of each run.
       checkpoint_interval: environment steps between two checkpoints.
       on_row: called with a plan after each of its iterations, with its numbers.
@@ -140,6 +147,7 @@ def train_all(
             "partner": partner,
             "start_from": start_from,
             "backend": backend,
+            "algorithm": algorithm,
         },
         checkpoint_interval=checkpoint_interval,
     )
@@ -179,7 +187,7 @@ def plan_runs(
     for env in _several("environment", envs):
         check_name("each environment", env)
         task = as_task(env, **world)
-        numbers = changed_recipe(env, changes)
+        numbers = changed_recipe(env, changes, others["algorithm"] or "ppo")
         for mode in (None,) if modes is None else _several("mode", modes):
             for seed in _several("seed", seeds):
                 own = {"mode": mode, "seed": seed, "hyperparameters": numbers}

@@ -1,34 +1,17 @@
 """A learner on skrl's PPO."""
 
-import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
 import torch
-from gymnasium.spaces import Box
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
-from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
-from skrl.resources.preprocessors.torch import RunningStandardScaler
 from skrl.resources.schedulers.torch import KLAdaptiveLR
-from torch import nn
 
 from collaborative_gym.learning.casting import Casting
-from collaborative_gym.learning.collector import ActorState, Rollout
+from collaborative_gym.learning.collector import Rollout
 from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.networks import (
-    LOG_STD_LIMITS,
-    MEMORY,
-    Actor,
-    perceptron,
-)
+from collaborative_gym.learning.learner import Critic, Scaler, SkrlLearner
 from collaborative_gym.learning.team import Learner, Sizes
-from collaborative_gym.policies.network import (
-    OBSERVATION_LIMIT,
-    NetworkPolicy,
-    Weights,
-)
 
 _LOSSES = {
     "policy_loss": "Loss / Policy loss",
@@ -42,16 +25,8 @@ _ESTIMATES = "returns", "advantages"
 """Columns that skrl fills in itself."""
 
 
-class PPOLearner:
-    """Networks and optimiser of one learner, on rows of its agents.
-
-    Args:
-      learner: whom it commands, and how.
-      sizes: of the agents' spaces.
-      hyperparameters: how it learns.
-      device: of torch.
-      casting: who sits where; None for this learner alone.
-    """
+class PPOLearner(SkrlLearner):
+    """A critic of what is observed, and updates that stay near the policy."""
 
     def __init__(
         self,
@@ -61,63 +36,28 @@ class PPOLearner:
         device: str,
         casting: Casting | None = None,
     ):
-        self.learner = learner
-        self._device = device
-        self._discount = hyperparameters.discount
-        rows = (casting or Casting()).num_rows(learner, hyperparameters.num_envs)
-        size = learner.observation_size(sizes)
-        observations = Box(-np.inf, np.inf, (size,), np.float32)
-        actions = Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32)
-        spaces = {"observation_space": observations, "action_space": actions}
-        self._policy = _Policy(learner, sizes, hyperparameters, device, spaces)
-        self._value = _Value(size, hyperparameters, device, spaces)
+        super().__init__(learner, sizes, hyperparameters, device, casting)
+        names = ("observations",)
+        self._value = Critic(names, hyperparameters, device, self._spaces)
         self._memory = _Memory(memory_size=1, device=device)
         self._agent = _PPO(
             models={"policy": self._policy, "value": self._value},
             memory=self._memory,
             device=device,
-            cfg=_config(hyperparameters, rows, observations, device),
-            **spaces,
+            cfg=self._config(),
+            **self._spaces,
         )
         self._agent.init()
-        # All that an update changes; skrl itself leaves the scheduler out.
-        self._modules: dict[str, Any] = {
+        # skrl itself leaves the scheduler out.
+        self._modules = {
             **self._agent.checkpoint_modules,
             "scheduler": self._agent.scheduler,
         }
 
-    def acting(self) -> ActorState:
-        """Return what players act with."""
-        state = self._policy.actor.state_dict()
-        actor = {name: each.cpu() for name, each in state.items()}
-        mean, std = self._normalization()
-        return {"actor": actor, "mean": mean.cpu(), "std": std.cpu()}
-
-    def start(self, policy: NetworkPolicy) -> None:
-        """Begin with what a policy has learned."""
-        mean, std = self._policy.actor.load(policy.weights)
-        scaler = self._modules["observation_preprocessor"]
-        scaler.running_mean.copy_(mean)
-        scaler.running_variance.copy_((std - scaler.epsilon).square())
-        self.hold_statistics()
-
-    def hold_statistics(self) -> None:
-        """Standardize observations as now for good.
-
-        What is learned already leans on it: where a policy is sure of itself, a drift
-        of 2 % changes its actions more than an update may.
-        """
-        self._modules["observation_preprocessor"].is_held = True
-
     def learn(
         self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
     ) -> dict[str, float]:
-        """Learn from rollouts, one beside the other, and return losses and rates.
-
-        Args:
-          rollouts: what was collected.
-          critic_alone: whether the policy stays as it is.
-        """
+        """Learn from rollouts; see `SkrlLearner.learn`."""
         self._hold_policy(critic_alone)
         columns = [self._columns(rollout) for rollout in rollouts]
         joined = {
@@ -139,9 +79,7 @@ class PPOLearner:
         agent.tracking_data.clear()
         numbers["kl"] = self._modules["scheduler"].kl
         numbers["learning_rate"] = agent.optimizer.param_groups[0]["lr"]
-        with torch.no_grad():
-            weights = [*self._policy.parameters(), *self._value.parameters()]
-            numbers["weight_norm"] = float(nn.utils.get_total_norm(weights))
+        numbers["weight_norm"] = self._weight_norm(self._value)
         return numbers
 
     def _hold_policy(self, held: bool) -> None:
@@ -154,39 +92,13 @@ class PPOLearner:
         self._policy.requires_grad_(not held)
         scheduler.is_held = held
 
-    def quieten(self, factor: float) -> None:
-        """Multiply the standard deviation of the actions."""
-        self._policy.actor.log_std.data += math.log(factor)
-
-    def weights(self) -> dict[str, Weights]:
-        """Return the policy's networks as arrays, by name."""
-        return self._policy.actor.weights(*self._normalization())
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return everything that an update changes."""
-        return {name: module.state_dict() for name, module in self._modules.items()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from what `state_dict` returned."""
-        for name, module in self._modules.items():
-            module.load_state_dict(state[name])
-
-    def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what is taken from observations, and what they are divided by then."""
-        scaler = self._modules["observation_preprocessor"]
-        std = scaler.running_variance.float().sqrt() + scaler.epsilon
-        return scaler.running_mean.float(), std
-
     @torch.no_grad()
     def _columns(self, rollout: Rollout) -> dict[str, torch.Tensor]:
         """Return what skrl learns from, (steps, rows, ...) each."""
-        # Copies, since what Ray hands over must not be written to.
-        kept = {
-            name: torch.tensor(array, device=self._device)
-            for name, array in vars(rollout).items()
-        }
+        kept = self._tensors(rollout)
         finals, late = kept.pop("final_observations"), kept["truncated"]
-        kept["rewards"][late] += self._discount * self._values(finals)[:, 0]
+        discount = self._hyperparameters.discount
+        kept["rewards"][late] += discount * self._values(finals)[:, 0]
         observations = kept.pop("observations")
         # Step by step, so that little is held at once.
         values = torch.stack([self._values(rows) for rows in observations])
@@ -202,6 +114,41 @@ class PPOLearner:
         rows = self._modules["observation_preprocessor"](observations)
         found, _ = self._value.act({"observations": rows}, role="value")
         return self._modules["value_preprocessor"](found, inverse=True)
+
+    def _config(self) -> PPO_CFG:
+        numbers = self._hyperparameters
+        collected = self._rows * numbers.rollout_steps
+        config = PPO_CFG(
+            rollouts=numbers.rollout_steps,
+            learning_epochs=numbers.epochs,
+            mini_batches=max(1, round(collected / numbers.minibatch_size)),
+            discount_factor=numbers.discount,
+            gae_lambda=numbers.gae_lambda,
+            learning_rate=numbers.learning_rate,
+            learning_rate_scheduler=_Scheduler,
+            learning_rate_scheduler_kwargs={
+                "kl_threshold": numbers.target_kl,
+                "min_lr": numbers.min_learning_rate,
+                "max_lr": numbers.max_learning_rate,
+            },
+            **self._scaling(),
+            value_preprocessor=Scaler,
+            value_preprocessor_kwargs={"size": 1, "device": self._device},
+            grad_norm_clip=numbers.max_grad_norm,
+            ratio_clip=numbers.clip,
+            # With a clip the critic follows the first, large changes of the returns so
+            # slowly that the policy learns from noise: Pass stood still for 0.6 M
+            # steps.
+            value_clip=0.0,
+            entropy_loss_scale=numbers.entropy,
+            value_loss_scale=numbers.value_weight,
+            # Where time is up, the last value counts on: it is part of the reward
+            # already, and what follows is of another episode.
+            time_limit_bootstrap=True,
+        )
+        config.experiment.write_interval = 0
+        config.experiment.checkpoint_interval = 0
+        return config
 
 
 class _Memory(RandomMemory):
@@ -225,44 +172,6 @@ class _PPO(PPO):
         self.update(timestep=0, timesteps=0)
 
 
-class _Policy(GaussianMixin, Model):
-    """The learner's actor, as skrl knows policies."""
-
-    def __init__(
-        self,
-        learner: Learner,
-        sizes: Sizes,
-        hyperparameters: Hyperparameters,
-        device: str,
-        spaces: Mapping[str, Box],
-    ):
-        Model.__init__(self, device=device, **spaces)
-        low, high = LOG_STD_LIMITS
-        GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
-        self.actor = Actor(learner, sizes, hyperparameters)
-
-    def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
-        return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
-
-
-class _Value(DeterministicMixin, Model):
-    """The critic, over all that its learner observes."""
-
-    def __init__(
-        self,
-        size: int,
-        hyperparameters: Hyperparameters,
-        device: str,
-        spaces: Mapping[str, Box],
-    ):
-        Model.__init__(self, device=device, **spaces)
-        DeterministicMixin.__init__(self)
-        self.net = perceptron(size, 1, hyperparameters, gain=1.0)
-
-    def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
-        return self.net(inputs["observations"]), {}
-
-
 class _Scheduler(KLAdaptiveLR):
     """Adapts the learning rate to how far the policy moves, and tells how far it did.
 
@@ -280,70 +189,3 @@ class _Scheduler(KLAdaptiveLR):
         self.kl = float(kl)
         if self.kl_threshold and not self.is_held:
             super().step(kl, epoch=epoch)
-
-
-class _Scaler(RunningStandardScaler):
-    """Standardizes by the last `MEMORY` rows or so, not by all since the beginning.
-
-    Later it is the last half of them: a policy that has become sure of itself is
-    changed by statistics that drift.
-
-    Attributes:
-      is_held: whether it stays as it is.
-    """
-
-    is_held = False
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.seen: torch.Tensor
-        self.register_buffer("seen", self.current_count.clone())
-
-    def _parallel_variance(self, *args) -> None:
-        if self.is_held:
-            return
-        super()._parallel_variance(*args)
-        self.seen = self.seen + args[2]
-        most = (self.seen / 2.0).clamp(min=MEMORY)
-        self.current_count = torch.minimum(self.current_count, most)
-
-
-def _config(
-    hyperparameters: Hyperparameters, rows: int, observations: Box, device: str
-) -> PPO_CFG:
-    collected = rows * hyperparameters.rollout_steps
-    config = PPO_CFG(
-        rollouts=hyperparameters.rollout_steps,
-        learning_epochs=hyperparameters.epochs,
-        mini_batches=max(1, round(collected / hyperparameters.minibatch_size)),
-        discount_factor=hyperparameters.discount,
-        gae_lambda=hyperparameters.gae_lambda,
-        learning_rate=hyperparameters.learning_rate,
-        learning_rate_scheduler=_Scheduler,
-        learning_rate_scheduler_kwargs={
-            "kl_threshold": hyperparameters.target_kl,
-            "min_lr": hyperparameters.min_learning_rate,
-            "max_lr": hyperparameters.max_learning_rate,
-        },
-        observation_preprocessor=_Scaler,
-        observation_preprocessor_kwargs={
-            "size": observations,
-            "clip_threshold": OBSERVATION_LIMIT,
-            "device": device,
-        },
-        value_preprocessor=_Scaler,
-        value_preprocessor_kwargs={"size": 1, "device": device},
-        grad_norm_clip=hyperparameters.max_grad_norm,
-        ratio_clip=hyperparameters.clip,
-        # With a clip the critic follows the first, large changes of the returns so
-        # slowly that the policy learns from noise: Pass stood still for 0.6 M steps.
-        value_clip=0.0,
-        entropy_loss_scale=hyperparameters.entropy,
-        value_loss_scale=hyperparameters.value_weight,
-        # Where time is up, the last value counts on: it is part of the reward already,
-        # and what follows is of another episode.
-        time_limit_bootstrap=True,
-    )
-    config.experiment.write_interval = 0
-    config.experiment.checkpoint_interval = 0
-    return config

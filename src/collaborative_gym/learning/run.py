@@ -18,6 +18,7 @@ from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.monitor import Monitor, means_of, summarize
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
+from collaborative_gym.learning.sac import SACLearner
 from collaborative_gym.learning.seeds import validation_seed
 from collaborative_gym.learning.settings import Settings, first_policy
 from collaborative_gym.learning.team import Learner
@@ -25,6 +26,8 @@ from collaborative_gym.learning.validation import validate
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.tasks.task import Task
+
+_LEARNERS = {"ppo": PPOLearner, "sac": SACLearner}
 
 OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
 """Gets an iteration's row and that of the best validation so far (or nothing)."""
@@ -167,6 +170,7 @@ class Run:
         """Return a member's policy as it is now."""
         settings, content = self._settings, self._settings.to_dict()
         kept = (
+            "algorithm",
             "mode",
             "seed",
             "backend",
@@ -285,6 +289,7 @@ def _make_backend(
     casting: Casting,
 ) -> Backend:
     hyperparameters = settings.hyperparameters
+    learns = _LEARNERS[settings.algorithm]
     sizes = settings.sizes(task)
     job = Job(
         task,
@@ -306,7 +311,7 @@ def _make_backend(
         collectors = OwnCollector(job)
     return Backend(
         [
-            PPOLearner(each, sizes, hyperparameters, resources.device, casting)
+            learns(each, sizes, hyperparameters, resources.device, casting)
             for each in learners
         ],
         collectors,

@@ -15,7 +15,13 @@ from collaborative_gym.learning.casting import (
     Casting,
     make_casting,
 )
-from collaborative_gym.learning.config import Hyperparameters, Mode, recipe
+from collaborative_gym.learning.config import (
+    Algorithm,
+    Hyperparameters,
+    Mode,
+    check_algorithm,
+    recipe,
+)
 from collaborative_gym.learning.pool import read_guests
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
@@ -51,6 +57,7 @@ class Settings:
       start_from: the policy with which it began, as it was named; nothing for networks
         drawn by chance.
       start: that policy's `digest`, and how it was trained, its `metadata`.
+      algorithm: what learns.
     """
 
     identity: Identity
@@ -64,6 +71,7 @@ class Settings:
     partners: tuple[str, ...] = ()
     start_from: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
+    algorithm: Algorithm = "ppo"
 
     def sizes(self, task: Task) -> Sizes:
         """Return the sizes of the agents' spaces."""
@@ -113,10 +121,11 @@ class Settings:
 
     @property
     def _kind(self) -> list[str]:
-        """What to call opponents or partners; nothing where there are none."""
+        """What to call algorithm, opponents and partners that are not the usual."""
         words = set(self.opponents or self.partners) - {SELF}
         known = [word for word in (LEAGUE, POPULATION) if word in words]
-        return known or (["guests"] if words else [])
+        algorithm = [] if self.algorithm == "ppo" else [self.algorithm]
+        return algorithm + (known or (["guests"] if words else []))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""
@@ -149,6 +158,7 @@ def settle(
     opponent: Named | None = None,
     partner: Named | None = None,
     start_from: str | Path | None = None,
+    algorithm: Algorithm | None = None,
 ) -> Settings:
     """Return the settings of a run; what is None holds as it was, or as is usual.
 
@@ -162,10 +172,11 @@ def settle(
       opponent: who plays against what is learned.
       partner: who plays with it.
       start_from: a policy to begin with.
+      algorithm: what learns.
 
     Raises:
       FileNotFoundError: if there is no such policy.
-      KeyError: if there is no such policy or seat.
+      KeyError: if there is no such policy, seat or algorithm.
       TypeError: if something is of another kind.
       ValueError: if something is unknown or out of range, the robots do not fit the
         mode, or a run cannot go on so; says what differs.
@@ -176,6 +187,7 @@ def settle(
     if started is not None:
         mode = started.mode if mode is None else mode
         seed = started.seed if seed is None else seed
+        algorithm = started.algorithm if algorithm is None else algorithm
         backend = started.backend if backend is None else backend
         hyperparameters = hyperparameters or started.hyperparameters
         opponent = started.opponents if opponent is None else opponent
@@ -185,6 +197,8 @@ def settle(
     opponents, partners = _words("opponent", opponent), _words("partner", partner)
     if len(task.sides) > 1:
         opponents = opponents or (SELF,)
+    algorithm = "ppo" if algorithm is None else algorithm
+    usual = recipe(task.name, algorithm)
     settings = Settings(
         identity=Identity.of(task),
         mode=_usual_mode(sizes, opponents) if mode is None else mode,
@@ -192,15 +206,17 @@ def settle(
         backend="skrl" if backend is None else backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
-        hyperparameters=hyperparameters or recipe(task.name),
+        hyperparameters=hyperparameters or usual,
         opponents=opponents,
         partners=partners,
         start_from=_name(start_from),
         start={} if started is None else started.start,
+        algorithm=algorithm,
     )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)
+    check_algorithm(algorithm, settings.hyperparameters)
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
@@ -296,6 +312,12 @@ def _usual_mode(sizes: Sizes, opponents: Sequence[str]) -> Mode:
 
 def _check_seats(settings: Settings, task: Task) -> None:
     """Raise unless somebody can learn in every seat that is to be learned in."""
+    if settings.algorithm == "sac" and (settings.opponents or settings.partners):
+        raise ValueError(
+            "sac forgets slowly what former opponents and partners did, and is not"
+            " tried with them; choose the algorithm ppo, or a task of one side without"
+            " partner"
+        )
     settings.learners(task)
     if settings.hyperparameters.dense_share and not task.shaping:
         raise ValueError(
@@ -317,6 +339,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
     for name in (
+        "algorithm",
         "mode",
         "seed",
         "backend",

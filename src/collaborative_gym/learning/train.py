@@ -24,7 +24,12 @@ from collaborative_gym.errors import (
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import write_text
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
+from collaborative_gym.learning.config import (
+    Algorithm,
+    Hyperparameters,
+    Mode,
+    Resources,
+)
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
@@ -49,12 +54,13 @@ def train(
     partner: Named | None = None,
     start_from: str | Path | None = None,
     backend: str | None = None,
+    algorithm: Algorithm | None = None,
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
     progress: bool = False,
 ) -> Result:
-    """Train policies by PPO, and return the finished run.
+    """Train policies by PPO or SAC, and return the finished run.
 
     The folder of the run holds `policy.safetensors`, the policy with the best
     validation so far, for `load_policy`; `last.pt` and `best.pt`, from which it can go
@@ -72,7 +78,7 @@ def train(
         `total_steps` and change the validations.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
-      hyperparameters: how it learns; None for `recipe(env)`.
+      hyperparameters: how it learns; None for `recipe(env, algorithm)`.
       opponent: who plays against the learner, if there are several sides. "self", or
         None: the latest policies play all sides. Names of policies, as `load_policy`
         knows them: each episode draws one, and the learner plays every side in turn; or
@@ -87,6 +93,8 @@ def train(
         sizes. Its noise begins anew with `initial_std`, and only the critics learn
         during the first rollouts.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
+      algorithm: "ppo", or "sac" for tasks of one side and without partners; None for
+        "ppo".
       resources: device and threads.
       checkpoint_interval: environment steps between two checkpoints.
       on_row: called after each iteration with two dictionaries: its line of
@@ -121,6 +129,7 @@ def train(
             mode=mode,
             seed=seed,
             backend=backend,
+            algorithm=algorithm,
             hyperparameters=hyperparameters,
             opponent=opponent,
             partner=partner,

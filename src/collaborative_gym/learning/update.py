@@ -7,9 +7,11 @@ UPDATE = {
     "policy_loss": ("policy loss", ".4f"),
     "value_loss": ("value loss", ".4f"),
     "entropy_loss": ("entropy loss", ".4f"),
+    "entropy_weight": ("entropy weight", ".4f"),
     "weight_norm": ("weight norm", ".1f"),
 }
 """What each number is called on the terminal, and how it is written there.
 
-`kl` is the divergence of the last epoch, `std` that of the actions.
+`kl` is the divergence of the last epoch, `std` that of the actions. PPO tells of the
+KL and the entropy's loss, SAC of the entropy's weight.
 """

@@ -1,0 +1,253 @@
+"""What learners on skrl have in common, whatever their algorithm."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+from skrl.resources.preprocessors.torch import RunningStandardScaler
+from torch import nn
+
+from collaborative_gym.learning.casting import Casting
+from collaborative_gym.learning.collector import ActorState, Rollout
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.networks import (
+    LOG_STD_LIMITS,
+    MEMORY,
+    Actor,
+    perceptron,
+)
+from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.policies.network import (
+    OBSERVATION_LIMIT,
+    NetworkPolicy,
+    Weights,
+)
+
+
+class SkrlLearner(ABC):
+    """Networks and optimisers of one learner, on rows of its agents.
+
+    An algorithm adds its critics and `_agent`, skrl's own, and learns.
+
+    Args:
+      learner: whom it commands, and how.
+      sizes: of the agents' spaces.
+      hyperparameters: how it learns.
+      device: of torch.
+      casting: who sits where; None for this learner alone.
+    """
+
+    _modules: dict[str, Any]
+    """All that an update changes, by name."""
+
+    def __init__(
+        self,
+        learner: Learner,
+        sizes: Sizes,
+        hyperparameters: Hyperparameters,
+        device: str,
+        casting: Casting | None = None,
+    ):
+        self.learner = learner
+        self._hyperparameters = hyperparameters
+        self._device = device
+        casting = casting or Casting()
+        self._rows = casting.num_rows(learner, hyperparameters.num_envs)
+        size = learner.observation_size(sizes)
+        self._spaces = {
+            "observation_space": Box(-np.inf, np.inf, (size,), np.float32),
+            "action_space": Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32),
+        }
+        actor = Actor(learner, sizes, hyperparameters)
+        self._policy = Policy(actor, device, self._spaces)
+
+    @abstractmethod
+    def learn(
+        self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
+    ) -> dict[str, float]:
+        """Learn from rollouts, one beside the other, and return losses and rates.
+
+        Args:
+          rollouts: what was collected.
+          critic_alone: whether the policy stays as it is.
+        """
+
+    def acting(self) -> ActorState:
+        """Return what players act with."""
+        state = self._policy.actor.state_dict()
+        actor = {name: each.cpu() for name, each in state.items()}
+        mean, std = self._normalization()
+        return {"actor": actor, "mean": mean.cpu(), "std": std.cpu()}
+
+    def start(self, policy: NetworkPolicy) -> None:
+        """Begin with what a policy has learned."""
+        mean, std = self._policy.actor.load(policy.weights)
+        scaler = self._scaler
+        scaler.running_mean.copy_(mean)
+        scaler.running_variance.copy_((std - scaler.epsilon).square())
+        self.hold_statistics()
+
+    def hold_statistics(self) -> None:
+        """Standardize observations as now for good.
+
+        What is learned already leans on it: where a policy is sure of itself, a drift
+        of 2 % changes its actions more than an update may.
+        """
+        self._scaler.is_held = True
+
+    def quieten(self, factor: float) -> None:
+        """Multiply the standard deviation of the actions."""
+        self._policy.actor.log_std.data += math.log(factor)
+
+    def weights(self) -> dict[str, Weights]:
+        """Return the policy's networks as arrays, by name."""
+        return self._policy.actor.weights(*self._normalization())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything that an update changes."""
+        return {name: module.state_dict() for name, module in self._modules.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue from what `state_dict` returned."""
+        for name, module in self._modules.items():
+            module.load_state_dict(state[name])
+
+    @property
+    def _scaler(self) -> "Scaler":
+        """What standardizes observations."""
+        return self._modules["observation_preprocessor"]
+
+    def _scaling(self) -> dict[str, Any]:
+        """Return the part of skrl's settings that makes the `_scaler`."""
+        size = self._spaces["observation_space"]
+        limit = OBSERVATION_LIMIT
+        return {
+            "observation_preprocessor": Scaler,
+            "observation_preprocessor_kwargs": {
+                "size": size,
+                "clip_threshold": limit,
+                "device": self._device,
+            },
+        }
+
+    def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what is taken from observations, and what they are divided by then."""
+        scaler = self._scaler
+        std = scaler.running_variance.float().sqrt() + scaler.epsilon
+        return scaler.running_mean.float(), std
+
+    def _tensors(self, rollout: Rollout) -> dict[str, torch.Tensor]:
+        """Return what was collected."""
+        # Copies, since what Ray hands over must not be written to.
+        return {
+            name: torch.tensor(array, device=self._device)
+            for name, array in vars(rollout).items()
+        }
+
+    def _weight_norm(self, *models: nn.Module) -> float:
+        """Return the norm of the weights of the policy and these models."""
+        weights = [p for model in (self._policy, *models) for p in model.parameters()]
+        with torch.no_grad():
+            return float(nn.utils.get_total_norm(weights))
+
+
+class _Bounded(torch.autograd.Function):
+    """Actions as the worlds do them: from -1 to 1.
+
+    One that is further out can still learn to come back (after the inverted gradients
+    of Hausknecht and Stone 2016, arXiv 1511.04143).
+    """
+
+    @staticmethod
+    def forward(ctx, actions: torch.Tensor):
+        ctx.save_for_backward(actions)
+        return actions.clamp(-1.0, 1.0)
+
+    @staticmethod
+    def backward(ctx, *gradients: torch.Tensor):
+        (actions,), (gradient,) = ctx.saved_tensors, gradients
+        # A step goes against the gradient.
+        is_outwards = (actions.abs() > 1.0) & (actions * gradient < 0.0)
+        return gradient.masked_fill(is_outwards, 0.0)
+
+
+class Policy(GaussianMixin, Model):
+    """The learner's actor, as skrl knows policies."""
+
+    def __init__(self, actor: Actor, device: str, spaces: Mapping[str, Box]):
+        Model.__init__(self, device=device, **spaces)
+        low, high = LOG_STD_LIMITS
+        GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
+        self.actor = actor
+
+    def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
+        """Return sampled actions, and what else skrl asks for."""
+        actions, outputs = super().act(dict(inputs), role=role)
+        return _Bounded.apply(actions), outputs
+
+    def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
+        """Return mean actions, and the logarithm of their standard deviation."""
+        return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
+
+
+class Critic(DeterministicMixin, Model):
+    """A critic over rows of inputs, joined in the order of their names.
+
+    Args:
+      names: of its inputs, as skrl calls them.
+      hyperparameters: of the network.
+      device: of torch.
+      spaces: of observations and actions.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        hyperparameters: Hyperparameters,
+        device: str,
+        spaces: Mapping[str, Box],
+    ):
+        Model.__init__(self, device=device, **spaces)
+        DeterministicMixin.__init__(self)
+        self._names = names
+        widths = {
+            "observations": spaces["observation_space"].shape[0],
+            "taken_actions": spaces["action_space"].shape[0],
+        }
+        size = sum(widths[name] for name in names)
+        self.net = perceptron(size, 1, hyperparameters, gain=1.0)
+
+    def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
+        """Return the value of each row."""
+        return self.net(torch.cat([inputs[name] for name in self._names], dim=1)), {}
+
+
+class Scaler(RunningStandardScaler):
+    """Standardizes by the last `MEMORY` rows or so, not by all since the beginning.
+
+    Later it is the last half of them: a policy that has become sure of itself is
+    changed by statistics that drift.
+
+    Attributes:
+      is_held: whether it stays as it is.
+    """
+
+    is_held = False
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.seen: torch.Tensor
+        self.register_buffer("seen", self.current_count.clone())
+
+    def _parallel_variance(self, *args) -> None:
+        if self.is_held:
+            return
+        super()._parallel_variance(*args)
+        self.seen = self.seen + args[2]
+        most = (self.seen / 2.0).clamp(min=MEMORY)
+        self.current_count = torch.minimum(self.current_count, most)

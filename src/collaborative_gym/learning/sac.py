@@ -1,0 +1,172 @@
+"""A learner on skrl's SAC."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from skrl.agents.torch.sac import SAC, SAC_CFG
+from skrl.memories.torch import RandomMemory
+
+from collaborative_gym.learning.casting import Casting
+from collaborative_gym.learning.collector import Rollout
+from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.learner import Critic, SkrlLearner
+from collaborative_gym.learning.team import Learner, Sizes
+
+_LOSSES = {
+    "policy_loss": "Loss / Policy loss",
+    "value_loss": "Loss / Critic loss",
+    "entropy_weight": "Coefficient / Entropy coefficient",
+}
+"""What skrl calls those of `UPDATE` that it reports itself."""
+
+
+class SACLearner(SkrlLearner):
+    """Two critics of actions, which learn from all that is remembered.
+
+    The policy's noise has one standard deviation for all states, as in skrl's own
+    examples, so that players act as PPO's do and policies are the same files.
+    """
+
+    def __init__(
+        self,
+        learner: Learner,
+        sizes: Sizes,
+        hyperparameters: Hyperparameters,
+        device: str,
+        casting: Casting | None = None,
+    ):
+        super().__init__(learner, sizes, hyperparameters, device, casting)
+        self._critics = {
+            name: Critic(
+                ("observations", "taken_actions"),
+                hyperparameters,
+                device,
+                self._spaces,
+            )
+            for name in ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
+        }
+        self._memory = _Memory(
+            memory_size=hyperparameters.replay_size, device=device, replacement=True
+        )
+        self._agent = _SAC(
+            models={"policy": self._policy, **self._critics},
+            memory=self._memory,
+            device=device,
+            cfg=self._config(),
+            **self._spaces,
+        )
+        self._agent.init()
+        self._agent.write_interval = 1  # Else skrl tells no losses.
+        # skrl itself leaves these out.
+        self._modules = {
+            **self._agent.checkpoint_modules,
+            "entropy": self._agent,
+            "memory": self._memory,
+        }
+
+    def learn(
+        self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
+    ) -> dict[str, float]:
+        """Learn from rollouts; see `SkrlLearner.learn`."""
+        for rollout in rollouts:
+            transitions = self._transitions(rollout)
+            self._scaler(transitions["observations"], train=True)
+            self._memory.add(transitions)
+        numbers = {}
+        if len(self._memory) >= self._hyperparameters.warmup:
+            self._policy.requires_grad_(not critic_alone)
+            numbers = self._update()
+        numbers["learning_rate"] = self._hyperparameters.learning_rate
+        numbers["std"] = float(self._policy.actor.log_std.detach().exp().mean())
+        numbers["weight_norm"] = self._weight_norm(*self._critics.values())
+        return numbers
+
+    def _update(self) -> dict[str, float]:
+        """Do some gradient steps and return the means of their losses."""
+        agent, scaler = self._agent, self._scaler
+        held, scaler.is_held = scaler.is_held, True  # Each row counts once.
+        agent.enable_models_training_mode(True)
+        agent.update(timestep=0, timesteps=0)
+        agent.enable_models_training_mode(False)
+        scaler.is_held = held
+        tracked = {name: agent.tracking_data[tag] for name, tag in _LOSSES.items()}
+        numbers = {name: sum(each) / len(each) for name, each in tracked.items()}
+        agent.tracking_data.clear()
+        return numbers
+
+    def _transitions(self, rollout: Rollout) -> dict[str, torch.Tensor]:
+        """Return what skrl remembers, (steps x rows, ...) each."""
+        kept = self._tensors(rollout)
+        following = kept["observations"][1:].clone()
+        # Those of the worlds are of the next episode.
+        following[kept["truncated"]] = kept["final_observations"]
+        columns = {
+            "observations": kept["observations"][:-1],
+            "actions": kept["actions"].clamp(-1.0, 1.0),
+            "rewards": kept["rewards"][..., None],
+            "next_observations": following,
+            "terminated": kept["terminated"][..., None],
+        }
+        return {name: each.flatten(0, 1) for name, each in columns.items()}
+
+    def _config(self) -> SAC_CFG:
+        numbers = self._hyperparameters
+        # Entropy of a Gaussian of this standard deviation in each component.
+        entropy = 0.5 * math.log(2.0 * math.pi * math.e) + math.log(numbers.target_std)
+        config = SAC_CFG(
+            gradient_steps=numbers.gradient_steps,
+            batch_size=numbers.minibatch_size,
+            discount_factor=numbers.discount,
+            polyak=numbers.polyak,
+            learning_rate=numbers.learning_rate,
+            grad_norm_clip=numbers.max_grad_norm,
+            # Below what the rewards weigh: with 0.2 noise doubles before it shrinks.
+            initial_entropy_value=0.01,
+            target_entropy=entropy * self._spaces["action_space"].shape[0],
+            **self._scaling(),
+        )
+        config.experiment.write_interval = 0
+        config.experiment.checkpoint_interval = 0
+        return config
+
+
+class _Memory(RandomMemory):
+    """The last transitions, of any number of rows at a time."""
+
+    def add(self, columns: dict[str, torch.Tensor]) -> None:
+        """Remember these, (rows, ...) each, in place of the oldest."""
+        # skrl's own spreads the columns of several rows over different places.
+        count, start = len(columns["rewards"]), self.memory_index
+        places = torch.arange(start, start + count) % self.memory_size
+        for name, each in columns.items():
+            self.tensors_view[name][places] = each
+        self.filled = self.filled or start + count >= self.memory_size
+        self.memory_index = (start + count) % self.memory_size
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what it remembers."""
+        held = len(self)
+        rows = {name: each[:held].clone() for name, each in self.tensors_view.items()}
+        return {"rows": rows, "index": self.memory_index}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        for name, rows in state["rows"].items():
+            self.tensors_view[name][: len(rows)] = rows
+        self.memory_index = state["index"]
+        self.filled = len(state["rows"]["rewards"]) == self.memory_size
+
+
+class _SAC(SAC):
+    """skrl's SAC, whose entropy coefficient can be saved."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the logarithm of the entropy coefficient."""
+        return {"log_coefficient": self.log_entropy_coefficient.detach().clone()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        self.log_entropy_coefficient.data.copy_(state["log_coefficient"])
+        self._entropy_coefficient = torch.exp(self.log_entropy_coefficient.detach())
