@@ -216,7 +216,6 @@ def settle(
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     training_seed(settings.seed)
-    check_algorithm(algorithm, settings.hyperparameters)
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
@@ -224,6 +223,7 @@ def settle(
         first = first_policy(settings, task)
         start = {"digest": first.digest, "metadata": first.metadata}
         settings = replace(settings, start=start)
+    check_algorithm(algorithm, settings.hyperparameters)
     return settings
 
 
