@@ -44,6 +44,7 @@ OPTIONS = [
     (TRAIN, "--mode", ("sharde", "")),
     (TRAIN, "--seed", NO_INTEGERS),
     (TRAIN, "--backend", ("sb3", "")),
+    (TRAIN, "--algorithm", ("td3", "")),
     (TRAIN, "--device", ("tpu", "")),
     (TRAIN, "--num-threads", NO_INTEGERS),
     (TRAIN, "--torch-threads", (*NO_INTEGERS, "1000000")),

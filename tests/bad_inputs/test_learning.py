@@ -394,6 +394,7 @@ TRAIN = [
         "train", "hyperparameters", _train("hyperparameters"), [3, "fast", {}, THING]
     ),
     *table("train", "backend", _train("backend"), [3, "", "sb3", [], THING, True]),
+    *table("train", "algorithm", _train("algorithm"), [3, "", "td3", [], THING, True]),
     *table("train", "resources", _train("resources"), [3, "cpu", {}, THING]),
     *table(
         "train", "checkpoint_interval", _train("checkpoint_interval"), NO_COUNT, [0, -1]
