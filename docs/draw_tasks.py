@@ -1,9 +1,10 @@
-"""Draws the pictures of tasks that have no film: python docs/draw_tasks.py [NAME ...].
+"""Draws the pictures of what has no film: python docs/draw_tasks.py [NAME ...].
 
 They go into `docs/media/`, under the names of `PICTURES`; those that are named, or all.
 """
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,25 +15,71 @@ import collaborative_gym as cg
 DOCS = Path(__file__).parent
 SIZE = 480, 360
 
+
+@dataclass(frozen=True)
+class World:
+    """A picture of one world.
+
+    Attributes:
+      env_id: the environment, or a task.
+      steps: after how many control steps it is taken.
+      robots: other arms than the environment's own.
+      policy: who plays.
+      expert_steps: how long the expert plays first.
+    """
+
+    env_id: str
+    steps: int
+    robots: tuple[str, ...] | None = None
+    policy: str | dict[str, str] = "expert"
+    expert_steps: int = 0
+
+
+def beside(policy: str) -> dict[str, str]:
+    """Return an expert beside an arm that is still."""
+    return {"robot_1": "expert", "robot_2": policy}
+
+
 PICTURES = {
-    "hockey": (("HockeyPandas-v0", None, 14), ("HockeyDoubles-v0", None, 14)),
-    "tug": (("TugPandas-v0", None, 12), ("TugPandaSawyer-v0", None, 30)),
+    "hockey": (World("HockeyPandas-v0", 14), World("HockeyDoubles-v0", 14)),
+    "tug": (World("TugPandas-v0", 12), World("TugPandaSawyer-v0", 30)),
     "balancepath": (
-        ("BalancePathSawyers-v0", None, 20),
-        ("BalancePathJacoSawyer-v0", None, 60),
+        World("BalancePathSawyers-v0", 20),
+        World("BalancePathJacoSawyer-v0", 60),
     ),
-    "simple_pick": (("SimplePick-v0", None, 8), ("SimplePick-v0", None, 20)),
-    "own_arm": (("Pass", ("own", "panda"), 16), ("Lift", ("own", "panda"), 20)),
+    "simple_pick": (World("SimplePick-v0", 8), World("SimplePick-v0", 20)),
+    "own_arm": (
+        World("Pass", 16, robots=("own", "panda")),
+        World("Lift", 20, robots=("own", "panda")),
+    ),
+    "certify": (
+        World("PassTaskSawyers-v0", 40, policy=beside("idle")),
+        World("LiftTaskSawyers-v0", 60, policy=beside("gripping")),
+        World("PassTaskSawyers-v0", 40, policy=beside("frozen"), expert_steps=20),
+    ),
+    "strangers": (
+        World("PokeTaskSawyers-v0", 40, policy="baseline"),
+        World(
+            "PokeTaskSawyers-v0",
+            40,
+            policy={"robot_1": "baseline", "robot_2": "expert"},
+        ),
+    ),
+    "teamwork": (
+        World("BalanceTaskSawyers-v0", 20, policy=beside("idle")),
+        World("BalancePathSawyers-v0", 30, policy=beside("idle")),
+    ),
 }
-"""By name: the worlds side by side, each with its arms, and the expert's steps."""
+"""By name: the worlds side by side."""
 
 
-def picture(env_id: str, robots: tuple[str, ...] | None, steps: int) -> np.ndarray:
-    """Return what the scripted player does then, (height, width, 3) uint8."""
-    env = cg.make_vec(env_id, 1, robots=robots, seed=1, num_threads=1)
-    env.reset()
-    for _ in range(steps):
-        env.step(env.expert())
+def picture(world: World) -> np.ndarray:
+    """Return what a world looks like then, (height, width, 3) uint8."""
+    env = cg.make_vec(world.env_id, 1, robots=world.robots, seed=1, num_threads=1)
+    observations, _ = env.reset()
+    for step in range(world.steps):
+        name = "expert" if step < world.expert_steps else world.policy
+        observations, *_ = env.step(cg.load_policy(name, env)(observations))
     pixels = env.render(0, width=SIZE[0], height=SIZE[1])
     env.close()
     return pixels
@@ -42,5 +89,5 @@ if __name__ == "__main__":
     for example in ("simple_pick", "own_arm"):
         cg.load_module(str(DOCS.parent / "examples" / f"{example}.py"))
     for name in sys.argv[1:] or PICTURES:
-        pixels = np.concatenate([picture(*each) for each in PICTURES[name]], axis=1)
+        pixels = np.concatenate([picture(each) for each in PICTURES[name]], axis=1)
         Image.fromarray(pixels).save(DOCS / "media" / f"{name}.jpg", quality=88)
