@@ -248,9 +248,29 @@ def test_it_learns_what_is_rewarded(make, mode):
     assert np.mean(earned[-8:]) > 0.5 * np.mean(earned[:8])
 
 
+@pytest.mark.parametrize("price", [0.0, 3.0])
+def test_actions_that_gain_nothing_shrink_if_they_cost_something(make, price):
+    learning = {"learning_rate": 3e-3, "target_kl": 0.0, "entropy": 0.0}
+    (learner,) = make("collaborative", num_envs=64, action_penalty=price, **learning)
+    actor, rng = learner._policy.actor, np.random.default_rng(0)
+    for net in actor.nets:
+        net[-1].bias.data.fill_(1.0)
+    for _ in range(20):
+        observations = drawn(rng, 64)
+        learner.act(observations)
+        noise = dict.fromkeys(AGENTS, np.float32(rng.normal(size=64)))
+        learner.record(noise, observations, never(64), never(64))
+        learner.update(observations)
+    with torch.no_grad():
+        means = actor(torch.zeros(1, 6))[0]
+    assert (means[~actor.is_grip].abs() < 0.5).all() == (price > 0.0)
+    assert (means[actor.is_grip] > 0.5).all()
+
+
 @pytest.mark.parametrize("entropy", [0.0, 0.01])
 def test_an_update_tells_its_losses_and_rates(make, entropy):
     learning = {"learning_rate": 1e-3, "target_kl": 0.0, "entropy": entropy}
+    learning["action_penalty"] = 0.0
     (learner,) = make("collaborative", initial_std=0.5, **learning)
     observations = drawn(np.random.default_rng(2), 4)
     rewards = dict.fromkeys(AGENTS, np.ones(4, np.float32))

@@ -396,6 +396,7 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
         change_penalty=0.0,
         contact_penalty=0.0,
         range_penalty=0.0,
+        action_penalty=0.0,
     )
     result = train_tiny(hyperparameters=numbers)
     assert result.best["validation/return"] == 3.0

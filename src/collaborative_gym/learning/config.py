@@ -103,6 +103,10 @@ class Hyperparameters:
       range_penalty: price of joints at the ends of their ranges. In each control step a
         robot pays this times the mean square of how far its joints are in the outer
         tenth of their ranges. It holds from the beginning.
+      action_penalty: PPO: price of actions. The loss contains this times the mean square of
+        the policy's mean actions, without grips, from the beginning. A joint whose
+        motor is at its limit moves no less if the policy asks for less, so neither
+        rewards nor noise tell that it asks for too much; this does.
       delayed: share of the worlds in which each action is done one control step late.
         In validations no action is late.
       lost_grips: how likely a robot loses its grip in a control step, whatever it asks
@@ -168,6 +172,7 @@ class Hyperparameters:
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
+    action_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     dense_share: float = bounded(0.0, 0.0, 1.0)
@@ -227,6 +232,7 @@ class Hyperparameters:
             self.change_penalty,
             self.contact_penalty,
             self.range_penalty,
+            self.action_penalty,
         )
         return any(prices)
 
@@ -307,6 +313,7 @@ _OWN: Mapping[str, Sequence[str]] = {
         "min_learning_rate",
         "max_learning_rate",
         "final_noise",
+        "action_penalty",
     ),
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
 }

@@ -64,7 +64,7 @@ class SkrlLearner(ABC):
             "action_space": Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32),
         }
         actor = Actor(learner, sizes, hyperparameters)
-        self._policy = Policy(actor, device, self._spaces)
+        self._policy = Policy(actor, hyperparameters, device, self._spaces)
 
     @abstractmethod
     def learn(
@@ -179,11 +179,19 @@ class _Bounded(torch.autograd.Function):
 class Policy(GaussianMixin, Model):
     """The learner's actor, as skrl knows policies."""
 
-    def __init__(self, actor: Actor, device: str, spaces: Mapping[str, Box]):
+    def __init__(
+        self,
+        actor: Actor,
+        hyperparameters: Hyperparameters,
+        device: str,
+        spaces: Mapping[str, Box],
+    ):
         Model.__init__(self, device=device, **spaces)
         low, high = LOG_STD_LIMITS
         GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
         self.actor = actor
+        self._entropy = hyperparameters.entropy
+        self._action_penalty = hyperparameters.action_penalty
 
     def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
         """Return sampled actions, and what else skrl asks for."""
@@ -193,6 +201,12 @@ class Policy(GaussianMixin, Model):
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         """Return mean actions, and the logarithm of their standard deviation."""
         return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
+
+    def get_entropy(self, *, role: str = "") -> torch.Tensor:
+        """Return what PPO's loss holds for good, whatever the last actions gained."""
+        means = self.distribution(role=role).mean[:, ~self.actor.is_grip]
+        price = self._action_penalty * means.square().mean(dim=1, keepdim=True)
+        return self._entropy * super().get_entropy(role=role) - price
 
 
 class Critic(DeterministicMixin, Model):

@@ -140,7 +140,8 @@ class PPOLearner(SkrlLearner):
             # slowly that the policy learns from noise: Pass stood still for 0.6 M
             # steps.
             value_clip=0.0,
-            entropy_loss_scale=numbers.entropy,
+            # The policy itself weighs what skrl takes for its entropy.
+            entropy_loss_scale=float(numbers.entropy > 0 or numbers.action_penalty > 0),
             value_loss_scale=numbers.value_weight,
             # Where time is up, the last value counts on: it is part of the reward
             # already, and what follows is of another episode.
