@@ -145,7 +145,7 @@ def test_critics_learn_alone_and_then_with_the_policy(make, same):
 @pytest.mark.parametrize("goal", [0.5, -2.0])
 def test_actions_stay_within_bounds_and_can_come_back(goal):
     (learner,) = make_learners("centralized", SIZES)
-    policy = Policy(Actor(learner, SIZES, SMALL), "cpu", _spaces())
+    policy = Policy(Actor(learner, SIZES, SMALL), SMALL, "cpu", _spaces())
     policy.actor.nets[0][-1].bias.data.fill_(1.5)
     optimizer = torch.optim.Adam(policy.parameters(), 0.05)
     for _ in range(200):

@@ -103,8 +103,8 @@ class Hyperparameters:
       range_penalty: price of joints at the ends of their ranges. In each control step a
         robot pays this times the mean square of how far its joints are in the outer
         tenth of their ranges. It holds from the beginning.
-      action_penalty: PPO: price of actions. The loss contains this times the mean square of
-        the policy's mean actions, without grips, from the beginning. A joint whose
+      action_penalty: PPO: price of actions. The loss has this times the mean square
+        of the policy's mean actions, without grips, from the beginning. A joint whose
         motor is at its limit moves no less if the policy asks for less, so neither
         rewards nor noise tell that it asks for too much; this does.
       delayed: share of the worlds in which each action is done one control step late.
