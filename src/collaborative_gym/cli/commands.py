@@ -15,10 +15,10 @@ from collaborative_gym.cli.terminal import (
     Envs,
     File,
     NumEnvs,
+    Played,
     Policies,
-    Randomization,
-    Robots,
     Size,
+    Worlds,
     check_files,
     progress_bars,
     put,
@@ -56,8 +56,8 @@ class List(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _World(Command):
-    """What is played.
+class _Policy(Command):
+    """Who plays.
 
     Attributes:
       policy: who commands the robots: expert (also in another style, such as
@@ -66,23 +66,13 @@ class _World(Command):
         idle, gripping and frozen, which hold still (with an open grip, with a closed
         grip, with the grip as it is). Or one for each robot, such as robot_1=baseline
         robot_2=idle.
-      any_env: let a trained policy play an environment that it was not trained for.
-      robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts half as far again, or hard for starts twice as far off
-        and disturbances.
-      seed: number of a series of episodes; another seed gives other episodes.
     """
 
     policy: Policies = ("expert",)
-    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
-    robots: Robots = ()
-    randomization: Randomization = "default"
-    seed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(_World):
+class Record(Played, _Policy):
     """Write a video of a policy at work, in real time.
 
     Attributes:
@@ -124,7 +114,7 @@ class Record(_World):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(_World):
+class Evaluate(Played, _Policy):
     """Measure a policy over many episodes: mean reward, completion, performance, time.
 
     Attributes:
@@ -253,7 +243,7 @@ class Reproduce:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Certify(Command):
+class Certify(Worlds):
     """Try to do tasks while one arm is still, to show that all arms are needed.
 
     Each arm in turn is idle, idle with a closed grip, or frozen on the expert's way to
@@ -265,11 +255,6 @@ class Certify(Command):
       envs: environment ids, or tasks' names.
       all: certify every environment; then name none.
       quick: take only seconds. This shows that certify works, and proves nothing.
-      robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts half as far again, or hard for starts twice as far off
-        and disturbances.
-      seed: number of a series of episodes; another seed gives other episodes.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: where certificates.md goes, and a folder for each environment, with its
         certificate.json and its trainings.
@@ -279,9 +264,6 @@ class Certify(Command):
     envs: Envs = ()
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
-    robots: Robots = ()
-    randomization: Randomization = "default"
-    seed: int = 0
     num_threads: int = 0
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/certificates")
     budget: Annotated[Budget, tyro.conf.arg(name="")] = field(default_factory=Budget)
@@ -355,7 +337,7 @@ class Benchmark(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(_World):
+class View(Played, _Policy):
     """Watch a policy in real time, and pull at things to disturb it.
 
     It opens a window, or serves a page for the browser if it cannot open one. On the
@@ -411,7 +393,7 @@ class Demo:
     episodes: int = 100
 
     def run(self) -> None:
-        """Tell each file when it is there, then the tables and how to watch."""
+        """Tell each file once it is written, then the tables and how to watch."""
         from collaborative_gym.cli import demo
         from collaborative_gym.cli.tables import reports_table, table11_table
         from collaborative_gym.errors import check_count
@@ -422,10 +404,14 @@ class Demo:
         files = self.output / "table11.json", self.output / "table11.md"
         check_files(*files)
         self._draw()
-        tell(f"measures {self.episodes} episodes of each baseline, expert and chance")
+        tell(
+            f"now it measures {self.episodes} episodes of each baseline, of each expert"
+            " and of random actions; that takes minutes, and Ctrl-C ends it"
+        )
         with progress_bars() as progress:
             table11 = reproduce_table11(
-                self.episodes, on_progress=progress("baselines, experts, chance")
+                self.episodes,
+                on_progress=progress("baselines, experts, random actions"),
             )
         write_text(files[0], table11.to_json())
         write_text(files[1], table11.to_markdown())
@@ -449,8 +435,11 @@ class Demo:
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
-            tell(f"no films and pictures: {error}")
+            tell(f"no films and pictures can be made: {error}")
             return
-        tell("draws all environments, then films them; the first file takes seconds")
+        tell(
+            "a picture of every environment comes first, after some seconds, then a"
+            " film of each"
+        )
         for path in demo.draw(self.output):
             tell(f"wrote {path}")

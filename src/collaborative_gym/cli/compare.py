@@ -28,7 +28,7 @@ class Compare:
 
     runs: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
-        tyro.conf.arg(metavar="RUN | FOLDER ..."),
+        tyro.conf.arg(metavar="RUN | FOLDER ...", help_behavior_hint="(required)"),
     ]
     measure: Annotated[
         str | None,

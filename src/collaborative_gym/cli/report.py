@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from collaborative_gym.cli.terminal import (
-    Command,
     File,
     Folder,
     NumEnvs,
+    Played,
     Policies,
-    Randomization,
-    Robots,
     check_files,
     progress_bars,
     put,
@@ -27,8 +25,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Command):
-    """Write report cards: all that there is to say of policies, on a page for each id.
+class Report(Played):
+    """Write report cards: how good policies are, on a page for each environment.
 
     A card has completion, performance and time to success with intervals; how gently
     the arms act: clearance, speeds, torques, energy and changes of action; what each
@@ -41,12 +39,6 @@ class Report(Command):
       disturbed: number of episodes with each of the disturbances; 0 leaves them out.
       paired: number of episodes of each pairing of the policies and the expert; 0
         leaves them out.
-      any_env: let trained policies play an environment that they were not trained for.
-      robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts half as far again, or hard for starts twice as far off
-        and disturbances.
-      seed: number of a series of episodes; another seed gives other episodes.
       num_envs: worlds that play at the same time; the results do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: folder for the pages, ENV.md with ENV.json and pictures.
@@ -54,16 +46,13 @@ class Report(Command):
     """
 
     envs: Annotated[
-        tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="ENV ...")
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="ENV ...", help_behavior_hint="(required)"),
     ]
     policies: Policies = ("expert",)
     episodes: int = 1000
     disturbed: int = 100
     paired: int = 100
-    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
-    robots: Robots = ()
-    randomization: Randomization = "default"
-    seed: int = 0
     num_envs: NumEnvs = None
     num_threads: int = 0
     output: Folder = None

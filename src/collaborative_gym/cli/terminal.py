@@ -84,6 +84,35 @@ Size = Annotated[
     ),
 ]
 
+
+@dataclass(frozen=True, kw_only=True)
+class Worlds(Command):
+    """What the commands have that start episodes.
+
+    Attributes:
+      robots: robots to use instead of the environment's own, one per agent.
+      randomization: how much episodes differ: default, paper for the thesis's fixed
+        starts, wide for starts 1.5 times as far off, or hard for starts twice as far
+        off and disturbances.
+      seed: number of a series of episodes; another seed gives other episodes.
+    """
+
+    robots: Robots = ()
+    randomization: Randomization = "default"
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Played(Worlds):
+    """What the commands have in which policies play.
+
+    Attributes:
+      any_env: let a trained policy play an environment that it was not trained for.
+    """
+
+    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
+
+
 STANDARD_OUTPUT = Path("-")
 """Stands for standard output where a file is named."""
 

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from collaborative_gym.cli.terminal import (
-    Command,
     Env,
     File,
     Folder,
     NumEnvs,
+    Played,
     Policies,
-    Randomization,
-    Robots,
     check_files,
     progress_bars,
     put,
@@ -24,11 +22,11 @@ from collaborative_gym.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from collaborative_gym.tournaments.result import Tournament as Played
+    from collaborative_gym.tournaments.result import Tournament as Result
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tournament(Command):
+class Tournament(Played):
     """Let every policy play in every seat with every other, and with itself.
 
     A seat is a robot; if robots play against one another, it is a side. Players that
@@ -48,12 +46,6 @@ class Tournament(Command):
         all, or the names of some, which saves games with three robots or more.
       groups: players that are training runs of one kind, with the kind's name before
         each, such as gentle=runs/one gentle=runs/two; else those in one folder.
-      any_env: let trained policies play an environment that they were not trained for.
-      robots: robots to use instead of the environment's own, one per agent.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts half as far again, or hard for starts twice as far off
-        and disturbances.
-      seed: number of a series of episodes; another seed gives other episodes.
       num_envs: worlds that play at the same time; the results do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: folder for tournament.json, .csv and .png, and for a file of each pairing.
@@ -73,10 +65,6 @@ class Tournament(Command):
             metavar="KIND=PLAYER ...", help_behavior_hint="(default: by folder)"
         ),
     ] = ()
-    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
-    robots: Robots = ()
-    randomization: Randomization = "default"
-    seed: int = 0
     num_envs: NumEnvs = None
     num_threads: int = 0
     output: Folder = None
@@ -132,7 +120,7 @@ def _groups(words: Sequence[str]) -> dict[str, list[str]] | None:
     return groups or None
 
 
-def _draw(played: "Played", path: Path) -> str:
+def _draw(played: "Result", path: Path) -> str:
     """Draw the picture if it can be drawn; return what to say of the files."""
     from collaborative_gym.tournaments.picture import draw_tournament
 

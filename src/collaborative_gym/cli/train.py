@@ -75,8 +75,8 @@ class Train(Command):
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts half as far again, or hard for starts twice as far off
-        and disturbances.
+        starts, wide for starts 1.5 times as far off, or hard for starts twice as far
+        off and disturbances.
       opponent: who plays against the learner, if a task has several sides. The default
         is self: the latest policies play all sides. If you name policies, as in
         evaluate, each episode draws one of them; side_2=POLICY plays only that side.

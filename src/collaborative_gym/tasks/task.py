@@ -91,7 +91,7 @@ RANDOMIZATIONS = {
     ),
 }
 """The presets: `paper` starts as the thesis does, `default` is drawn around it, `wide`
-half as far again, for training, `hard` twice as far and with every disturbance."""
+1.5 times as far off, for training, `hard` twice as far and with every disturbance."""
 
 
 @dataclass(frozen=True)
