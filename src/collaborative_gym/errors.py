@@ -40,7 +40,7 @@ class UnknownName(KeyError):
 
 
 class UnknownOption(UnknownName, TypeError):
-    """A keyword argument that there is not, as Python itself calls it."""
+    """A keyword argument that does not exist, as Python itself says it."""
 
 
 def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
@@ -69,7 +69,7 @@ def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:
     Args:
       kind: what the name should name, such as "robot".
       given: the name as the caller gave it, of whatever type.
-      table: what there is, by name.
+      table: what can be named, by name.
 
     Raises:
       KeyError: if nothing has the name.

@@ -107,7 +107,7 @@ def load_entry_points() -> None:
 
 
 def _told(name: str, error: SyntaxError) -> str:
-    """Return where a file is no Python, and what is there."""
+    """Return which line of a file is no Python, with its text."""
     text = (error.text or "").strip()
     line = f", line {error.lineno}: {error.msg}: {text}" if error.lineno else ""
     return f"module {name} is no Python{line or f': {error.msg}'}"

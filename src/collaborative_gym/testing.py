@@ -238,7 +238,7 @@ def check_saving(trial: Trial) -> None:
 
 
 def check_measuring(trial: Trial) -> None:
-    """Measuring again in the same state changes nothing, nor does what follows it."""
+    """Measuring twice in one state changes nothing, neither then nor later."""
     env = trial.worlds(7)
     play(env, 3)
     task = env.task

@@ -1,1 +1,1 @@
-"""Report cards: all that there is to say of policies, on one page."""
+"""Report cards: how good policies are, on one page."""

@@ -136,7 +136,7 @@ def report_card(
     any_env: bool = False,
     on_progress: Callable[[float], object] | None = None,
 ) -> ReportCard:
-    """Return what there is to say of policies in an environment.
+    """Return a report card of policies in an environment.
 
     Args:
       env: an environment id, a task's name, or a task.

@@ -25,7 +25,7 @@ def draw_card(card: ReportCard, path: str | Path) -> None:
     """Draw when episodes succeed, and how many of them disturbed, into a PNG or SVG.
 
     Args:
-      card: what there is to say.
+      card: what to draw.
       path: the file.
 
     Raises:

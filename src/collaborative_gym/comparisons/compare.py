@@ -20,7 +20,7 @@ def compare(
     Args:
       runs: the folder of a run, or one that has runs in it at any depth, or several.
       measure: measure of the validations for performance profiles and probabilities of
-        improvement; None for "completion", or the first that there is.
+        improvement; None for "completion", or the first that the runs have.
 
     Raises:
       FileNotFoundError: if there is no run in one of the folders.

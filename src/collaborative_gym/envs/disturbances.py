@@ -25,8 +25,8 @@ _OF_STEPS = ("delay", "lost_actions", "position_noise", "angle_noise")
 class Disturbances:
     """Changes models, actions and observations of worlds, and never their rewards.
 
-    A lost action counts as late or lost for the reward too: what an arm does is
-    charged, not what was asked of it.
+    The reward counts what an arm does. A late or lost action costs what the arm does
+    instead, not what the policy asked for.
 
     Args:
       task: what is done.

@@ -12,7 +12,7 @@ RENDERING = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_DT)}
 """What the metadata of an environment says of its pictures."""
 
 STEP_INFO = ("success", "diverged", "reward_terms", "metrics")
-"""What is told of every reset and step."""
+"""What the infos of every reset and step have."""
 
 
 def fresh_seed() -> int:
@@ -21,7 +21,7 @@ def fresh_seed() -> int:
 
 
 def check_render_mode(given: str | None, modes: Sequence[str]) -> None:
-    """Raise `KeyError` for a render mode that there is not."""
+    """Raise `KeyError` for an unknown render mode."""
     if given is not None and given not in modes:
         message = unknown("render mode", given, modes)
         if given == "human":

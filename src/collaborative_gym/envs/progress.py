@@ -224,7 +224,7 @@ class Progress:
         resting: Array,
         observations: Mapping[str, Array],
     ) -> dict[str, Any]:
-        """Return what is told of a step, as `VectorEnv` describes it."""
+        """Return the infos of a step, as `VectorEnv` describes them."""
         return {
             "episode": self.rows["episode"] + 0,
             "step": self.rows["step"] + 0,

@@ -84,7 +84,7 @@ def check_state(
     if differs and not from_another:
         raise ValueError(
             f"the state is from another environment: {'; '.join(differs)}; pass"
-            " from_another=True to play it here nevertheless"
+            " from_another=True to play it here anyway"
         )
     for part, given, own in (
         ("memory", state.memory, blank.memory),

@@ -33,7 +33,7 @@ class Estimate:
 
 
 def resample(*strata: np.ndarray) -> list[np.ndarray]:
-    """Return each stratum drawn anew, with replacement, (draws, values, ...).
+    """Return each stratum drawn again, with replacement, (draws, values, ...).
 
     The draws are the same every time, so that equal values give equal intervals.
 
@@ -57,7 +57,7 @@ def estimate(
 ) -> list[Estimate]:
     """Return what a function gives of strata, with the stratified bootstrap's interval.
 
-    Where a stratum has but one value there is no interval.
+    If a stratum has only one value, there is no interval.
 
     Args:
       of: takes the strata, each of (..., values, columns), and returns (..., columns).

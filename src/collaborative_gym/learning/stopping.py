@@ -1,4 +1,4 @@
-"""Ctrl-C, which a run heeds once the update at hand is done and saved."""
+"""Ctrl-C ends a run once the update under way is done and saved."""
 
 import signal
 import threading

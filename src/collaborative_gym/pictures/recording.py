@@ -228,7 +228,7 @@ def contact_sheet(
 
 
 class _Painter:
-    """Draws a world, but anew only when something has moved far enough to be seen.
+    """Draws a world, but only again when something has moved far enough to be seen.
 
     Experts hold still at the goal, and without a graphics card drawing takes most of
     the time.

@@ -323,7 +323,7 @@ def check_activation(name: str) -> None:
     """Raise unless it is the name of an activation.
 
     Raises:
-      ValueError: names those that there are.
+      ValueError: names those that exist.
     """
     if name not in ACTIVATIONS:
         raise ValueError(unknown("activation", name, ACTIVATIONS))

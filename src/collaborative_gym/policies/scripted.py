@@ -26,7 +26,7 @@ def expert_policy(env: VectorEnv, style: str = ""):
       style: one of `STYLES` or of the task's `styles`, or its usual way.
 
     Raises:
-      KeyError: if there is no such style; names those that there are.
+      KeyError: if there is no such style; names those that exist.
     """
     if style:
         look_up("expert style", style, {**STYLES, **env.task.styles})

@@ -4,8 +4,8 @@ The board (0.8 x 1.5 m, 1 kg) is fixed in robot_1's hand and welded to robot_2's
 both arms move with every tilt. One arm can tilt it alone, against the servos of the
 other. So the task measures how well two arms cooperate, not whether they must. The ball
 rolls without slipping. On slopes below 0.075 it rests. In the two-Sawyer environment a
-vertical force acts on a random point of the board; it is drawn anew at every step, up
-to 10 N up or down.
+vertical force acts on a random point of the board; it is a new one at every step,
+up to 10 N up or down.
 
 Randomised: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm
@@ -78,7 +78,7 @@ class BalanceConfig(TaskConfig):
     Attributes:
       success_distance: between the centres of ball and board, in m.
       board_height: of the board's centre above the floor at the nominal start, in m.
-      push: greatest vertical force on the board, drawn anew at every step, in N.
+      push: greatest vertical force on the board, a new one at every step, in N.
     """
 
     success_distance: float = bounded(0.09, 0.001, 10.0)

@@ -317,12 +317,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
         """Return motions of arms that grip, wait for each other and lift together.
 
-        If one arm loses its grip on the way, both let go and begin anew.
+        If one arm loses its grip on the way, both let go and begin again.
         """
         return self._lift(sim, facts, self._lifted_handles(facts))
 
     def styled(self, sim: Sim, facts: LiftFacts, *, style: str) -> dict[str, Motion]:
-        """Return motions of which one arm's only keep the pot level."""
+        """Return motions with which one arm only keeps the pot level."""
         goals = self._lifted_handles(facts)
         leads = list(self.styles).index(style)
         leader, follower = self.agents[leads], self.agents[1 - leads]

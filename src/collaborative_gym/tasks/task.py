@@ -28,8 +28,8 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first four are of the start; `envs.disturbances` does the others, which no policy is
-    told of.
+    first four are of the start; `envs.disturbances` does the others. No policy learns
+    of them.
 
     Attributes:
       joint_noise: of every arm joint, in rad.
@@ -356,7 +356,7 @@ class Task(Generic[ConfigT, FactsT]):
         return None
 
     def expert(self, sim: Sim, facts: FactsT) -> dict[str, Motion]:
-        """Return what a scripted expert does, by agent; it may look at all there is.
+        """Return a scripted expert's motions, by agent; it may look at the whole state.
 
         Experts compute with NumPy, and so play on NumPy's worlds only.
         """

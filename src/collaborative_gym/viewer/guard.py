@@ -1,4 +1,4 @@
-"""A page's server, which heeds no other page and takes nothing but its users' input."""
+"""A page's server, which answers no other page and takes only its users' input."""
 
 import ipaddress
 import logging
@@ -217,7 +217,7 @@ class _Connection(websockets.ServerConnection):
             except ValueError:
                 continue
             if self.guard.takes(sent):
-                # Written anew, nothing is left that viser could read in another way.
+                # Once it is written again, viser can read it in one way only.
                 return _WRITER.encode(sent)
 
 

@@ -86,7 +86,7 @@ class Panel:
         return {name: box.value for name, box in self._looks.items()}
 
     def refresh(self) -> None:
-        """Say what there is to say now. Only the session's thread may call this."""
+        """Bring the panel up to date. Only the session's thread may call this."""
         session = self._session
         self._play.label = "Play" if session.is_paused else "Pause"
         self._plots.refresh(session.film)
@@ -196,7 +196,7 @@ class Panel:
         self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
-        # A picture that there is not, since pages run no scripts that come later.
+        # An image that cannot be loaded runs it: pages run no scripts that come later.
         self._script.content = (
             f'<img src="data:," hidden onerror="{html.escape(script)}">'
         )
@@ -208,7 +208,7 @@ class Panel:
         value: str,
         change: Callable[[Choice, str], Choice],
     ) -> Any:
-        """Offer names, of which one is changed to in what plays then."""
+        """Offer names; whoever chooses one changes what plays."""
         box = self._gui.add_dropdown(
             label, list(dict.fromkeys([*options, value])), initial_value=value
         )

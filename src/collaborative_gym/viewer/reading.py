@@ -1,4 +1,4 @@
-"""What a viewer's panel says of the present state."""
+"""What a viewer's panel says about the present state."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from collaborative_gym.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class Reading:
-    """What is to be said of one world.
+    """What a viewer says about one world.
 
     Attributes:
       episode: index of the episode within its seed.
@@ -79,7 +79,7 @@ def read(
     before: Reading | None,
     players: Mapping[str, str],
 ) -> Reading:
-    """Return what there is to say of a batch of one world.
+    """Return the reading of a batch of one world.
 
     Args:
       env: the world.
@@ -120,7 +120,7 @@ def read(
 
 
 def _by_side(sides: Iterable[str], told: Any) -> list[tuple[str, Any]]:
-    """Return what is told of each side, which is by name only where there are more."""
+    """Return a value for each side; a single side has no name in it."""
     return [(side, told[side] if isinstance(told, Mapping) else told) for side in sides]
 
 

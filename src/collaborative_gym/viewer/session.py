@@ -1,4 +1,4 @@
-"""One world that a policy plays in real time, and what its viewers ask of it."""
+"""One world that a policy plays in real time, and what its viewers ask for."""
 
 import threading
 import time
@@ -36,11 +36,11 @@ Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Frame:
-    """What an episode has come to after a control step.
+    """An episode after a control step.
 
     Attributes:
       state: from which it goes on.
-      reading: what to say of it.
+      reading: what to say about it.
     """
 
     state: EnvState
@@ -64,7 +64,7 @@ class Session:
     Attributes:
       env: the world.
       policies: who commands each agent.
-      reading: what to say of the present state.
+      reading: what to say about the present state.
       film: the episode so far, a frame for its start and for each control step. Its
         later ones are of a future that may differ once time goes on again.
       perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
@@ -267,7 +267,7 @@ class Session:
             self._spring.pull(self.perturb)
             self._observations, _, _, _, infos = self.env.step(actions)
         except Exception as error:
-            if self._has_ended:  # It was no policy that failed, but what draws it.
+            if self._has_ended:  # The drawing failed, not the policy.
                 raise
             self._stop("the policy", error)
             return
