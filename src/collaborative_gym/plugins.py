@@ -110,7 +110,7 @@ def _told(name: str, error: SyntaxError) -> str:
     """Return which line of a file is no Python, with its text."""
     text = (error.text or "").strip()
     line = f", line {error.lineno}: {error.msg}: {text}" if error.lineno else ""
-    return f"module {name} is no Python{line or f': {error.msg}'}"
+    return f"module {name} is not Python{line or f': {error.msg}'}"
 
 
 def _import(name: str) -> ModuleType:

@@ -144,7 +144,9 @@ def test_a_damaged_certificate_is_refused(press, small, tmp_path, damage):
         content["trials"][0]["player"] = "chance"
     text = {"cut": file.read_text()[:-9], "empty": ""}.get(damage, json.dumps(content))
     file.write_text(text)
-    with pytest.raises(ValueError, match=r"certificate.json is no certificate, or is"):
+    with pytest.raises(
+        ValueError, match=r"certificate.json is not a certificate, or is"
+    ):
         cg.certify(press(), budget=small, output=tmp_path)
     assert file.read_text() == text
 

@@ -187,7 +187,9 @@ def test_damaged_runs_and_unknown_measures_are_named(write_run, tmp_path):
     for name in ("config.json", "progress.csv"):
         whole = (folder / name).read_text()
         (folder / name).write_text(whole.replace("1", "x"))
-        with pytest.raises(ValueError, match=f"{name} is no training run's, or dam"):
+        with pytest.raises(
+            ValueError, match=f"{name} is not from a training run, or is dam"
+        ):
             cg.compare(folder)
         (folder / name).write_text(whole)
     write_run("begun/run", ())

@@ -43,7 +43,10 @@ def with_physics(state, value):
         (lambda s: with_progress(s, "side_1: first_success", 3), "first_success' is"),
         (lambda s: with_progress(s, "side_1: performing_steps", -1), "performing_s"),
         (lambda s: with_progress(s, "robot_1: height", np.nan), "is not finite"),
-        (lambda s: {"physics": s.physics}, r"comes from get_state\(\), and is no dict"),
+        (
+            lambda s: {"physics": s.physics},
+            r"comes from get_state\(\), and is not a dict",
+        ),
     ],
 )
 def test_a_state_that_no_world_can_be_in_changes_nothing(

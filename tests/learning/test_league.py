@@ -205,7 +205,9 @@ def test_a_league_comes_back_from_its_state_and_files(league, duel, numbers, tmp
     assert odds(again, latest, MAIN) == odds(made, latest, MAIN)
     path = tmp_path / "players" / "main-1.safetensors"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"main-1\.safetensors is no policy, or is d"):
+    with pytest.raises(
+        ValueError, match=r"main-1\.safetensors is not a policy, or is d"
+    ):
         again.load_state_dict(state)
     path.unlink()
     with pytest.raises(FileNotFoundError, match=r"main-1\.safetensors is gone"):

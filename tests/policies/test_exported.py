@@ -107,7 +107,7 @@ def test_a_network_of_other_sizes_is_refused(env, sizes, tmp_path, name):
 @pytest.mark.parametrize("name", ["best.pt", "policy.onnx"])
 def test_another_kind_of_file_is_refused(env, tmp_path, name):
     (tmp_path / name).write_bytes(b"PK" + bytes(100))
-    with pytest.raises(ValueError, match=r"is no (TorchScript|ONNX) file"):
+    with pytest.raises(ValueError, match=r"is not an? (TorchScript|ONNX) file"):
         cg.load_policy(tmp_path / name, env)
 
 

@@ -245,7 +245,7 @@ def test_a_spoilt_file_is_refused_in_one_sentence(policies, tmp_path, kind):
     policies["each"].save(path)
     spoil, message = SPOILT[kind]
     spoil(path)
-    with pytest.raises(ValueError, match="is no policy, or is damaged: ") as caught:
+    with pytest.raises(ValueError, match="is not a policy, or is damaged: ") as caught:
         NetworkPolicy.load(path)
     words = str(caught.value)
     assert message in words and str(path) in words and "\n" not in words
@@ -261,11 +261,11 @@ def test_no_flipped_bit_goes_unnoticed(policies, tmp_path):
         spoilt = bytearray(whole)
         spoilt[place // 8] ^= 1 << (place % 8)
         path.write_bytes(spoilt)
-        with pytest.raises(ValueError, match="is no policy, or is damaged"):
+        with pytest.raises(ValueError, match="is not a policy, or is damaged"):
             NetworkPolicy.load(path)
     for length in rng.integers(0, len(whole), 50):
         path.write_bytes(whole[:length])
-        with pytest.raises(ValueError, match="is no policy, or is damaged"):
+        with pytest.raises(ValueError, match="is not a policy, or is damaged"):
             NetworkPolicy.load(path)
 
 

@@ -185,8 +185,8 @@ class Certificate:
         except Exception as error:  # A file may be spoilt in any way.
             reason = str(error).partition("\n")[0]
             raise ValueError(
-                f"{path} is no certificate, or is damaged: {reason}; remove it to start"
-                " anew"
+                f"{path} is not a certificate, or is damaged: {reason}; remove it to"
+                " start again"
             ) from error
 
     def to_markdown(self) -> str:

@@ -65,7 +65,7 @@ def strain_table(reports: Sequence[Report]) -> Table:
     for report in reports:
         for i, cells in enumerate(strain_lines(report)):
             table.add_row("" if i else report.environment, *cells)
-    table.caption = "Of each episode the greatest, and the least clearance."
+    table.caption = "The greatest value in each episode; for the clearance, the least."
     return table
 
 

@@ -57,7 +57,7 @@ class TrainedRun:
             rows = tuple(_validations(path))
         except (LookupError, TypeError, ValueError) as error:
             raise ValueError(
-                f"{path} is no training run's, or damaged: {error!r}"
+                f"{path} is not from a training run, or is damaged: {error!r}"
             ) from None
         settings = {
             name.removeprefix("hyperparameters."): value

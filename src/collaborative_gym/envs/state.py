@@ -77,7 +77,7 @@ def check_state(
     """
     if not isinstance(state, EnvState):
         raise TypeError(
-            f"a state comes from get_state(), and is no {type(state).__name__}"
+            f"a state comes from get_state(), and is not a {type(state).__name__}"
         )
     check_kind("the state's identity", state.identity, Identity, "an Identity")
     differs = state.identity.differences(blank.identity, ignore=ON_STATE)

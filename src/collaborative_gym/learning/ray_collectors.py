@@ -259,7 +259,7 @@ def _check_answers(address: str) -> None:
     except subprocess.TimeoutExpired:
         cause = f"what listens there said nothing that Ray knows in {_HEALTH:.0f} s"
     except subprocess.CalledProcessError as error:
-        cause = (error.stderr.strip().splitlines() or ["it is no healthy Ray"])[-1]
+        cause = (error.stderr.strip().splitlines() or ["it is not a healthy Ray"])[-1]
     except (OSError, OverflowError) as error:
         cause = str(error)
     else:

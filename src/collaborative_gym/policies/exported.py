@@ -84,7 +84,7 @@ def _onnx(path: Path) -> _Run:
     try:
         session = onnxruntime.InferenceSession(path, options, providers=_CPU)
     except Exception as error:
-        raise ValueError(f"{path} is no ONNX file, or damaged") from error
+        raise ValueError(f"{path} is not an ONNX file, or is damaged") from error
     name = session.get_inputs()[0].name
     return lambda rows: session.run(None, {name: rows})[0]
 
@@ -103,8 +103,8 @@ def _torchscript(path: Path) -> _Run:
             network = torch.jit.load(path, map_location="cpu").eval()
     except RuntimeError as error:
         raise ValueError(
-            f"{path} is no TorchScript file; of a training run give the folder, or the"
-            " policy.safetensors in it"
+            f"{path} is not a TorchScript file; for a training run, give the folder, or"
+            " the policy.safetensors in it"
         ) from error
 
     def run(rows: np.ndarray) -> np.ndarray:

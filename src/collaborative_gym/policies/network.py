@@ -278,7 +278,7 @@ class NetworkPolicy:
             missing = "it has no " if isinstance(error, KeyError) else ""
             reason = missing + str(error).partition("\n")[0]
             raise ValueError(
-                f"{path} is no policy, or is damaged: {reason}; give the"
+                f"{path} is not a policy, or is damaged: {reason}; give the"
                 " policy.safetensors of a training run, or fetch the file again"
             ) from error
 
