@@ -69,12 +69,6 @@ def section(env: str, found: dict) -> list[str]:
         lines.append(
             f"| {name} | {told(own['self-play'])} | {cross} | {own['worst']} |"
         )
-    low = 100 * wilson(1.0, found["episodes"])[0]
-    lines += [
-        "",
-        f"{found['episodes']} episodes for each pairing. Of so many, 100 % is",
-    ]
-    lines[-1] += f" 95 % surely {low:.0f} % or more (Wilson)."
     return [*lines, ""]
 
 
@@ -104,8 +98,8 @@ def main() -> None:
     order = sorted(kept, key=cg.list_envs().index)
     fewest = min(found["episodes"] for found in kept.values())
     head = (
-        f"Cells: completion in %, performance in %, return; over {fewest} or more"
-        f" episodes. Of {fewest} episodes 100 % is 95 % surely"
+        "Each cell has completion in %, performance in % and return, over"
+        f" {fewest} episodes or more. Of {fewest}, 100 % is 95 % surely"
         f" {100 * wilson(1.0, fewest)[0]:.0f} % or more (Wilson)."
     )
     lines = [line for env in order for line in section(env, kept[env])]
