@@ -61,7 +61,10 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
 
 def no_checkpoint(path: Path) -> FileNotFoundError:
     """Return the error where a checkpoint is missing."""
-    return FileNotFoundError(f"there is no checkpoint {path}; give the folder of a run")
+    return FileNotFoundError(
+        f"there is no checkpoint {path}; give the folder of a run, or start it again if"
+        " it was stopped before its first update"
+    )
 
 
 def _lock(descriptor: int, folder: Path) -> None:

@@ -218,7 +218,10 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
         names = {file.stem: file for file in players.glob("*.safetensors")}
         return NetworkPolicy.load(look_up("player", path.name, names))
     if path.suffix or len(path.parts) > 1:
-        raise FileNotFoundError(f"no policy file {path}")
+        raise FileNotFoundError(
+            f"no policy file {path} exists; the folder of a training run has one after"
+            " its first validation"
+        )
     raise UnknownName(unknown("policy", name, [*_NAMES, *list_envs()]))
 
 
