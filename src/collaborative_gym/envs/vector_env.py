@@ -327,8 +327,8 @@ class VectorEnv:
         Args:
           state: from `get_state`.
           env_ids: as many worlds as the state has rows; None for all.
-          from_another: take also the state of an environment that is another, such as
-            one with other settings or another version of the physics, if it fits.
+          from_another: also take the state of another environment, such as one with
+            other settings or another version of the physics, if it fits.
 
         Raises:
           IndexError: if there are no such worlds.

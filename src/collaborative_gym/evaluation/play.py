@@ -125,7 +125,7 @@ def _report(
 
 
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
-    """Return in how many worlds to play so many episodes, unless that is given."""
+    """Return in how many worlds to play these episodes, if nobody says."""
     if num_envs is not None:
         return num_envs
     return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
@@ -180,7 +180,7 @@ def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
 
 
 def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return what is known of the episode that world i has ended, as a `Report` has it.
+    """Return the `Report`'s row of the episode that world i has ended.
 
     Args:
       infos: what the step that ended it gave, from `VectorEnv.step`.
@@ -230,7 +230,7 @@ def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
 def part_of(
     on_progress: Callable[[float], object] | None, i: int, count: int
 ) -> Callable[[float], object] | None:
-    """Return what tells the progress of the i-th of some equal parts as that of all.
+    """Return what takes the progress of one of some equal parts, and tells that of all.
 
     Args:
       on_progress: called with the share of all that is done; None for nothing.

@@ -1,10 +1,10 @@
 """Poke: one arm holds a stick, the other a square ring, and the stick goes in the hole.
 
 robot_1 holds the stick (0.2 m long). robot_2 holds the ring, called donut (outer side
-0.24 m, hole 0.16 m). Both objects are fixed in the grippers for good, so nothing is
-gripped or released. The arms start turned aside, and each object is out of the other
-arm's reach. So the arms must meet half-way: robot_2 presents the ring, and robot_1
-lines up the stick with its hole.
+0.24 m, hole 0.16 m). Both objects are fixed in the grippers, so nothing is gripped or
+released. The arms start turned aside, and each object is out of the other arm's reach.
+So the arms must meet half-way: robot_2 presents the ring, and robot_1 lines up the
+stick with its hole.
 
 Randomised: where each object starts (its position along every axis, its turn about the
 vertical) and every joint angle.

@@ -85,7 +85,7 @@ def tournament(
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn, a preset's name or a value; None for
         "default".
-      num_envs: worlds to play in beside one another; None for at most 64.
+      num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.
       output: a folder that keeps each pairing in a file. A pairing that it has is not
