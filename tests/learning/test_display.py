@@ -102,6 +102,7 @@ def test_panel_shows_rewards_by_robot_and_updates_by_learner():
 
 def test_learners_named_after_robots_are_not_taken_for_rewards():
     numbers = {"robot_1/kl": 0.01, "robot_2/kl": 0.02, "robot_1/weight_norm": 9.0}
+    numbers |= {"robot_1/learning_rate": 1e-3, "robot_2/learning_rate": 1e-3}
     lines = panel(row(1000, **FULL) | numbers)
     assert sum("KL" in line or "kl" in line for line in lines) == 1
     assert cells(lines, "weight norm") == ["9.0"]
