@@ -32,7 +32,7 @@ from collaborative_gym.policies.network import (
 class SkrlLearner(ABC):
     """Networks and optimisers of one learner, on rows of its agents.
 
-    An algorithm adds its critics and `_agent`, skrl's own, and learns.
+    An algorithm makes skrl's agent, with critics and a memory, and learns.
 
     Args:
       learner: whom it commands, and how.
@@ -41,9 +41,6 @@ class SkrlLearner(ABC):
       device: of torch.
       casting: who sits where; None for this learner alone.
     """
-
-    _modules: dict[str, Any]
-    """All that an update changes, by name."""
 
     def __init__(
         self,
@@ -65,6 +62,18 @@ class SkrlLearner(ABC):
         }
         actor = Actor(learner, sizes, hyperparameters)
         self._policy = Policy(actor, hyperparameters, device, self._spaces)
+        self._agent = self._make_agent()
+        self._agent.init()
+        modules: Mapping[str, Any] = self._agent.checkpoint_modules
+        self._modules = {**modules, **self._left_out()}
+
+    @abstractmethod
+    def _make_agent(self) -> Any:
+        """Return skrl's agent, before its own `init`."""
+
+    @abstractmethod
+    def _left_out(self) -> dict[str, Any]:
+        """Return by name what updates change and skrl's checkpoints leave out."""
 
     @abstractmethod
     def learn(
@@ -117,6 +126,10 @@ class SkrlLearner(ABC):
         for name, module in self._modules.items():
             module.load_state_dict(state[name])
 
+    def _critic(self, *names: str) -> "Critic":
+        """Return a critic of what skrl calls so."""
+        return Critic(names, self._hyperparameters, self._device, self._spaces)
+
     @property
     def _scaler(self) -> "Scaler":
         """What standardizes observations."""
@@ -124,13 +137,11 @@ class SkrlLearner(ABC):
 
     def _scaling(self) -> dict[str, Any]:
         """Return the part of skrl's settings that makes the `_scaler`."""
-        size = self._spaces["observation_space"]
-        limit = OBSERVATION_LIMIT
         return {
             "observation_preprocessor": Scaler,
             "observation_preprocessor_kwargs": {
-                "size": size,
-                "clip_threshold": limit,
+                "size": self._spaces["observation_space"],
+                "clip_threshold": OBSERVATION_LIMIT,
                 "device": self._device,
             },
         }

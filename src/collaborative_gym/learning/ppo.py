@@ -1,17 +1,15 @@
 """A learner on skrl's PPO."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
 from skrl.resources.schedulers.torch import KLAdaptiveLR
 
-from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import Rollout
-from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.learner import Critic, Scaler, SkrlLearner
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.learner import Scaler, SkrlLearner
 
 _LOSSES = {
     "policy_loss": "Loss / Policy loss",
@@ -28,31 +26,19 @@ _ESTIMATES = "returns", "advantages"
 class PPOLearner(SkrlLearner):
     """A critic of what is observed, and updates that stay near the policy."""
 
-    def __init__(
-        self,
-        learner: Learner,
-        sizes: Sizes,
-        hyperparameters: Hyperparameters,
-        device: str,
-        casting: Casting | None = None,
-    ):
-        super().__init__(learner, sizes, hyperparameters, device, casting)
-        names = ("observations",)
-        self._value = Critic(names, hyperparameters, device, self._spaces)
-        self._memory = _Memory(memory_size=1, device=device)
-        self._agent = _PPO(
+    def _make_agent(self) -> "_PPO":
+        self._value = self._critic("observations")
+        self._memory = _Memory(memory_size=1, device=self._device)
+        return _PPO(
             models={"policy": self._policy, "value": self._value},
             memory=self._memory,
-            device=device,
+            device=self._device,
             cfg=self._config(),
             **self._spaces,
         )
-        self._agent.init()
-        # skrl itself leaves the scheduler out.
-        self._modules = {
-            **self._agent.checkpoint_modules,
-            "scheduler": self._agent.scheduler,
-        }
+
+    def _left_out(self) -> dict[str, Any]:
+        return {"scheduler": self._agent.scheduler}
 
     def learn(
         self, rollouts: Sequence[Rollout], *, critic_alone: bool = False

@@ -8,11 +8,8 @@ import torch
 from skrl.agents.torch.sac import SAC, SAC_CFG
 from skrl.memories.torch import RandomMemory
 
-from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import Rollout
-from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.learner import Critic, SkrlLearner
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.learner import SkrlLearner
 
 _LOSSES = {
     "policy_loss": "Loss / Policy loss",
@@ -29,42 +26,23 @@ class SACLearner(SkrlLearner):
     examples, so that players act as PPO's do and policies are the same files.
     """
 
-    def __init__(
-        self,
-        learner: Learner,
-        sizes: Sizes,
-        hyperparameters: Hyperparameters,
-        device: str,
-        casting: Casting | None = None,
-    ):
-        super().__init__(learner, sizes, hyperparameters, device, casting)
+    def _make_agent(self) -> "_SAC":
         self._critics = {
-            name: Critic(
-                ("observations", "taken_actions"),
-                hyperparameters,
-                device,
-                self._spaces,
-            )
+            name: self._critic("observations", "taken_actions")
             for name in ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
         }
-        self._memory = _Memory(
-            memory_size=hyperparameters.replay_size, device=device, replacement=True
-        )
-        self._agent = _SAC(
+        size = self._hyperparameters.replay_size
+        self._memory = _Memory(memory_size=size, device=self._device, replacement=True)
+        return _SAC(
             models={"policy": self._policy, **self._critics},
             memory=self._memory,
-            device=device,
+            device=self._device,
             cfg=self._config(),
             **self._spaces,
         )
-        self._agent.init()
-        self._agent.write_interval = 1  # Else skrl tells no losses.
-        # skrl itself leaves these out.
-        self._modules = {
-            **self._agent.checkpoint_modules,
-            "entropy": self._agent,
-            "memory": self._memory,
-        }
+
+    def _left_out(self) -> dict[str, Any]:
+        return {"entropy": self._agent, "memory": self._memory}
 
     def learn(
         self, rollouts: Sequence[Rollout], *, critic_alone: bool = False
@@ -87,6 +65,7 @@ class SACLearner(SkrlLearner):
         """Do some gradient steps and return the means of their losses."""
         agent, scaler = self._agent, self._scaler
         held, scaler.is_held = scaler.is_held, True  # Each row counts once.
+        agent.write_interval = 1  # Else skrl tells no losses.
         agent.enable_models_training_mode(True)
         agent.update(timestep=0, timesteps=0)
         agent.enable_models_training_mode(False)
@@ -122,8 +101,8 @@ class SACLearner(SkrlLearner):
             polyak=numbers.polyak,
             learning_rate=numbers.learning_rate,
             grad_norm_clip=numbers.max_grad_norm,
-            # So much that noise grows at first: with 0.01, and so less noise, Poke had
-            # -600 after 50,000 steps, not -164.
+            # So much that noise grows at first, to a standard deviation of 0.45. With
+            # 0.01, Poke's validation after 50,000 steps was -600, not -164.
             initial_entropy_value=0.2,
             target_entropy=entropy * self._spaces["action_space"].shape[0],
             **self._scaling(),
