@@ -32,7 +32,7 @@ class BenchMARLTask(TaskClass):
 
     def __init__(self, name: str, config: dict[str, Any] | None = None):
         super().__init__(name, {} if config is None else config)
-        self._has_evaluation = False
+        self._is_evaluation = False
 
     def get_env_fun(
         self,
@@ -41,10 +41,12 @@ class BenchMARLTask(TaskClass):
         seed: int | None,
         device: Any,
     ) -> Callable[[], EnvBase]:
-        """Return a function that makes the worlds; BenchMARL's first evaluate."""
-        # It asks for both with one seed.
-        draw = training_seed if self._has_evaluation else validation_seed
-        self._has_evaluation = True
+        """Return a function that makes the worlds, to evaluate and to train by turns.
+
+        Every experiment asks for both, in this order and with one seed.
+        """
+        self._is_evaluation = not self._is_evaluation
+        draw = validation_seed if self._is_evaluation else training_seed
         own = draw(0 if seed is None else seed)
         name, config = self.name, {"num_threads": 1, **self.config}
         return lambda: TorchRLEnv(
