@@ -74,6 +74,24 @@ RUNS = {
         needs=("benchmarl",),
         is_slow=True,
     ),
+    "train_cleanrl.py": Run(
+        (r"1,680 steps: return -[\d.]+", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        "--total-steps 1680 --num-envs 4 --rollout 210 --episodes 2",
+        writes=("policy.pt",),
+        needs=("torch",),
+        is_slow=True,
+    ),
+    "train_minari.py": Run(
+        (
+            "4 episodes, 800 steps",
+            "replayed to the bit",
+            r"\| PokeTaskSawyers-v0 \| return \| -",
+        ),
+        "--episodes 4 --updates 20 --tests 2",
+        writes=("clone.pt", "datasets/PokeTaskSawyers/expert-v0/data/main_data.hdf5"),
+        needs=("minari", "h5py", "torch"),
+        is_slow=True,
+    ),
     "train_modes.py": Run(
         (r"(?s)collaborative\W+-.*independent\W+-.*shared\W+-.*centralized\W+-",),
         "--total-steps 256 --num-envs 1 --episodes 1 --output runs",
@@ -96,6 +114,18 @@ RUNS = {
         ),
         "--total-steps 2000 --num-envs 4 --episodes 2",
         needs=("stable_baselines3",),
+        is_slow=True,
+    ),
+    "train_supersuit.py": Run(
+        ("4 rows, 2 of each robot", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        "--total-steps 400 --num-envs 2 --episodes 2",
+        needs=("supersuit", "stable_baselines3"),
+        is_slow=True,
+    ),
+    "train_tianshou.py": Run(
+        (r"\d s of training", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        "--total-steps 400 --num-envs 4 --episodes 2",
+        needs=("tianshou",),
         is_slow=True,
     ),
 }

@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("benchmarl")
 
-from collaborative_gym.adapters.benchmarl import BenchMARLTask  # noqa: E402
-from collaborative_gym.learning.seeds import (  # noqa: E402
+from collaborative_gym.adapters.benchmarl import BenchMARLTask
+from collaborative_gym.learning.seeds import (
     training_seed,
     validation_seed,
 )

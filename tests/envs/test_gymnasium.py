@@ -7,6 +7,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import RecordEpisodeStatistics
 from gymnasium.wrappers.vector import (
+    ClipReward,
+    DictInfoToList,
     DtypeObservation,
     NormalizeObservation,
     NormalizeReward,
@@ -303,8 +305,10 @@ def test_there_is_no_such_autoreset_mode(carry_id):
         NormalizeReward,
         lambda envs: DtypeObservation(envs, np.float16),
         RecordVectorEpisodeStatistics,
+        lambda envs: ClipReward(envs, -1, 1),
+        DictInfoToList,
     ],
-    ids=["observation", "reward", "dtype", "statistics"],
+    ids=["observation", "reward", "dtype", "statistics", "clip", "infos"],
 )
 def test_wrappers_of_gymnasium(make_vec, mode, wrapper):
     envs = make_vec(mode)
@@ -321,6 +325,33 @@ def test_wrappers_of_gymnasium(make_vec, mode, wrapper):
     assert np.isfinite(rewards).all()
     if mode is not AutoresetMode.DISABLED:
         wrapped.step(np.zeros((3, 16)))
+
+
+def test_gymnasium_counts_all_episodes_that_start_in_the_next_step(make_vec):
+    envs = RecordVectorEpisodeStatistics(make_vec(AutoresetMode.NEXT_STEP))
+    envs.reset(seed=0)
+    for step in range(2 * (LENGTH + 1)):
+        *_, infos = envs.step(np.zeros((3, 16)))
+        assert ("episode" in infos) == (step % (LENGTH + 1) == LENGTH - 1)
+        if "episode" in infos:
+            assert infos["episode"]["l"].tolist() == [LENGTH] * 3
+            returns = infos["metrics"]["return"]
+            np.testing.assert_allclose(infos["episode"]["r"], returns)
+    assert envs.episode_count == 6
+
+
+def test_gymnasium_turns_a_batch_into_tensors(make_vec):
+    torch = pytest.importorskip("torch")
+    from gymnasium.wrappers.vector import NumpyToTorch
+
+    envs = NumpyToTorch(make_vec(AutoresetMode.NEXT_STEP))
+    envs.reset(seed=0)
+    for _ in range(LENGTH):
+        observations, rewards, _, truncated, infos = envs.step(torch.zeros(3, 16))
+    assert observations.shape == (3, 38)
+    assert rewards.dtype == torch.float64
+    assert truncated.all()
+    assert infos["metrics"]["length"].tolist() == [LENGTH] * 3
 
 
 def names(value):
