@@ -2,9 +2,10 @@
 
     python benchmarks/clients.py --seconds 2
 
-All step the same worlds with the same actions, taking turns, so that other work on the
-machine slows down all of them. Prints each one's speed as a share of that of
-`VectorEnv`, the median of the rounds. Libraries that are not installed are left out.
+All step the same worlds with the same actions in one thread, taking turns. Time is that of
+the processor, which other work on the machine changes little. Prints each one's speed as
+a share of that of `VectorEnv`, the median of the rounds. Libraries that are not installed
+are left out.
 """
 
 import time
@@ -13,10 +14,17 @@ from collections.abc import Callable, Iterator
 import gymnasium
 import numpy as np
 import tyro
+from gymnasium.wrappers.vector import (
+    NormalizeObservation,
+    NormalizeReward,
+    RecordEpisodeStatistics,
+)
 
 import collaborative_gym as cg
 
 Step = Callable[[], object]
+SINGLES = 4
+"""Environments that SuperSuit steps one by one; more are not faster."""
 
 
 def clients(env_id: str, num_envs: int) -> Iterator[tuple[str, int, Step]]:
@@ -36,6 +44,13 @@ def clients(env_id: str, num_envs: int) -> Iterator[tuple[str, int, Step]]:
     batch.reset(seed=0)
     yield "gymnasium.make_vec", num_envs, lambda: batch.step(joined)
 
+    mode = {"autoreset_mode": "NextStep", "num_threads": 1}
+    wrapped = gymnasium.make_vec(env_id, num_envs=num_envs, **mode)
+    for wrapper in (RecordEpisodeStatistics, NormalizeObservation, NormalizeReward):
+        wrapped = wrapper(wrapped)
+    wrapped.reset(seed=0)
+    yield "with three wrappers", num_envs, lambda: wrapped.step(joined)
+
     single = cg.make(env_id)
     first = {agent: rows[0] for agent, rows in actions.items()}
 
@@ -45,6 +60,7 @@ def clients(env_id: str, num_envs: int) -> Iterator[tuple[str, int, Step]]:
         single.step(first)
 
     yield "PettingZoo, one world", 1, step_single
+    yield from supersuit_rows(env_id, [*actions.values()])
     try:
         from collaborative_gym.adapters.sb3 import SB3VecEnv
     except ImportError:
@@ -53,6 +69,24 @@ def clients(env_id: str, num_envs: int) -> Iterator[tuple[str, int, Step]]:
     sb3.reset()
     yield "SB3VecEnv", num_envs, lambda: sb3.step(joined)
     yield from torch_clients(env_id, num_envs, actions)
+
+
+def supersuit_rows(
+    env_id: str, given: list[np.ndarray]
+) -> Iterator[tuple[str, int, Step]]:
+    """Yield SuperSuit's rows, one for each robot of single environments."""
+    try:
+        import supersuit
+    except ImportError:
+        return
+    padded = supersuit.pad_observations_v0(cg.make(env_id))
+    rows = supersuit.pettingzoo_env_to_vec_env_v1(supersuit.pad_action_space_v0(padded))
+    envs = supersuit.concat_vec_envs_v1(rows, SINGLES)
+    envs.reset(seed=0)
+    size = envs.action_space.shape[0]
+    own = [np.pad(a[:SINGLES], ((0, 0), (0, size - a.shape[1]))) for a in given]
+    by_robot = np.stack(own, axis=1).reshape(-1, size)
+    yield "SuperSuit", SINGLES, lambda: envs.step(by_robot)
 
 
 def torch_clients(
@@ -70,6 +104,7 @@ def torch_clients(
     skrl = SkrlEnv(cg.make_vec(env_id, num_envs, num_threads=1))
     skrl.reset()
     yield "SkrlEnv", num_envs, lambda: skrl.step(tensors)
+    yield from tianshou_client(env_id, num_envs, actions)
     try:
         from collaborative_gym.adapters.torchrl import TorchRLEnv
     except ImportError:
@@ -86,10 +121,30 @@ def torch_clients(
     yield "TorchRLEnv", num_envs, step_torchrl
 
 
+def tianshou_client(
+    env_id: str, num_envs: int, actions: dict[str, np.ndarray]
+) -> Iterator[tuple[str, int, Step]]:
+    """Yield Tianshou's batch, which asks for the starts of episodes itself."""
+    try:
+        from collaborative_gym.adapters.tianshou import TianshouEnv
+    except ImportError:
+        return
+    env = TianshouEnv(cg.make_vec(env_id, num_envs, num_threads=1))
+    env.reset()
+    joined = np.concatenate([*actions.values()], axis=1)
+
+    def step() -> None:
+        _, _, terminated, truncated, _ = env.step(joined)
+        if (ended := np.flatnonzero(terminated | truncated)).size:
+            env.reset(ended)
+
+    yield "TianshouEnv", num_envs, step
+
+
 def rate(step: Step, seconds: float) -> float:
-    """Return calls per second."""
-    calls, started = 0, time.perf_counter()
-    while (spent := time.perf_counter() - started) < seconds:
+    """Return calls per second of the processor's time."""
+    calls, started = 0, time.process_time()
+    while (spent := time.process_time() - started) < seconds:
         step()
         calls += 1
     return calls / spent

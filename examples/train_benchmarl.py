@@ -36,14 +36,17 @@ def main(
     config.on_policy_collected_frames_per_batch = FRAMES
     config.off_policy_collected_frames_per_batch = FRAMES
     config.evaluation_interval = FRAMES
-    Experiment(
+    experiment = Experiment(
         task=BenchMARLTask(env),
         algorithm_config=ALGORITHMS[algorithm].get_from_yaml(),
         model_config=MlpConfig.get_from_yaml(),
         critic_model_config=MlpConfig.get_from_yaml(),
         seed=0,
         config=config,
-    ).run()
+    )
+    experiment.run()
+    earned = experiment.mean_return
+    print(f"in the last {FRAMES:,} steps a robot's return was {earned:.1f}")
 
 
 if __name__ == "__main__":
