@@ -17,6 +17,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 import collaborative_gym as cg
 
+ROLLOUT = 50
+"""Control steps in each row between two updates."""
+
 
 def main(
     env: str = "PokeTaskSawyers-v0",
@@ -39,8 +42,14 @@ def main(
         supersuit.concat_vec_envs_v1(rows, num_envs, base_class="stable_baselines3")
     )
     print(f"{envs.num_envs} rows, {num_envs} of each robot")
-    model = PPO(
-        "MlpPolicy", envs, n_steps=50, gamma=0.95, seed=0, device="cpu", verbose=1
+    model = PPO(  # `seed` would fail: SuperSuit's batch has none
+        "MlpPolicy",
+        envs,
+        n_steps=ROLLOUT,
+        batch_size=ROLLOUT * envs.num_envs // 2,
+        gamma=0.95,
+        device="cpu",
+        verbose=1,
     )
     model.learn(total_steps, log_interval=10)
     envs.close()
