@@ -2,10 +2,10 @@
 
     python benchmarks/clients.py --seconds 2
 
-All step the same worlds with the same actions in one thread, taking turns. Time is that of
-the processor, which other work on the machine changes little. Prints each one's speed as
-a share of that of `VectorEnv`, the median of the rounds. Libraries that are not installed
-are left out.
+All step the same worlds with the same actions in one thread, taking turns. Time is that
+of the processor, which other work on the machine changes little. Prints each one's
+speed as a share of that of `VectorEnv`, the median of the rounds. Libraries that are
+not installed are left out.
 """
 
 import time
