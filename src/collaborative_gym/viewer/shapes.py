@@ -18,8 +18,8 @@ _FLOOR = 40.0
 _SQUARE = 1.0
 """Side of the squares in which a plane is coloured, in m."""
 
-_SECTORS = 64
-"""In how many a round shape is divided."""
+_SECTORS, _FINE = 24, 64
+"""In how many a round shape is divided, and a ball, whose triangles show a texture."""
 
 _MAX_COLORS = 4
 """A texture of more colours than these is drawn in their mean."""
@@ -110,7 +110,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> _Surface:
             ends[:, 1] += np.repeat([-size[1], size[1]], len(below))
             return _turned(ends)
         case _KIND.mjGEOM_SPHERE:
-            return _turned(size[0] * _arc(-1, 1))
+            return _turned(size[0] * _arc(-1, 1, _FINE), _FINE)
         case _KIND.mjGEOM_ELLIPSOID:
             ball = _turned(_arc(-1, 1))
             return ball._replace(vertices=size * ball.vertices)
@@ -141,21 +141,23 @@ def _box(half: np.ndarray) -> _Surface:
     return _Surface(half * np.concatenate(sides), faces.reshape(-1, 3))
 
 
-def _turned(profile: np.ndarray) -> _Surface:
+def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Surface:
     """Return what a line makes that is turned about z.
 
     Args:
       profile: radius and height of its points from below, (points, 2) in m. Where a
         point comes twice, there is an edge.
+      sectors: in how many the turn is divided.
     """
-    angles = 2 * np.pi * np.arange(_SECTORS) / _SECTORS
+    here = np.arange(sectors)
+    angles = 2 * np.pi * here / sectors
     radius, height = profile[:, :1], profile[:, 1:]
     rings = radius * np.cos(angles), radius * np.sin(angles), height + 0 * angles
     vertices = np.stack(rings, axis=-1).reshape(-1, 3)
-    here = np.arange(len(profile) - 1)[:, None] * _SECTORS + np.arange(_SECTORS)
-    beside = here - np.arange(_SECTORS) + np.roll(np.arange(_SECTORS), -1)
-    lower = np.stack([here, beside, beside + _SECTORS], axis=-1)
-    upper = np.stack([here, beside + _SECTORS, here + _SECTORS], axis=-1)
+    first = np.arange(len(profile) - 1)[:, None] * sectors
+    here, beside = first + here, first + np.roll(here, -1)
+    lower = np.stack([here, beside, beside + sectors], axis=-1)
+    upper = np.stack([here, beside + sectors, here + sectors], axis=-1)
     faces = np.concatenate([lower, upper]).reshape(-1, 3)
     # At the axis, and between two points at one place, some have no area.
     corners = vertices[faces]
@@ -163,9 +165,9 @@ def _turned(profile: np.ndarray) -> _Surface:
     return _Surface(vertices, faces[np.cross(sides[:, 0], sides[:, 1]).any(axis=1)])
 
 
-def _arc(first: int, last: int) -> np.ndarray:
+def _arc(first: int, last: int, sectors: int = _SECTORS) -> np.ndarray:
     """Return an arc of radius 1, (points, 2), between two quarter turns."""
-    angles = np.linspace(first, last, (last - first) * _SECTORS // 4 + 1) * np.pi / 2
+    angles = np.linspace(first, last, (last - first) * sectors // 4 + 1) * np.pi / 2
     # On the axis the radius has to be 0 itself.
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).round(12)
 
