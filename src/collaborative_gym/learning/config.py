@@ -63,11 +63,11 @@ class Hyperparameters:
       min_learning_rate: PPO: the learning rate never falls below this.
       max_learning_rate: PPO: the learning rate never rises above this.
       replay_size: SAC: rows that it remembers and learns from, the last ones; they are
-        part of each checkpoint (110 MB for PassTaskSawyers; our choice, Haarnoja et al.
+        part of each checkpoint (120 MB for PassTaskSawyers; our choice, Haarnoja et al.
         2018b, arXiv 1812.05905, keep 1e6).
       warmup: SAC: rows that it collects before the first update (our choice).
-      gradient_steps: SAC: gradient steps of an update (our choice: a core is busy with
-        them for four fifths of the time; Haarnoja et al. do one after each step of one
+      gradient_steps: SAC: gradient steps of an update (our choice: a core does
+        little else; Haarnoja et al. do one after each step of one
         world).
       polyak: SAC: how far the target critics follow the critics in a gradient step
         (0.005 in Haarnoja et al.).
