@@ -16,9 +16,10 @@ pytest.importorskip("playwright", reason="no playwright to drive a browser with"
 from PIL import Image
 from playwright.sync_api import expect, sync_playwright
 
-from collaborative_gym.envs.make import make_vec
+from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.policies import load_policy
+from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.viewer.menu import Menu
 from collaborative_gym.viewer.session import FASTEST, Session
 from collaborative_gym.viewer.web import Page
@@ -63,7 +64,8 @@ def serve(start):
     served = []
 
     def serve(env_id, policy="expert"):
-        env = make_vec(env_id, 1, num_threads=1)
+        task = make_task(env_id)
+        env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
         policies = dict.fromkeys(env.agents, policy)
         session = Session(env, load_policy(policy, env), print, policies=policies)
         session.pause()
