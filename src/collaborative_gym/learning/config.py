@@ -289,10 +289,16 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
         "delayed": 0.25,
     },
     "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
-    # Noise that shifts most of a joint's torque limit at every step seldom lifts; this
-    # shifts a third of it. Assistance harms Sawyers: arms that lift a light pot come to
-    # the ends of their joints.
-    "LiftTaskSawyers-v0": {"total_steps": 4_000_000, "initial_std": 0.1},
+    # More noise than this drops the pot, less does not lift it. Arms that ask for far
+    # more torque than they have do not learn; hence the price of actions.
+    "LiftTaskSawyers-v0": {
+        "total_steps": 5_000_000,
+        "initial_std": 0.15,
+        "assistance": 0.5,
+        **_GENTLE,
+        "torque_penalty": 1.0,
+        "action_penalty": 1.0,
+    },
     "LiftTaskJacos-v0": {"total_steps": 4_000_000, "assistance": 0.75},
     "PassTaskSawyers-v0": {"total_steps": 5_000_000},
     # Once both hold the cube, a robot_1 whose grip noise cannot open never lets go.
