@@ -288,7 +288,12 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
         "torque_penalty": 0.05,
         "delayed": 0.25,
     },
-    "BalanceTaskJacoSawyer-v0": {"total_steps": 2_000_000},
+    "BalanceTaskJacoSawyer-v0": {
+        "total_steps": 4_500_000,
+        "initial_std": 0.1,
+        "torque_penalty": 0.05,
+        "delayed": 0.25,
+    },
     # More noise than this drops the pot, less does not lift it. Arms that ask for far
     # more torque than they have do not learn; hence the price of actions.
     "LiftTaskSawyers-v0": {
