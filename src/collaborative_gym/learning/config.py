@@ -279,21 +279,18 @@ _GENTLE: Mapping[str, Any] = {
 }
 """Prices that make robots gentle, and late actions that make them sturdy."""
 
+_BALANCE: Mapping[str, Any] = {
+    "initial_std": 0.1,
+    "torque_penalty": 0.05,
+    "delayed": 0.25,
+}
+"""Larger noise dithers the board, and hides that the ball would rest off the middle."""
+
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
-    # Larger noise dithers the board, and hides that the ball would rest off the middle.
-    "BalanceTaskSawyers-v0": {
-        "initial_std": 0.1,
-        "torque_penalty": 0.05,
-        "delayed": 0.25,
-    },
-    "BalanceTaskJacoSawyer-v0": {
-        "total_steps": 4_500_000,
-        "initial_std": 0.1,
-        "torque_penalty": 0.05,
-        "delayed": 0.25,
-    },
+    "BalanceTaskSawyers-v0": _BALANCE,
+    "BalanceTaskJacoSawyer-v0": {"total_steps": 4_500_000, **_BALANCE},
     # More noise than this drops the pot, less does not lift it. Arms that ask for far
     # more torque than they have do not learn; hence the price of actions.
     "LiftTaskSawyers-v0": {
