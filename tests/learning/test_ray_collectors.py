@@ -20,6 +20,7 @@ import psutil
 import ray
 from ray.cluster_utils import Cluster
 
+from collaborative_gym import plugins
 from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.collector import Job, OwnCollector
 from collaborative_gym.learning.config import Resources
@@ -193,7 +194,12 @@ def test_who_listens_but_is_no_ray_is_told_soon(make_job):
     assert time.monotonic() - since < 60  # Alone it is 12 s.
 
 
-def test_a_users_task_travels_with_the_modules_beside_it(make_job, tmp_path):
+def test_a_users_task_travels_with_the_modules_beside_it(
+    make_job, tmp_path, monkeypatch
+):
+    # Else processes that later tests start would look for files that are gone.
+    monkeypatch.setattr(plugins, "_loaded", {})
+    monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "beside.py").write_text("MOST = 7\n")
     (tmp_path / "own_for_ray.py").write_text(TASK)
     module = cg.load_module(str(tmp_path / "own_for_ray.py"))
