@@ -41,6 +41,7 @@ def numbers(result: cg.Tournament) -> dict:
         "players": list(result.players),
         "means": means,
         "standings": standings,
+        "conventions": result.conventions,
     }
 
 
@@ -69,6 +70,10 @@ def section(env: str, found: dict) -> list[str]:
         lines.append(
             f"| {name} | {told(own['self-play'])} | {cross} | {own['worst']} |"
         )
+    lines.append("")
+    for seat, lists in found["conventions"].items():
+        listed = "; ".join(", ".join(own) for own in lists)
+        lines.append(f"- partners by the {seat} that suits them: {listed}")
     return [*lines, ""]
 
 

@@ -95,6 +95,23 @@ def test_the_worst_partner_is_found_where_completion_hides_it():
     assert replace(played, pairings=pairings).standings["a"].worst == "b"
 
 
+def test_partners_are_kept_apart_by_the_answer_that_they_need(strangers):
+    # b as the second robot is served by a in one half of the episodes, too few.
+    apart = [["a"], ["b"], ["c"]]
+    assert strangers.conventions == {"robot_1": apart, "robot_2": apart}
+    pairs = dict.fromkeys([(x, y) for x in "abcd" for y in "abcd"], 0.0)
+    # a as robot_1 serves c; b does, too, but comes later. d fails with everybody.
+    pairs |= {(x, x): 1.0 for x in "abc"} | {("a", "c"): 1.0, ("b", "c"): 1.0}
+    played = team_of("abcd", pairs)
+    assert played.conventions["robot_1"] == [["a", "c"], ["b"], ["d"]]
+    # As robot_2 only c serves a and b.
+    assert played.conventions["robot_2"] == [["a"], ["b"], ["c"], ["d"]]
+    pairings = [each for each in played.pairings if each.title != "a + c"]
+    alone = replace(played, pairings=tuple(pairings))
+    assert alone.conventions["robot_1"] == [["a"], ["b", "c"], ["d"]]
+    assert not games_of("ab", {("a", "b"): [(1, 0)]}).conventions
+
+
 def test_what_cannot_be_played_counts_nowhere(strangers):
     pairings = [p for p in strangers.pairings if p.players["robot_2"] != "c"]
     alone = replace(strangers, pairings=tuple(pairings))
@@ -181,6 +198,7 @@ def test_files_hold_everything(strangers):
     told = json.loads(strangers.to_json())
     assert told["matrices"]["completion"]["a"]["b"]["mean"] == 0.5
     assert told["standings"]["a"]["worst"] == "c"
+    assert told["conventions"]["robot_2"] == [["a"], ["b"], ["c"]]
     assert len(told["pairings"][0]["columns"]["return"]) == 8
     rows = list(csv.DictReader(io.StringIO(strangers.to_csv())))
     assert len(rows) == 9

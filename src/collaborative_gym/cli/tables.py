@@ -137,6 +137,9 @@ def _partners_table(tournament: Tournament) -> Table:
             who = Text(label or "", "dim" if label == worst else "")
             table.add_row(who, measure, own, cross, gap, *seats)
     table.caption = _tournament_caption(tournament)
+    for seat, lists in tournament.conventions.items():
+        listed = " | ".join(", ".join(map(names.__getitem__, own)) for own in lists)
+        table.caption += f"\nPartners by the {seat} that suits them: {listed}."
     return table
 
 

@@ -22,6 +22,9 @@ from collaborative_gym.tournaments.ratings import bradley_terry, cyclic_triples
 SHARES = ("points", "completion")
 """Measures of single episodes that are 0 or 1, or half for a draw."""
 
+SERVED = 0.9
+"""Performance from which on one partner's answer serves another; our choice."""
+
 
 @dataclass(frozen=True)
 class Pairing:
@@ -203,6 +206,28 @@ class Tournament:
         return cyclic_triples(self.players, beats)
 
     @cached_property
+    def conventions(self) -> dict[str, list[list[str]]]:
+        """Partners that need the same answer, by the seat that answers.
+
+        The answer that is known of a partner is its own policy in that seat. Each list
+        begins with a player whose answer reaches a performance of `SERVED` with all
+        that follow. So the players that come first in their lists need answers of
+        their own. One that was not served by itself either is alone. The order is that
+        of the players. Empty if they are opponents.
+        """
+        if self.is_divided:
+            return {}
+        found = {}
+        served = self.values["performance"].mean(-1) >= SERVED
+        for turn, by_answer in zip(self.turns, served, strict=True):
+            lists: dict[int, list[str]] = {}
+            for j, name in enumerate(self.players):
+                first = next((i for i in lists if by_answer[i, j]), j)
+                lists.setdefault(first, []).append(name)
+            found[turn] = list(lists.values())
+        return found
+
+    @cached_property
     def group_means(self) -> dict[str, dict[str, Statistic]]:
         """What training runs of one kind come to, by the kind and what is told of them.
 
@@ -317,7 +342,7 @@ class Tournament:
         """Return everything as JSON, with null for NaN."""
         content = {each: getattr(self, each) for each in self.__dataclass_fields__}
         derived = ["measures", "matrices", "standings", "group_means"]
-        derived += ["cycles"] * self.is_divided
+        derived.append("cycles" if self.is_divided else "conventions")
         content |= {each: getattr(self, each) for each in derived}
         return json.dumps(without_nan(_plain(content)), indent=1) + "\n"
 
