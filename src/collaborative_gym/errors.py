@@ -40,11 +40,11 @@ class UnknownName(KeyError):
 
 
 class UnknownOption(UnknownName, TypeError):
-    """A keyword argument that does not exist, as Python itself says it."""
+    """A keyword argument that does not exist. The message is like Python's own."""
 
 
 def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
-    """Return the message for a name that is none of the valid ones.
+    """Return the message for a name that is not one of the valid ones.
 
     Args:
       kind: what the name should have named, such as "robot".
@@ -88,10 +88,10 @@ def shown(given: object) -> str:
 def check_count(
     name: str, given: Any, at_least: int = 0, at_most: int = 2**63 - 1
 ) -> int:
-    """Return a number that must be an integer within bounds, as Python's own.
+    """Return a number as Python's `int`; it must be an integer within bounds.
 
     Raises:
-      TypeError: if it is no integer; a bool is none.
+      TypeError: if it is not an integer; a bool is not one.
       ValueError: if it is out of bounds.
     """
     if isinstance(given, _NO_NUMBERS) or not isinstance(given, Integral):
@@ -115,7 +115,7 @@ def check_number(
     """Return a number that must be real, finite and within bounds, as a float.
 
     Raises:
-      TypeError: if it is no real number; a bool is none.
+      TypeError: if it is not a real number; a bool is not one.
       ValueError: if it is not finite or out of bounds.
     """
     if isinstance(given, _NO_NUMBERS) or not isinstance(given, Real):
@@ -137,10 +137,11 @@ def check_number(
 
 
 def check_numbers(name: str, given: Any, count: int | None = None) -> tuple[float, ...]:
-    """Return that many numbers, or any, each as `check_number` wants it.
+    """Return so many numbers, or any number of them, each checked by `check_number`.
 
     Raises:
-      TypeError: if it is no sequence or array, or holds what is no number.
+      TypeError: if it is not a sequence or array, or holds something that is not a
+        number.
       ValueError: if there are fewer or more, or one is not finite.
     """
     wanted = "a sequence of numbers" if count is None else f"{count} numbers"

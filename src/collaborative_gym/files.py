@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a path to write to, whose file takes the place of `path` in the end.
+    """Yield a path to write to. Its file replaces `path` when the context ends.
 
     After an error or Ctrl-C nothing is left of it, and a file that was at `path` before
     is untouched. The file's folder is made if it is missing.
@@ -23,7 +23,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         try:
             yield folder / path.name
         except OSError as error:
-            # What a write raises names no file; what concerns another file does.
+            # Errors of a write name no file; errors about another file do.
             if error.filename is None:
                 with naming(path):
                     raise
@@ -52,7 +52,7 @@ def write_text(path: str | Path, text: str) -> None:
 def _beside(path: Path) -> Iterator[Path]:
     """Yield a folder, beside a file that is to be written, while the context lasts.
 
-    Where nothing can be written, it shows before the work. It is a folder rather than a
+    If nothing can be written, this fails before the work. It is a folder rather than a
     file so that a process that still writes, as an encoder does, cannot bring the file
     back after an interruption.
     """
@@ -77,7 +77,7 @@ def naming(path: Path) -> Iterator[None]:
     """Let errors name the file that the caller asked for.
 
     Raises:
-      OSError: says that the file cannot be written, and why; of the class that it had.
+      OSError: says that the file cannot be written, and why; its class stays the same.
     """
     try:
         yield

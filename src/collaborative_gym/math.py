@@ -10,7 +10,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 Array = np.ndarray
-"""An array of the backend, to a type checker NumPy's: others have the same names."""
+"""An array of the backend. Type checkers see NumPy's; others have the same names."""
 
 
 def dot(a: Array, b: Array) -> Array:

@@ -40,9 +40,9 @@ def load_module(name: str) -> ModuleType:
     Raises:
       FileNotFoundError: if there is no such file.
       KeyError: if there is no such module.
-      TypeError: if the name is no string.
-      ValueError: if another module of that name is loaded already, or the file is no
-        Python.
+      TypeError: if the name is not a string.
+      ValueError: if another module of that name is loaded already, or the file is not
+        valid Python.
     """
     check_name("module", name)
     if not name.endswith(".py"):
@@ -107,7 +107,7 @@ def load_entry_points() -> None:
 
 
 def _told(name: str, error: SyntaxError) -> str:
-    """Return which line of a file is no Python, with its text."""
+    """Return which line of a file is not valid Python, with its text."""
     text = (error.text or "").strip()
     line = f", line {error.lineno}: {error.msg}: {text}" if error.lineno else ""
     return f"module {name} is not Python{line or f': {error.msg}'}"

@@ -24,11 +24,10 @@ class Stream(IntEnum):
 def check_seed(seed: int) -> int:
     """Return a seed that a caller gave as an `int` of at most 63 bits.
 
-    One that has more is as good as the 63 bits of its digest, which is what reports
-    then call it.
+    A longer seed is replaced by 63 bits of its digest, and reports name that number.
 
     Raises:
-      TypeError: if it is no integer.
+      TypeError: if it is not an integer.
       ValueError: if it is negative.
     """
     if isinstance(seed, bool | np.timedelta64) or not isinstance(
@@ -53,7 +52,7 @@ def episode_generator(seed: int, episode: int, stream: Stream) -> np.random.Gene
 
 
 class EpisodeRandom:
-    """The generators of some episodes, drawn from side by side.
+    """The generators of some episodes. Each draw has a row from every one of them.
 
     Args:
       seeds: one per episode.
@@ -80,7 +79,7 @@ class EpisodeRandom:
         """
         shape = (size,) if isinstance(size, int) else size
         unit = np.stack([generator.random(shape) for generator in self._generators])
-        # In place: these may be thousands of numbers for each world.
+        # In place, because these may be thousands of numbers for each world.
         unit *= np.subtract(high, low)
         unit += low
         return unit

@@ -40,7 +40,7 @@ def check_task(
       KeyError: if a name is unknown.
       RuntimeError: if the task itself fails while it is played; lists that and every
         promise that is broken.
-      ValueError: if the definition makes no world.
+      ValueError: if no world can be made of the definition.
     """
     if isinstance(task, type):
         arms = [get_robot(name) for name in robots or ("panda",) * task.robot_counts[0]]

@@ -1,7 +1,7 @@
-"""What the numbers of an action mean: how it divides, and how motions become actions.
+"""What the numbers of an action mean, and how motions become actions.
 
-An action has components that move the arm, and where a task has gripping, one more,
-which grips above 0. Nobody else knows that.
+An action has components that move the arm. Where a task has gripping, it has one more,
+which grips above 0. No other module knows that.
 """
 
 from collections.abc import Mapping
@@ -18,17 +18,16 @@ from collaborative_gym.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class Motion:
-    """What an expert wants of an arm in one control step, whatever actions mean.
+    """What an expert wants an arm to do in one control step, whatever actions mean.
 
     Experts compute with NumPy.
 
     Attributes:
       change: of the joint angles, (num_envs, joints), in rad. Where it is more than the
-        arm can make, it is scaled down as a whole, so that the motion keeps its
-        direction.
-      grips: in which worlds to grip, (num_envs,) booleans, or the same in all.
-      in_step: whether all arms that are in step slow down with the slowest of them, as
-        arms must that hold one thing.
+        arm can do, all of it is scaled down, so that the motion keeps its direction.
+      grips: in which worlds to grip, (num_envs,) booleans, or one for all.
+      in_step: whether this arm slows down with the slowest of all arms that are in
+        step. Arms that hold one thing must do so.
     """
 
     change: np.ndarray
@@ -42,7 +41,7 @@ def grip_columns(size: int, gripping: bool) -> np.ndarray:
 
 
 class ActionMode:
-    """How an arm's motion is written into an action; subclasses say of what.
+    """How an arm's motion is written into an action; subclasses define the numbers.
 
     Args:
       arms: the arms by agent.
@@ -91,7 +90,8 @@ class ActionMode:
 
         Args:
           num_envs: in how many worlds.
-          grips: whether they grip, or by agent in which worlds; no one else does.
+          grips: whether all of them grip; or in which worlds each one grips, by agent.
+            Agents that are not named do not grip.
         """
         idle = {agent: np.zeros((num_envs, self.size(agent))) for agent in self.arms}
         for agent, action in idle.items() if self.gripping else ():
@@ -141,7 +141,7 @@ class ActionMode:
 
 
 class JointChanges(ActionMode):
-    """A change of each joint's angle, as a share of the largest in a control step."""
+    """A change of each joint's angle, as a share of the largest in one control step."""
 
     def __init__(self, arms: Mapping[str, Arm], gripping: bool, xp: Any = np):
         super().__init__(arms, gripping, xp)
@@ -169,7 +169,7 @@ def check_actions(
       gripping: whether the last component is a grip.
 
     Raises:
-      ValueError: if they are anything else than finite numbers of these shapes.
+      ValueError: if they are not finite numbers of these shapes.
     """
     if not isinstance(actions, Mapping):
         raise ValueError(

@@ -23,7 +23,8 @@ _SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT
 """A joint that arrives at a limit must also come to rest there."""
 
 _TEARING = 2.0
-"""Distance between tcp and site at which a grip tears, in thresholds of taking it."""
+"""Distance between tcp and site at which a grip tears, over that at which it can
+start."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Grips:
         """
         sim, xp, sensed = self._sim, self._sim.xp, self._sim.sensordata
         is_held = sim.eq_active[:, self._equalities] > 0
-        # What the last command held and is held no more has torn.
+        # A grip that held at the last command, and does not now, has torn.
         has_torn = (sim.userdata[:, : len(self._agents)] > 0) & ~is_held
         gap = math.norm(sensed[:, self._tcps] - sensed[:, self._sites])
         wanted = xp.stack([asked[agent] for agent in self._agents], axis=1)
@@ -192,8 +193,8 @@ class Controller:
 
         The reference speed ramps from the measured one to that which brings the joint
         to its new angle in time. The servo's target leads the reference angle by
-        damping / stiffness of the speed, which turns damping into feedback on the speed
-        error, and by most of what the servo yields to its present load.
+        damping / stiffness times the speed, which turns damping into feedback on the
+        speed error, and by most of what the servo yields to its present load.
         """
         sim, xp = self._sim, self._sim.xp
         stiffness, damping, torque = servos.stiffness, servos.damping, servos.torque

@@ -15,7 +15,7 @@ def check_env_ids(env_ids: EnvIds, num_envs: int) -> np.ndarray:
     """Return the worlds that a caller names, as integers in the caller's order.
 
     Raises:
-      TypeError: if they are no integers and no mask.
+      TypeError: if they are neither integers nor a mask.
       IndexError: if there is no such world, or the mask has another length.
       ValueError: if one is named twice.
     """
@@ -48,7 +48,7 @@ def check_episodes(episodes: Any, count: int) -> np.ndarray:
     """Return the episode index of each of that many worlds.
 
     Raises:
-      ValueError: if they are not as many, or no indices.
+      ValueError: if there are fewer or more, or one is not an index.
     """
     first = _array("episodes", episodes)
     if first.shape != (count,):

@@ -39,7 +39,7 @@ class Definition:
 
 
 def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Definition:
-    """Return what a task's definition comes to, from the start of an episode.
+    """Return what follows from a task's definition, tried out at an episode's start.
 
     The worlds are as new afterwards.
 
@@ -91,7 +91,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
 
 
 def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
-    """Raise where a target is so far off that no arm can bring anything there."""
+    """Raise if a target is so far away that no arm can bring anything there."""
     if scene.tools:
         return  # How far they reach is not known here.
     bases = {a: np.array(p.position) for a, p in task.placements.items()}

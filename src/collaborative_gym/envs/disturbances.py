@@ -1,7 +1,7 @@
 """What disturbs episodes beside their starts, as `Randomization` describes it.
 
-All is drawn from the seed and the index of an episode alone, before its first step. So
-a state holds nothing of it but the actions that are on their way.
+All of it is drawn from the seed and the index of an episode alone, before its first
+step. So a saved state needs only the actions that are on their way.
 """
 
 from typing import Any
@@ -58,7 +58,8 @@ class Disturbances:
         self._is_late = np.zeros(worlds, bool)
         self._is_lost = np.zeros((worlds, steps, len(task.agents)), bool)
         if self._has_noise:
-            # Of single precision, as it is much, and what is observed is no better.
+            # Single precision, because there is much of it, and observations have no
+            # more.
             shape = worlds, steps + 1, sum(self._sizes)
             self._noise = np.zeros(shape, np.float32)
         if bounds.delay:
@@ -84,7 +85,8 @@ class Disturbances:
         bounds, rows = self._bounds, self._progress.rows
         where = rows["seed"][env_ids], rows["episode"][env_ids]
         rng = EpisodeRandom(*where, Stream.DISTURBANCES)
-        # All are drawn, whatever there is of them: one does not change the others.
+        # All are drawn, even those that are off, so that one does not change the
+        # others.
         links = 1.0 + rng.within(bounds.link_mass, len(self._links))
         loads = 1.0 + rng.within(bounds.payload, len(self._loads))
         friction = 1.0 + rng.within(bounds.friction)
@@ -156,7 +158,7 @@ class Disturbances:
         sensed[:, self._places] = sensed[:, self._places] + places.reshape(shape)
         turned = math.from_rotation_vector(turns.reshape(shape))
         sensed[:, self._turns] = math.multiply(turned, sensed[:, self._turns])
-        # What a task remembers is what was, not what was seen.
+        # What a task remembers is what truly was, not what was seen.
         memory = task.memory
         task.memory = dict(memory)
         try:

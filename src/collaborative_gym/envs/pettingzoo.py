@@ -185,7 +185,7 @@ def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
 
 
 def _of_side(by_name: Mapping[str, Any], side: str) -> ByAgent:
-    """Return values, and one side's of those that are told by side."""
+    """Return values; of those that are told by side, the values of one side."""
     return {
         name: value[side] if isinstance(value, dict) and side in value else value
         for name, value in by_name.items()

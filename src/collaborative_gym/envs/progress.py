@@ -14,8 +14,8 @@ from collaborative_gym.timing import CONTROL_DT
 class Progress:
     """Counters and sums of the worlds' episodes.
 
-    World i plays every `num_envs`-th episode of its seed. Which episode that is, is
-    NumPy's, because random numbers are; the counters and sums are the backend's arrays.
+    World i plays every `num_envs`-th episode of its seed. Its index is NumPy's, because
+    random numbers are; counters and sums are the backend's arrays.
 
     Args:
       task: what is done.
@@ -27,11 +27,11 @@ class Progress:
       has_strain: whether the strain of the episodes is told, too.
 
     Attributes:
-      rows: (num_envs,) arrays by name, part of a saved state, never written to but
-        replaced, so that what held them still holds what was: `seed` and index
-        (`episode`) of the episode, its control steps (`step`; `length` counts only
-        those that were played where starts are staggered), the sums, and how it ended
-        (`terminated` or `truncated`, and whether it `diverged`).
+      rows: (num_envs,) arrays by name, part of a saved state. They are replaced and
+        never written to, so whoever holds old ones keeps the old values: `seed` and
+        index (`episode`) of the episode, its control steps (`step`; `length` counts
+        only those that were played where starts are staggered), the sums, and how it
+        ended (`terminated` or `truncated`, and whether it `diverged`).
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Progress:
         }
 
     def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:
-        """Return where the goal is met without a step, and the terms of no reward."""
+        """Return where the goal is met before any step, and reward terms of zero."""
         met, counts = self._task.success(facts), ~self.rows["diverged"]
         if self._is_divided:
             success = {side: met[i] & counts for i, side in enumerate(self._sides)}

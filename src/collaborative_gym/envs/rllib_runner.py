@@ -33,7 +33,7 @@ from collaborative_gym.envs.rllib import RLlibEnv
 from collaborative_gym.envs.vector_env import Observations, VectorEnv
 
 Columned = dict[str, dict[str, np.ndarray]]
-"""By agent, what RLlib's columns hold, with a row for each world."""
+"""What RLlib's columns hold, by agent, with a row for each world."""
 
 _OUTPUTS = Columns.ACTION_DIST_INPUTS, Columns.ACTION_LOGP
 
@@ -74,7 +74,7 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
       **kwargs: as RLlib gives them.
 
     Raises:
-      TypeError: if the environment is none of ours.
+      TypeError: if the environment is not one of this package.
       ValueError: with connectors between worlds and modules, or modules with memory.
     """
 
@@ -144,7 +144,7 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         self._needs_initial_reset = num_episodes is not None
         since = time.perf_counter()
         steps, done, going_on = self._play(num_timesteps, num_episodes, explore)
-        # Of so many episodes, only those count that came to their end.
+        # If episodes are asked for, only those that came to their end count.
         parts = done if num_timesteps is None else done + going_on
         self._fill(parts, steps, since)
         for part in done:
@@ -199,7 +199,7 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         )
 
     def _map(self) -> None:
-        """Note of each module which worlds it plays for which agent."""
+        """Note for each module which worlds it plays for which agent."""
         self._rows = {}
         for agent in self._observations:
             modules = np.array([chunk.module_for(agent) for chunk in self._chunks])

@@ -22,7 +22,7 @@ class EnvState:
       physics: rows of the backend's state.
       memory: rows of the task's memory, by name.
       progress: rows of the episodes' counters and sums, by name.
-      identity: what the environment is that it was taken from.
+      identity: what the environment is from which it was taken.
     """
 
     physics: Array
@@ -71,9 +71,9 @@ def check_state(
       from_another: whether the environment may be another one.
 
     Raises:
-      TypeError: if it is no state.
-      ValueError: if it is of another environment, or does not fit, or no world can be
-        in it.
+      TypeError: if it is not a state.
+      ValueError: if it is of another environment, does not fit, or cannot be the state
+        of any world.
     """
     if not isinstance(state, EnvState):
         raise TypeError(

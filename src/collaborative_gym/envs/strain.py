@@ -59,7 +59,7 @@ _BLANK = {
     "internal_force": 0.0,
     "internal_force_mean": 0.0,
 }
-"""What an episode begins with; farther than that no clearance is measured."""
+"""The clearance with which an episode begins; larger ones are not measured."""
 
 STRAIN = tuple(_BLANK)
 """The names of what is told, in their order."""
@@ -70,7 +70,7 @@ BLANK = {f"strain: {name}": value for name, value in _BLANK.items()} | {_HELD_ST
 """What an episode's rows begin with."""
 
 _AT_LIMIT = 0.99
-"""Share of its torque limit from which on a joint is at it."""
+"""A joint with at least this share of its torque limit counts as at the limit."""
 
 _RECORDS = (
     "actuator_force",
@@ -86,8 +86,8 @@ _RECORDS = (
 _TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 _DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
 _NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
-"""What a contact sensor tells and how it makes one of many contacts: the distance of
-the deepest (`mindist`), or the force of all (`netforce`)."""
+"""What a contact sensor tells, and how it sums up many contacts: the distance of the
+deepest (`mindist`), or the force of all (`netforce`)."""
 
 _Place = tuple[mujoco.mjtObj, str]
 
@@ -108,7 +108,7 @@ def add_strain_sensors(scene: Scene) -> None:
     for site in {bond.name1 for bond in _bonds(scene)}:
         body = spec.site(site).parent.name
         _add_contact(spec, f"{body} net", (_BODY, body), None, _NET)
-        # Nobody reads it, but for it MuJoCo computes `cfrc_ext` and `cfrc_int`.
+        # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(
             name=f"{body} force",
             type=mujoco.mjtSensor.mjSENS_FORCE,
@@ -268,7 +268,7 @@ class Strain:
         """
         before = self._records["actuator_velocity"][:, :, self._servos]
         yields = self._stiffness * SIM_DT * speed + self._damping * (speed - before)
-        # At its limit a torque follows no state.
+        # At its limit a torque does not depend on the state.
         limit = self._sim.limits(self._servos)[:, None]
         yields = np.where(np.abs(torque) < limit, yields, 0.0)
         return math.dot(np.abs(torque - yields), np.abs(speed))

@@ -1,4 +1,4 @@
-"""Who may be inside an environment, and what becomes of a call that fails."""
+"""Who may use an environment now, and what happens if a call fails."""
 
 import os
 import threading
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 
 class Turns:
-    """Lets one thread at a time into an environment, of the process that made it."""
+    """Lets one thread at a time use an environment, in the process that made it."""
 
     def __init__(self) -> None:
         self._process = os.getpid()
@@ -20,14 +20,14 @@ class Turns:
     ) -> Iterator[None]:
         """Let the calling thread in, and undo what fails.
 
-        The thread may come in again, as a watcher does that draws a picture.
+        The same thread may come in again, as a watcher that draws a picture does.
 
         Args:
-          keep: for a call that changes something, returns what puts it back.
+          keep: for a call that changes something, returns a function that undoes it.
 
         Raises:
           RuntimeError: in another process, while another thread is inside, or for a
-            change in the middle of another.
+            change in the middle of another change.
         """
         # A fork has copies of the locks, but none of the threads that step the physics.
         if os.getpid() != self._process:

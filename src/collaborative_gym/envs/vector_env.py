@@ -195,7 +195,7 @@ class VectorEnv:
 
         Raises:
           IndexError: if there are no such worlds.
-          TypeError: if the seed is no integer.
+          TypeError: if the seed is not an integer.
           ValueError: if the seed is negative or the episodes do not fit.
           RuntimeError: for some of the worlds before the first `reset` of all.
         """
@@ -332,7 +332,7 @@ class VectorEnv:
 
         Raises:
           IndexError: if there are no such worlds.
-          TypeError: if it is no state.
+          TypeError: if it is not a state.
           ValueError: if the state is of another environment or does not fit.
           RuntimeError: for some of the worlds before the first `reset`.
         """
@@ -364,7 +364,7 @@ class VectorEnv:
         are as they were before the step.
 
         Args:
-          watcher: what to call, or None to stop. It may write `xfrc_applied` alone.
+          watcher: what to call, or None to stop. It may write only `xfrc_applied`.
           shots: how often per control step, evenly spread and the last at its end;
             must divide `substeps`.
         """
@@ -496,5 +496,5 @@ class VectorEnv:
 
 
 def _where(mask: Array, xp: Any) -> np.ndarray:
-    """Return the worlds of a mask as NumPy's integers, by which worlds are named."""
+    """Return the worlds of a mask as NumPy's integers, which name worlds."""
     return np.array([int(i) for i in xp.nonzero(mask)[0]], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Intervals, by the bootstrap and of shares, and means that no bad value moves."""
+"""Intervals of the bootstrap and of shares, and means that no bad value moves."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -66,7 +66,7 @@ def estimate(
     found = of(*strata)
     if min(map(len, strata)) < 2:
         return [Estimate(float(value)) for value in found]
-    # An infinite number stands for never, and is no neighbour to go half-way to.
+    # An infinite number stands for never; there is nothing half-way to it.
     low, high = np.quantile(of(*resample(*strata)), _ENDS, axis=0, method="nearest")
     return [Estimate(*map(float, ends)) for ends in zip(found, low, high, strict=True)]
 
@@ -83,5 +83,5 @@ def wilson(share: float, count: int) -> tuple[float, float]:
     square = _Z**2 / count
     middle = (share + square / 2.0) / (1.0 + square)
     width = math.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)
-    # No rounding, so that what is at an end of the scale reads as that.
+    # Exact, so that a share at an end of the scale reads as that end.
     return round(max(0.0, middle - width), 12), round(min(1.0, middle + width), 12)

@@ -1,4 +1,4 @@
-"""What a number that was measured depends on besides the code."""
+"""What else a measured number depends on besides the code."""
 
 import os
 import platform

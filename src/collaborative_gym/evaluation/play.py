@@ -30,10 +30,10 @@ _MOST_DELAY = 100
 """Control steps, ten seconds."""
 
 _MOST_ENVS = 64
-"""Worlds beside one another unless told otherwise; more run hardly faster on a CPU."""
+"""Worlds that play at the same time by default; more are hardly faster on a CPU."""
 
 _MEASURES = ("return", "completion", "performance", "time_to_success", "score")
-"""The metrics that a `Score` is made of, in its order; an only side has no score."""
+"""The metrics that make a `Score`, in its order; a single side has no score."""
 
 
 def evaluate(
@@ -111,7 +111,7 @@ def _report(
     settings: dict[str, Any],
 ) -> Report:
     """Return what episodes amount to."""
-    # Episodes that start alike are one, of which nothing can be inferred.
+    # Episodes that start alike are one episode, from which nothing can be inferred.
     different = rows[:1] if are_one_episode(rows) else rows
     return Report(
         environment=env.task.name,
@@ -167,13 +167,13 @@ def play_episodes(
             if row["episode"] < episodes:
                 rows[row["episode"]] = row
         if on_progress is not None:
-            # Fewer steps do where a task ends episodes before their time.
+            # Fewer steps are enough where a task ends episodes before their time.
             on_progress(1.0 if len(rows) == episodes else min(1.0, done / steps))
     return [rows[episode] for episode in range(episodes)], done
 
 
 def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
-    """Return what of all robots' actions moves arms, (num_envs, k) in [-1, 1]."""
+    """Return what moves arms in all robots' actions, (num_envs, k) in [-1, 1]."""
     split = env.task.action_mode.split
     moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
     return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)
@@ -230,7 +230,7 @@ def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
 def part_of(
     on_progress: Callable[[float], object] | None, i: int, count: int
 ) -> Callable[[float], object] | None:
-    """Return what takes the progress of one of some equal parts, and tells that of all.
+    """Return a callback for the progress of one of `count` equal parts.
 
     Args:
       on_progress: called with the share of all that is done; None for nothing.

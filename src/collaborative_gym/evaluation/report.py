@@ -26,7 +26,8 @@ _STRAIN_FORMS = {
     "energy": (1.0, " J"),
     ACTION_CHANGE: (1.0, ""),
 }
-"""How people read measures, by how these begin: by which factor and in which unit."""
+"""How people read measures, by the beginning of their names: the factor and the
+unit."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class Statistic:
 
     Attributes:
       mean: the mean; NaN if there was no value.
-      low: lower end of the mean's 95 % interval, of a share Wilson's (1927) and else
-        the bootstrap's; NaN for a single value.
+      low: lower end of the mean's 95 % interval: for a share Wilson's (1927), else the
+        bootstrap's; NaN for a single value.
       high: upper end of it.
       iqm: interquartile mean, that of the middle half of the values.
       median: the middle value, which no single bad episode moves.

@@ -1,4 +1,4 @@
-"""How well a policy stands disturbances, one at a time and all of them."""
+"""How well a policy does under disturbances, one at a time and all together."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -22,8 +22,8 @@ DISTURBANCES: Mapping[str, Sequence[str]] = {
     "noise": ("position_noise", "angle_noise"),
     "all": tuple(field.name for field in fields(RANDOMIZATIONS["hard"])),
 }
-"""The fields of `hard` that each disturbance takes, by its name; `default` has the
-others."""
+"""The fields that each disturbance takes from `hard`, by its name; the others are those
+of `default`."""
 
 
 def measure_robustness(

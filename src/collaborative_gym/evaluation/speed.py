@@ -31,7 +31,7 @@ _MEMORY_ENVS = 1024
 
 @dataclass(frozen=True)
 class Speed:
-    """What was measured of one environment, under random actions.
+    """What was measured in one environment, under random actions.
 
     A step is a control step of one world. Rates are steps per second.
 
@@ -224,7 +224,7 @@ def _resident_kb() -> float:
 
 
 def _in_fresh_process(function: Callable[[str], float], argument: str) -> float:
-    # A process that has made environments before reuses their memory and start poses.
+    # A process that made environments before would reuse their memory and start poses.
     with ProcessPoolExecutor(
         1, get_context("spawn"), initializer=load_modules, initargs=(loaded_files(),)
     ) as pool:

@@ -27,10 +27,10 @@ COLUMNS = {
 """Policy and randomization of what stands beside the thesis's numbers."""
 
 _AS_GOOD_AS_ALL = 0.9995
-"""A share from here on reads 100.0 %; where the thesis has it, equal is enough."""
+"""A share of at least this reads 100.0 %; where the thesis has it, equal is enough."""
 
 _LEAST_ON_DEFAULT = {"completion": 0.98, "performance": 0.95}
-"""The least that counts on `default`, of which the thesis says nothing. Our choice."""
+"""The least that counts as good on `default`, which the thesis lacks. Our choice."""
 
 NOTE = (
     "Ours must exceed the thesis's number (where that reads 100 %, equal it), and on"
@@ -128,7 +128,7 @@ class Table11:
 
     @property
     def verdict(self) -> str:
-        """Whether every cell is good enough, and else how many are not, in words."""
+        """Whether every cell is good enough, or else how many are not, in words."""
         verdicts = self._verdicts()
         if all(verdicts):
             return "PASS: every cell"
@@ -231,7 +231,7 @@ def reproduce_table11(
 
     Raises:
       KeyError: if an environment is not in the table.
-      TypeError: if a number is no integer.
+      TypeError: if a number is not an integer.
       ValueError: if a number is out of range, `env_ids` is empty, or a baseline is
         damaged or does not fit.
     """

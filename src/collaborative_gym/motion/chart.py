@@ -62,7 +62,7 @@ class Chart:
             limits=(chains.low[rows], chains.high[rows]),
             steps=_STEPS,
             enough=_NEAR,
-            # What keeps the free motion near the middle's, and fades out.
+            # This keeps the free motion near the middle's, and fades out.
             lean=lambda step, angle, *_: 0.03 * 0.97**step * (centre - angle),
         )
         if misses.max() > 10 * _NEAR:

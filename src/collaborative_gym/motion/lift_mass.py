@@ -18,10 +18,11 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
 
 _MARGIN = 1.2
-"""Spare of the pot's mass over one arm's capacity, and of two arms' over the mass."""
+"""The pot weighs at least so many times what one arm can carry, and two arms can carry
+at least so many times the pot."""
 
 _GREATEST_SHARE = 0.65
-"""Of the pot's weight on one handle."""
+"""Greatest share of the pot's weight on one handle."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def weigh(
         ways.append(replace(way, approach=math.rotate(turn, way.approach)))
         alone.append(greatest_load(robot, _places(np.array(middle), radius)))
     first, second = (way.load for way in ways)
-    # The contents lie nearer to the stronger arm, but inside the pot.
+    # The contents lie nearer to the stronger arm, but still inside the pot.
     share = second / (first + second)
     share = min(max(share, 1 - _GREATEST_SHARE), _GREATEST_SHARE)
     together = min(first / (1 - share), second / share)

@@ -20,7 +20,7 @@ from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 
 UP = np.array([0.0, 0.0, 1.0])
-"""The direction in which an arm pulls that holds a weight."""
+"""The direction in which an arm pulls to hold a weight."""
 
 _SHARPNESS = 8
 """Exponent of the mean that stands for the greatest torque where a slope is needed."""
@@ -41,7 +41,8 @@ _WAYPOINTS, _TRIES = 5, 128
 """Points of a way, and from how many postures it is searched."""
 
 _REDUNDANT = 7
-"""Joints from which on an arm can turn its elbow while the hand stays as it is."""
+"""An arm with at least so many joints can turn its elbow while the hand stays as it
+is."""
 
 _DIPS = np.radians([25.0, 40.0, 60.0, 80.0])
 """How far down the gripper points where it is held to a direction, in rad."""

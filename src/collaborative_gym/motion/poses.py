@@ -109,8 +109,8 @@ def hold(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Return joint angles near others that put several tcps exactly at poses.
 
-    Newton's method with the smallest joint changes, so that the free motion of each arm
-    stays as it is: quick where `near` is less than about a radian off.
+    It is Newton's method with the smallest joint changes, so the free motion of each
+    arm stays as it is. It is quick where `near` is less than about a radian off.
 
     Args:
       chains: the arms' kinematics.
@@ -152,7 +152,7 @@ def hold_moved(
     moved: np.ndarray,
     near: Sequence[Array],
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return joint angles that hold a thing that is moved, less far if need be.
+    """Return joint angles that hold a moved thing, which is moved less far if need be.
 
     Args:
       chains: the arms' kinematics.
@@ -183,9 +183,9 @@ def central_pose(
 ) -> np.ndarray:
     """Return joint angles for the first pose from which the others are soonest reached.
 
-    Of many postures drawn around the arm's home that touch nothing, the one from which
-    the slowest joint needs the least time for the farthest of the other poses; a second
-    more for each that is out of reach.
+    Many postures are drawn around the arm's home. Among those that touch nothing, it is
+    the one from which the slowest joint needs the least time to the farthest of the
+    other poses. Each pose out of reach counts as one second more.
 
     Args:
       model: the compiled world.
@@ -219,7 +219,7 @@ def quickest_way(
     *,
     ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
 ) -> tuple[int, np.ndarray]:
-    """Return the way that an arm goes quickest from its first pose to its last.
+    """Return the way on which an arm goes quickest from the first pose to the last.
 
     Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
     other.

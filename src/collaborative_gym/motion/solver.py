@@ -1,7 +1,7 @@
 """Inverse kinematics by damped least squares, for many postures side by side.
 
-Each row of a batch is a posture of one arm, with a goal of its own. What a row comes to
-is the same to the bit whatever the other rows are.
+Each row of a batch is a posture of one arm, with a goal of its own. The result of a row
+is the same to the bit, whatever the other rows are.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,8 +24,8 @@ that leaves the turn about it free, or None."""
 _STILL = np.eye(4)
 
 Kinematics = Callable[[Array, Array], tuple[Array, Array, Array]]
-"""What returns, for angles (n, joints) of rows (n,), the tcps' positions (n, 3), their
-rotation matrices (n, 3, 3) and Jacobians (n, 6, joints)."""
+"""A function that returns, for angles (n, joints) of rows (n,), the tcps' positions
+(n, 3), their rotation matrices (n, 3, 3) and Jacobians (n, 6, joints)."""
 
 
 def rotation_error(quat: Array, target: Array) -> Array:
@@ -60,9 +60,9 @@ def joint_change(
     longest: float = np.inf,
     rounds: int = 3,
 ) -> Array:
-    """Return the joint changes that reduce an error, and lean to a posture besides.
+    """Return the joint changes that reduce an error, and also lean to a posture.
 
-    Joints that would run into their limits are left out and the rest solve again.
+    Joints that would run into their limits are left out, and the others solve it again.
 
     Args:
       jacobian: (n, m, joints) of the error's coordinates.
@@ -148,10 +148,11 @@ def descend(
       limits: lowest and highest angles, (n, joints) or (joints,) each.
       steps: greatest number of steps.
       enough: a row stops once it misses by less.
-      miss: of errors (n, 3 or 6) in m and rad; unless given, their worst coordinate.
-      bound: what of an error (n, 3 or 6) one step takes on.
-      lean: from a step's number, the angles (n, joints) and indices of the rows that
-        go on and their Jacobians, changes that the arms should make besides.
+      miss: returns one number for each of the errors (n, 3 or 6) in m and rad; unless
+        given, the worst coordinate.
+      bound: returns the part of an error (n, 3 or 6) that one step works on.
+      lean: takes a step's number, and the angles (n, joints), indices and Jacobians of
+        the rows that go on; returns changes that the arms should make as well.
       change: `joint_change`, or a partial of it with other options.
     """
     angles = np.array(start)
@@ -201,8 +202,8 @@ def simulated(sim: CpuSim, arm: Arm) -> Kinematics:
 class Chains:
     """The kinematics of several arms of a world, in closed form.
 
-    Many times as fast as `simulated`, and the same but for rounding. Arms with fewer
-    joints than others get joints that move nothing.
+    They are many times as fast as `simulated`, and the same but for rounding. Arms with
+    fewer joints than others get joints that move nothing.
 
     Attributes:
       low: lowest joint angles, (arms, joints), in rad.

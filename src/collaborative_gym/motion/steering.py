@@ -103,7 +103,7 @@ def _leaning(
 def standoff(
     offset: Array, approach: Array, *, slack: float, least: float, most: float
 ) -> Array:
-    """Return how far before its goal a hand is to stay until it is straight before it.
+    """Return how far a hand should stay from its goal until it is straight before it.
 
     Args:
       offset: (num_envs, 3) from the goal to the hand, in m.
@@ -152,8 +152,8 @@ def carry(
     share = _KEEPING * np.where(is_loaded, 1.0, nearness)
     change = _leaning(sim, arm, rows, goal - tcp, posture, share)
     change = settling(sim, arm, change=change)
-    # Of a change that a joint cannot follow its servo makes a torque by the stiffness,
-    # and for the speed by the damping.
+    # A change that a joint cannot follow becomes torque: the change times the servo's
+    # stiffness, and the speed times its damping.
     stiffness, damping = np.array(arm.robot.stiffness), np.array(arm.robot.damping)
     lost = lost_load(change) * GRAVITY * mass[:, None] * rows[:, 2]
     return change + lost / (stiffness + damping / CONTROL_DT)

@@ -18,8 +18,8 @@ def ball(mass: float = 0.02) -> mujoco.MjSpec:
       mass: in kg.
 
     Raises:
-      TypeError: if a number is none.
-      ValueError: if it makes no sense.
+      TypeError: if the mass is not a number.
+      ValueError: if it is out of bounds.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     spec = mujoco.MjSpec()

@@ -32,8 +32,8 @@ def bar(mass: float = 0.5) -> mujoco.MjSpec:
       mass: in kg, all of it in the shaft.
 
     Raises:
-      TypeError: if the mass is no number.
-      ValueError: if it makes no sense.
+      TypeError: if the mass is not a number.
+      ValueError: if it is out of bounds.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     spec = mujoco.MjSpec()
@@ -69,7 +69,7 @@ def bar(mass: float = 0.5) -> mujoco.MjSpec:
 def line(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
     """Return a frame to look through, upright across y, that touches nothing.
 
-    Its origin is in its middle, where a bar passes that is pulled over the line.
+    Its origin is in its middle. A bar that is pulled over the line passes there.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "line"

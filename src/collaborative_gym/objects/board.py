@@ -33,8 +33,8 @@ def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
       marked_radius: of a disc painted on the middle of the plate, in m; 0 for none.
 
     Raises:
-      TypeError: if a number is none.
-      ValueError: if it makes no sense.
+      TypeError: if one is not a number.
+      ValueError: if one is out of bounds.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     check_number("marked_radius", marked_radius, at_least=0.0, at_most=10.0)

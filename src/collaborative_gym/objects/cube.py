@@ -8,7 +8,7 @@ _RGBA = (0.90, 0.45, 0.13, 1.0)
 
 # A grip holds the cube at a point and leaves its turning free. This damping (N m s/rad
 # about the axes, N s/m along them) stops a turn of the small cube within half a second
-# and does nothing that could be noticed to its fall.
+# and hardly slows its fall.
 _DAMPING = 1e-4
 
 
@@ -23,8 +23,8 @@ def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
       mass: in kg.
 
     Raises:
-      TypeError: if a number is none.
-      ValueError: if it makes no sense.
+      TypeError: if one is not a number.
+      ValueError: if one is out of bounds.
     """
     check_number("size", size, at_least=0.001, at_most=10.0)
     check_number("mass", mass, at_least=1e-6, at_most=1e4)

@@ -29,7 +29,7 @@ def pedestal(height: float) -> mujoco.MjSpec:
         pedestal has 0.9149 (the mesh offset in sawyer_description).
 
     Raises:
-      TypeError: if `height` is no number.
+      TypeError: if `height` is not a number.
       ValueError: if it is below 0.7, where the cabinet would stand in the arm's way, or
         above 100.
     """

@@ -31,16 +31,16 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
     The body `pot` has its origin in the middle of a cube of 0.12 m. Sites `pot` (the
     middle), `handle_1` (at -y) and `handle_2` (at +y) mark it; each handle site is
     0.14 m from the middle and 0.05 m up, on a bar along x. The cube collides (group 3);
-    the round pot that is seen is in group 2. The handles do not collide, as what grips
-    them is held by a constraint.
+    the round pot that is seen is in group 2. The handles do not collide, because a
+    constraint holds what grips them.
 
     Args:
       mass: in kg.
       balance: y of the centre of mass, in m: the contents may lie to one side.
 
     Raises:
-      TypeError: if a number is none.
-      ValueError: if there is no such mass, or `balance` is outside the pot.
+      TypeError: if one is not a number.
+      ValueError: if the mass is out of bounds, or `balance` is outside the pot.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     check_number("balance", balance, at_least=-_MOST_BALANCE, at_most=_MOST_BALANCE)

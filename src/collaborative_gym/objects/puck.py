@@ -33,7 +33,7 @@ def puck(restitution: float = 0.8) -> mujoco.MjSpec:
       restitution: speed after a bounce over the speed before it.
 
     Raises:
-      TypeError: if `restitution` is no number.
+      TypeError: if `restitution` is not a number.
       ValueError: if it is not within 0 and 1.
     """
     check_number("restitution", restitution, at_least=0.0, at_most=1.0)

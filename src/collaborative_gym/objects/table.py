@@ -27,7 +27,7 @@ def table(
       height: z of the top's upper face, metres above the floor.
 
     Raises:
-      TypeError: if a number is none.
+      TypeError: if one is not a number.
       ValueError: if the top is too small or too low for the legs, or a side is longer
         than 100 m.
     """

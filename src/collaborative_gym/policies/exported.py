@@ -19,15 +19,15 @@ class ExportedNetwork:
     """A network that gets observations of some robots side by side.
 
     Its first input is those of all robots that it commands, (num_envs, n) float32, in
-    the order of the agents, and its first output their actions, (num_envs, k), likewise
-    and of any size: what is outside of -1 to 1 is clipped there.
+    the order of the agents, and its first output their actions, (num_envs, k), in the
+    same order. Actions outside of -1 to 1 are clipped.
 
     Args:
       path: an `.onnx` file, or a TorchScript one, `.pt`.
 
     Raises:
       ImportError: if the library that runs it is not installed.
-      ValueError: if it is no such file.
+      ValueError: if it is not such a file.
     """
 
     def __init__(self, path: Path):
@@ -40,8 +40,8 @@ class ExportedNetwork:
         """Return the policy of these agents.
 
         Raises:
-          ValueError: if the network does not take their observations, or gives other
-            numbers of actions.
+          ValueError: if the network does not take their observations, or gives more or
+            fewer actions.
         """
         spaces = env.single_observation_spaces, env.single_action_spaces
         sees, does = (sum(own[agent].shape[0] for agent in agents) for own in spaces)

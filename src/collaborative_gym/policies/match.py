@@ -1,4 +1,4 @@
-"""Who plays a world, and how it stands between them, in a few words."""
+"""Who plays a world, and how the match stands, in a few words."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ Sides = Mapping[str, tuple[str, ...]]
 def name_players(policy: AnyPolicy, sides: Sides) -> dict[str, str]:
     """Return who plays each side, by its name.
 
-    That is the name of the policy, and of a path its last part. Of several sides it
+    That is the name of the policy, or the last part of a path. With several sides it
     comes after the agents, such as "robot_1 expert".
     """
     players = {}

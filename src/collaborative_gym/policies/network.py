@@ -44,8 +44,8 @@ class Part:
     Attributes:
       agents: whose observations it sees, one after the other, and whom it commands.
       weights: name of its weights. Parts of one name share them.
-      index: its number among the parts that share its weights, which it is told
-        after the observations, one-hot; None where it has weights of its own.
+      index: its number among the parts that share its weights. It gets this number
+        after the observations, one-hot. None where it has weights of its own.
     """
 
     agents: tuple[str, ...]
@@ -85,8 +85,8 @@ class NetworkPolicy:
       identity: the environment that it is for.
       observation_sizes: by agent.
       action_sizes: by agent.
-      metadata: what else is to be known of it, such as mode, seed and steps; goes into
-        JSON.
+      metadata: what else people should know of it, such as mode, seed and steps; must
+        fit into JSON.
 
     Attributes:
       agents: whom it commands.
@@ -159,7 +159,7 @@ class NetworkPolicy:
         return x[:, 0]
 
     def _widths(self, part: Part) -> tuple[int, int]:
-        """Return how many numbers go into a part and come out of it."""
+        """Return how many numbers go into a part and how many come out."""
         inputs = sum(self.observation_sizes[agent] for agent in part.agents)
         outputs = sum(self.action_sizes[agent] for agent in part.agents)
         if part.index is not None:
@@ -229,13 +229,13 @@ class NetworkPolicy:
 
     @property
     def digest(self) -> str:
-        """What tells it apart from every other policy, of all that its file has."""
+        """A digest of all that its file has, unlike that of any other policy."""
         return _digest(*self._content())
 
     def save(self, path: str | Path) -> None:
         """Write it into a safetensors file, whole or not at all."""
         text, tensors = self._content()
-        # In one entry, as several would come in any order, and files differ.
+        # In one entry: several would come in any order, and so files would differ.
         with replacing(path) as partial:
             entry = _digest(text, tensors) + text
             partial.write_bytes(save(tensors, {_KEY: entry}))

@@ -167,7 +167,7 @@ def commanding(
 
 
 def read_policy(policy: Any, env: VectorEnv) -> Any:
-    """Return the networks that a name or a path stands for; what is else, as it is.
+    """Return the networks that a name or a path stands for, and anything else as it is.
 
     Raises:
       Exception: as `load_policy` does.
@@ -178,7 +178,7 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
 
 
 def _style(policy: object) -> str:
-    """Return the style of an expert's name, such as "expert:late"; else nothing."""
+    """Return the style in an expert's name, such as "expert:late", or else nothing."""
     return str(policy).removeprefix(_STYLED) if str(policy).startswith(_STYLED) else ""
 
 

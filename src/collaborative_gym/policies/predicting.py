@@ -12,7 +12,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 def predicting(model: Any, env: VectorEnv) -> Any:
     """Return the deterministic policy of a model that commands all robots.
 
-    Observations go through the model's `VecNormalize`, if it has one, as they are then.
+    Observations go through the model's `VecNormalize`, if it has one, as it is then.
 
     Args:
       model: of Stable-Baselines3. One that was trained with `VecNormalize` and loaded

@@ -13,7 +13,7 @@ STYLES = {
     "late": "it holds still for two seconds first",
     "slow": "it moves at half its speed",
 }
-"""What every task's expert can do; tasks have styles of their own besides."""
+"""Styles of every task's expert; tasks may have more of their own."""
 
 _LATE = 20  # control steps
 
@@ -55,7 +55,7 @@ def gripping_policy(env: VectorEnv):
 
 
 def frozen_policy(env: VectorEnv):
-    """Return what holds still and goes on holding what it holds."""
+    """Return what holds still and keeps what it holds."""
     if not env.task.gripping:
         return idle_policy(env)
     able = {grip.agent for grip in env.scene.grips}

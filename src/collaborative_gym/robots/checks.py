@@ -1,4 +1,4 @@
-"""What can be wrong about an arm, said when its value is made."""
+"""What can be wrong with an arm, checked when its value is made."""
 
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ _MOUNTING = 0.5
 """Greatest distance of the first joint from the origin, as a share of the reach."""
 
 _TOUCHING = 0.0005
-"""Distance in m from which on shapes count as touching at home."""
+"""Shapes nearer than this, in m, count as touching at home."""
 
 _NEIGHBOURS = 2
 """Links this many joints apart may overlap at home, by the look of their shapes."""

@@ -1,4 +1,4 @@
-"""What is said of an arm and its gripper, before its model file is read."""
+"""What a user says about an arm and its gripper, before its model file is read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -55,7 +55,7 @@ class Gripper:
         of the arm's strongest joint at an eighth of the reach.
 
     Raises:
-      ValueError: if the numbers make no gripper; says which to change.
+      ValueError: if no gripper can have these numbers; says which to change.
     """
 
     joints: tuple[str, ...] = ()
@@ -137,12 +137,12 @@ class RobotData:
 
 
 def robot_error(robot: RobotData, what: str) -> ValueError:
-    """Return the error that says what is wrong about an arm, and what to change."""
+    """Return the error that says what is wrong with an arm, and what to change."""
     return ValueError(f"robot {robot.name!r}: {what}")
 
 
 def _check_gripper(gripper: Gripper) -> None:
-    """Raise ValueError if the numbers make no gripper."""
+    """Raise ValueError if no gripper can have these numbers."""
     if gripper.holding_force < 0:
         raise ValueError(
             f"a gripper's holding_force must be at least 0, got {gripper.holding_force}"

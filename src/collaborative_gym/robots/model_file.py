@@ -143,8 +143,8 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
 def _add_tcp(robot: RobotData, spec: mujoco.MjSpec) -> None:
     """Add the tcp's site where the body of its name is.
 
-    It goes on the body that carries this one, if this one is but a frame, as a URDF's
-    links without shape are: tasks look at what else that body has.
+    If this body is only a frame, as a URDF's links without shape are, the site goes on
+    the body that carries it, because tasks look at what else that body has.
     """
     try:
         data = kinematics(spec, {})

@@ -1,4 +1,4 @@
-"""Torque limits and servo gains of arms that come without, from their model files.
+"""Torque limits and servo gains, from model files, for arms that do not name theirs.
 
 A servo's damping is what holds a joint to its speed. At the physics time step, damping
 beyond twice the joint's inertia over the time step chatters; half of that follows

@@ -19,7 +19,7 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
 
     Raises:
       FileNotFoundError: if a mesh is missing.
-      ValueError: if the file is no URDF that MuJoCo can read.
+      ValueError: if MuJoCo cannot read the file as URDF.
     """
     root = _parse(path)
     compiler = _compiler(root)

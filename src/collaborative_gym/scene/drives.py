@@ -15,8 +15,8 @@ _BRAKE_GAIN = 40.0
 """Slope of the brake's torque over the speed, in torque limits per speed limit."""
 
 _LOST, _MOVING = 0.3, 0.0025
-"""Share of a load that servos let go of at most, and from which change of an angle on,
-in rad. Both are our choice; see `lost_load`."""
+"""Greatest share of a load that servos let go of, and the change of an angle, in rad,
+from which they do so. Both are our choice; see `lost_load`."""
 
 _NO_LIMIT = 1e6
 """A torque in N m that is never reached."""
@@ -58,7 +58,7 @@ def add_brakes(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
 
 
 def add_finger(spec: mujoco.MjSpec, joint: str, *, force: float) -> None:
-    """Let a soft servo move a finger, as fingers are light and a grip is a constraint.
+    """Let a soft servo move a finger: fingers are light, and a grip is a constraint.
 
     Args:
       spec: the world.

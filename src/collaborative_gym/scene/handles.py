@@ -11,7 +11,7 @@ from collaborative_gym.robots.robot import Robot
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 SHOULDER = np.array([0.0, 0.0, 0.3])
-"""From an arm's base to its shoulder, about right for all arms, in m."""
+"""Height of an arm's shoulder above its base in m, about right for all arms."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Arm:
       fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
       joint_range: lower and upper joint angles, (2, joints), in rad.
       max_speed: joint speeds that an action may ask for, (joints,), in rad/s.
-      max_change: what the joints turn by it in a control step, (joints,), in rad.
+      max_change: how far that turns the joints in a control step, (joints,), in rad.
       tcp: site id of its tool centre point.
       hand: id of the body that carries the tcp.
     """
@@ -96,7 +96,7 @@ class Grip:
     @property
     def palm(self) -> str:
         """The name of the body and site that bear the hand's grips, and its sensor."""
-        # No name that a model file is likely to give a body of its own.
+        # A model file is unlikely to give this name to a body of its own.
         return f"{self.agent}/palm of grips"
 
 

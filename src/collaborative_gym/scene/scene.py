@@ -60,7 +60,7 @@ class Scene:
         # It solves contacts, stops and brakes together with the servos' damping: so
         # they may be as stiff as the time step resolves.
         option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-        # A world that diverges must be seen to, not silently put back to its start.
+        # A world that diverges must be reported, not silently put back to its start.
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         add_surroundings(self.spec)
 
@@ -127,8 +127,8 @@ class Scene:
 
         Raises:
           TypeError: if an argument is of another kind.
-          ValueError: if the name is taken, a place or turn is none, or the object is
-            in a scene already.
+          ValueError: if the name is taken, a place or turn is not valid, or the object
+            is in a scene already.
         """
         self._check_free("name", name)
         _check_child(name, child)
@@ -192,7 +192,7 @@ class Scene:
             name2=site,
             active=False,
             # The tcp and the site are apart when the grip starts, by the threshold at
-            # most. They come together in two control steps or so, not at a jerk.
+            # most. They come together in about two control steps, not with a jerk.
             solref=[0.05, 1.0],
         )
 
@@ -212,7 +212,7 @@ class Scene:
         )
 
     def add_camera(self, position: ArrayLike, xyaxes: ArrayLike) -> None:
-        """Choose from where pictures show the world; without, a view of all is found.
+        """Choose from where pictures show the world; the default is a view of all.
 
         Args:
           position: of the camera, (3,), in m.
@@ -282,7 +282,7 @@ class Scene:
             none.
 
         Raises:
-          ValueError: if nothing of that name can be put elsewhere, or not there.
+          ValueError: if nothing of that name can be moved, or it cannot be put there.
         """
         names = [*self._mocap, *self._free]
         if name not in names:

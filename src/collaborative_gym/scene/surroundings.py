@@ -67,8 +67,8 @@ def _add_lights(spec: mujoco.MjSpec) -> None:
 def _set_quality(spec: mujoco.MjSpec) -> None:
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = LARGEST
-    # Half of MuJoCo's facets and shadow texels: nobody sees it, and without a graphics
-    # card a picture takes half the time.
+    # These are half of MuJoCo's facets and shadow texels. Nobody sees the difference,
+    # and without a graphics card a picture takes half the time.
     visual.quality.shadowsize = 2048
     visual.quality.numslices, visual.quality.numstacks = 16, 8
     visual.quality.numquads = 2
@@ -78,7 +78,7 @@ def _set_quality(spec: mujoco.MjSpec) -> None:
 
 
 def add_overview(spec: mujoco.MjSpec) -> None:
-    """Add the camera of worlds that bring none: in front, and above the tables."""
+    """Add the camera of worlds that have none: in front, and above the tables."""
     spec.worldbody.add_camera(
         name=CAMERA, pos=(3.1, 0.0, 1.9), xyaxes=(0, 1, 0, -0.35, 0, 1)
     )

@@ -97,9 +97,9 @@ class CpuSim:
         rows: np.ndarray,
         breaks: Breaks,
     ) -> None:
-        """Take a physics step in these worlds, again where it breaks a constraint.
+        """Take a physics step in these worlds, and again where it breaks a constraint.
 
-        Then without that one, so that none is ever loaded more than it bears.
+        The second time it is without that constraint, so none ever bears too much.
         """
         state, switches = self._batch.state, self._switches
         while len(rows):
@@ -135,12 +135,13 @@ class CpuSim:
     def _warnings(self) -> np.ndarray:
         """Return how often MuJoCo has warned of each world, (num_envs,).
 
-        Of a state that is not finite or huge, say. A rollout stops at any warning.
+        It warns of a state that is huge or not finite, for example. A rollout stops at
+        any warning.
         """
         return self._batch.warning[:, :, 1].sum(axis=1)
 
     def forward(self, env_ids: EnvIds = None) -> None:
-        # Sensors of places and speeds need no contacts, the dearest part of the stage.
+        # Sensors of places and speeds need no contacts, which are the slowest part.
         self._flags |= _NO_CONSTRAINTS
         try:
             self._batch.forward(env_ids, stage=_CURRENT)

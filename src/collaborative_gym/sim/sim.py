@@ -11,8 +11,9 @@ EnvIds = Any
 """Sorted integer ids of worlds, a boolean mask over them, or None for all."""
 
 Breaks = Callable[[Array], Array]
-"""Tells of `sensordata` of physics steps, as they began and with the forces in them,
-(..., nsensordata), which equality constraints they break, (..., neq) booleans."""
+"""A function that takes the `sensordata` (..., nsensordata) of physics steps, as it was
+when they began and with the forces in them. It returns which equality constraints they
+break, (..., neq) booleans."""
 
 
 class Sim(Protocol):
@@ -21,8 +22,8 @@ class Sim(Protocol):
     The array attributes are live: reading them gives the state after the last call,
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
     kept.
-    Velocities and positions in `sensordata` are current after every call; forces are
-    told to `breaks` alone.
+    Velocities and positions in `sensordata` are current after every call; only `breaks`
+    gets forces.
 
     Attributes:
       model: the compiled world.
@@ -65,8 +66,8 @@ class Sim(Protocol):
         Args:
           controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
           records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
-            what each physics step found: what follows from the state is of the one
-            before it, and the state itself is of the one after it.
+            what each physics step found: the state after the step, and all that follows
+            from a state of the one before it.
           breaks: judges each physics step. One that would break equality constraints
             is taken with those switched off, which they then are.
 
@@ -92,9 +93,10 @@ class Sim(Protocol):
         ...
 
     def vary(self, env_ids: EnvIds, factors: Mapping[str, Array]) -> None:
-        """Let numbers of these worlds' models be the model's times factors.
+        """Multiply numbers of these worlds' models by factors.
 
-        They stay so whatever is reset or put into the worlds.
+        The factors apply to the model's own numbers. They stay, whatever is reset or
+        put into the worlds.
 
         Args:
           env_ids: the worlds.
@@ -108,7 +110,7 @@ class Sim(Protocol):
         ...
 
     def seen(self, qpos: Array, sensordata: Array) -> "Sim":
-        """Return worlds that look like this, to measure and not to step.
+        """Return worlds in this state, to be measured and not stepped.
 
         Args:
           qpos: (num_envs, nq) positions, in place of the worlds' own.

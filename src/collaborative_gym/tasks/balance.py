@@ -136,7 +136,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         first, second = self.agents
         for agent, placement in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=placement, holds=BAR)
-        # A free board with two welds would move in the same way, more slowly computed.
+        # A free board with two welds would move in the same way, but take more time.
         tool = _held(board(marked_radius=self.marked_radius))
         scene.add_tool(first, "board", child=tool)
         tcp = scene.spec.site(f"{second}/{self.robots[second].tcp}")
@@ -241,7 +241,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return self._board_at(moved)
 
     def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses of a level board that far from its nominal place."""
+        """Return poses of a level board, moved so far from its nominal place."""
         return self.centre + moved[:, :3], math.from_yaw(moved[:, 3])
 
     def _grasp(
@@ -370,7 +370,7 @@ def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def _orientation(facts: BalanceFacts, course: tuple[Array, Array, Array]) -> np.ndarray:
-    """Return the board's orientation that rolls the ball on its course."""
+    """Return the orientation of the board that rolls the ball on its course."""
     way, velocity, acceleration = (vector[:, :2] for vector in course)
     into_board = math.conjugate(facts.board[1])
     speed = math.rotate(into_board, facts.ball_velocity[0])[:, :2]

@@ -186,7 +186,7 @@ class BalancePath(Balance):
         return xp.where(self.success(facts), 0.0, missing)
 
     def place(self, facts: BalancePathFacts) -> Array:
-        # A ball on the floor leads nowhere.
+        # A ball on the floor cannot be led.
         coming = facts.coming[0] + _LAG * facts.coming[1]
         missing = np.where(facts.fell, 0.0, (coming - facts.ball[0])[:, 2])
         missing = np.clip(missing, -_LONGEST_RISE, _LONGEST_RISE)

@@ -229,7 +229,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         self._speed = [int(joint.dofadr[0]) for joint in joints]
 
     def _hand(self, agent: str, place: np.ndarray) -> np.ndarray:
-        """Return where a tcp is whose mallet hovers at places (..., 2) of its lane."""
+        """Return where a tcp is if its mallet hovers at places (..., 2) of its lane."""
         flat = self._turns[agent] * (place + np.array([0.0, self._lane[agent]]))
         height = np.full((*flat.shape[:-1], 1), HEIGHT + _HOVER + MALLET_HEIGHT)
         return np.concatenate([flat, height], axis=-1)
@@ -338,7 +338,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
                 "puck": way * facts.puck,
                 "puck velocity": way * facts.puck_velocity,
                 **{f"mallet {i + 1}": each for i, each in enumerate(others.values())},
-                # How near a foul is: below 0 where it would be one's own.
+                # How near a foul is; below 0 where it would be the own side's.
                 "clock": (way * facts.half * facts.clock)[:, None]
                 / self.config.foul_after,
             }
@@ -427,7 +427,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             error = (goal - place - lever)[..., None]
             share = (moves.transpose(0, 2, 1) @ np.linalg.solve(square, error))[..., 0]
             if i == 0:
-                # No farther than the slowest joint gets in a step.
+                # No farther than the slowest joint comes in a step.
                 most = np.maximum(np.abs(share).max(axis=1), 1.0)[:, None]
                 goal[:, :2] += (1.0 / most - 1.0) * way
                 share = share / most

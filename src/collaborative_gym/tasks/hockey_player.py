@@ -1,11 +1,12 @@
 """How the scripted player of Hockey plays: where it wants its mallets, seen from above.
 
 Everything is in the frame of the side that plays: it shoots towards +x, and its own
-goal is at -x. It foresees the puck's way for a second, cushions included. A puck that
-comes to its goal, or comes fast, it blocks. One that it can reach it goes behind, on
-the far side of where it aims, and hits. It aims at the goal past the other side's
-mallets, straight or by a cushion, whichever way is freer. Else it stands between the
-puck and its goal. Of two mallets that of the half to which the puck comes plays it.
+goal is at -x. It foresees the puck's way for a second, cushions included. It blocks a
+puck that comes to its goal, or comes fast. If it can reach the puck, it goes behind it,
+on the far side from where it aims, and hits it. It aims at the goal past the other
+side's mallets, straight or by a cushion, whichever way is freer. Else it stands between
+the puck and its goal. Of two mallets, the one of the half to which the puck comes plays
+it.
 """
 
 from dataclasses import dataclass
@@ -97,7 +98,7 @@ def foresee(field: Field, place: Array, velocity: Array) -> np.ndarray:
 def _guard(field: Field, foreseen: Array, lane: float, half: float) -> np.ndarray:
     """Return where to stand between puck and goal."""
     place = foreseen[0]
-    # Where the puck first comes down to the mallet's line, if it does.
+    # Where the puck first comes to the mallet's line, if it does.
     arrives = foreseen[:, :, 0] < _BLOCK + 0.02
     first = np.argmax(arrives, axis=0)
     comes = arrives.any(axis=0) & (first > 0)
@@ -149,7 +150,7 @@ def _normal(field: Field, place: Array, velocity: Array, others: Array) -> np.nd
     """Return the direction from mallet to puck of a hit that sends it to the goal."""
     aim = _aim(field, place, others)
     across = np.stack([-aim[:, 1], aim[:, 0]], axis=1)
-    # What the puck has of speed across its new way stays, but for what the hit adds.
+    # The puck keeps its speed across its new way, besides what the hit adds.
     slip = math.dot(velocity, across) / _SHOT
     normal = aim - np.clip(slip, -0.5, 0.5)[:, None] * across
     return normal / math.norm(normal)[:, None]

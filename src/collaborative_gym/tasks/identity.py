@@ -22,10 +22,10 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.task import Task
 
 ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
-"""What may differ when a policy is played: the world and the goal are the same."""
+"""What may differ when a policy is played, because world and goal stay the same."""
 
 ON_STATE = ("name",)
-"""What may differ between worlds that take each other's states: bits are the same."""
+"""What may differ between worlds that take each other's states: bits stay the same."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Identity:
         if "name" not in ignore:
             found += _differing("environment", self.name, other.name)
         if self.task != other.task:
-            # Settings of another task say nothing.
+            # Settings of another task tell nothing.
             return [*found, *_differing("task", self.task, other.task)]
         if self.robots.keys() != other.robots.keys():
             found += _differing("robots", self.robot_names, other.robot_names)
@@ -170,8 +170,8 @@ def _plain(value: Any) -> Any:
 def _digest(robot: Robot) -> str:
     """Return a short digest that tells apart arms of one name.
 
-    Fields that are left at their defaults do not count, so that a new one changes
-    nothing; nor does what the model file has for people alone.
+    Fields that are left at their defaults do not count, so that a new field changes
+    nothing. What only people read in the model file does not count either.
     """
     content = {
         each.name: _plain(getattr(robot, each.name))
@@ -179,7 +179,7 @@ def _digest(robot: Robot) -> str:
         if each.init and getattr(robot, each.name) != each.default
     }
     del content["model_file"], content["title"]
-    # Numbers that were filled in differ by rounding from one machine to another.
+    # Numbers that were filled in may differ by rounding on another machine.
     rounded = json.loads(json.dumps(content), parse_float=lambda x: f"{float(x):.6g}")
     model = robot.model_file.read_text()
     with suppress(ParseError):  # MuJoCo reads files that are not quite XML.

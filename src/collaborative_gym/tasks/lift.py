@@ -67,12 +67,12 @@ _NEAREST, _FARTHEST = 0.36, 0.85
 """Bounds of the distance from an arm to its handle, as a share of its reach."""
 
 _WAY_OFFSETS = np.array([[0.0, -0.11, 0.05], [0.0, 0.11, 0.05]])
-"""Where the arms' ways pass the pot: farther from the arm than its handle, so that it
-reaches pots that do not stand in the middle."""
+"""Where the arms' ways pass the pot. They pass farther from the arm than its handle, so
+that the arm also reaches pots that do not stand in the middle."""
 
 _LIFT_STEP = 0.067
-"""How far before the pot its goal is in the expert's lift, in m; it moves by 0.4 of it
-in a step."""
+"""How far ahead of the pot its goal is in the expert's lift, in m; the pot moves by 0.4
+of this in a step."""
 
 _CLOSE = 0.018
 """Distance from the handle at which the expert grips, in m."""
@@ -184,7 +184,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             own = robot.stand == "pedestal" or self.config.placements is not None
             scene.add_robot(agent, robot, placement=placement, stand=own)
             if not own and abs(y) > 0.55:
-                # Push the arm's table against the pot's, which it would overlap.
+                # Push the arm's table back to the pot's table, which it would overlap.
                 place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
                 turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
                 scene.add(f"{agent}_stand", table(height=z), position=place, quat=turn)
@@ -308,7 +308,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         xp = array_namespace(facts.to_target)
         tilted = xp.maximum(facts.tilt - self.config.success_tilt, 0.0)
         too_fast = xp.maximum(facts.speed - self.config.success_speed, 0.0)
-        # In m, as what a radian and a metre per second are worth is our choice.
+        # In m; what a radian and a metre per second count is our choice.
         missing = facts.to_target + 0.3 * tilted + 0.1 * too_fast
         for agent, held in facts.gripping.items():
             missing = missing + xp.where(held, 0.0, facts.to_handle[agent])
@@ -337,7 +337,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         """Return motions of arms that grip, and bring handles to these goals."""
         holds = facts.gripping
         lifting = reduce(and_, holds.values())
-        # A pot that hangs from one arm tips over. Let go by both, it lands upright.
+        # A pot that hangs from one arm tips over. If both let go of it, it lands
+        # upright.
         stands = facts.pot[0][:, 2] < _START[2] + 0.03
         motions = {}
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
@@ -347,7 +348,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
             progress = (handle[:, 2] - _START[2] - _GRIP_OFFSETS[0, 2]) / height
             gap = standoff(tcp - handle, way.approach, slack=0.004, least=0.0, most=0.1)
             aligned = handle - gap * way.approach
-            # Who holds and waits draws the pot to where the other surely reaches it.
+            # An arm that holds and waits draws the pot to where the other surely
+            # reaches it.
             aside = (_START + _GRIP_OFFSETS[i] - handle) * (1.0, 1.0, 0.0)
             drawn = handle + np.clip(aside, -0.02, 0.02)
             goal = np.where(holds[agent][:, None], drawn, aligned)

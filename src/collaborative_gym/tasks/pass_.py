@@ -128,7 +128,7 @@ class Pass(Task[PassConfig, PassFacts]):
     }
 
     def mounts(self) -> tuple[Placement, ...]:
-        """Return places that are the farther apart the longer the reach."""
+        """Return places that are farther apart, the longer the reach is."""
         placements = []
         for side, robot in zip((-1, 1), self.robots.values(), strict=True):
             y = side * min(0.7, 0.71 * robot.reach)
@@ -170,7 +170,7 @@ class Pass(Task[PassConfig, PassFacts]):
         radial = self._target - np.array(self.placements[taker].position) - SHOULDER
         ends = [_OUT, radial / math.norm(radial), -_ACROSS]
         ways = {giver: [], taker: []}
-        # A hand that is turned by half a turn about its approach grips as well.
+        # A hand grips as well if it is turned by half a turn about its approach.
         for turn in np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]):
             hands = _PICKING, _GIVING, _TAKING
             pick, give, take = (math.multiply(hand, turn) for hand in hands)
@@ -278,7 +278,7 @@ class Pass(Task[PassConfig, PassFacts]):
     def _hand_over(
         self, sim: Sim, facts: PassFacts, shift: np.ndarray
     ) -> dict[str, Motion]:
-        """Return motions to hand over so far from the usual meeting."""
+        """Return motions for a hand-over so far from the usual meeting."""
         meeting = self._meeting + shift
         return {
             "robot_1": self._give(sim, facts, meeting),

@@ -51,7 +51,7 @@ _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
 
 _FAR = 0.5
-"""Distance from stick to ring from which on the expert goes straight, in m."""
+"""The expert goes straight where stick and ring are nearer than this, in m."""
 
 _WAIT = 0.2
 """How far before the ring's place the stick waits for it, in m."""
@@ -224,8 +224,8 @@ class Poke(Task[TaskConfig, PokeFacts]):
         """Return how far behind the hole the stick's middle is to be, (num_envs,)."""
         beside = math.norm(facts.offset[:, :2])
         is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
-        # The stick's middle keeps its tip clear of the ring, the more so the farther it
-        # is from the hole, and goes in so slowly that it stays in line.
+        # The stick's middle keeps its tip clear of the ring, the more the farther it is
+        # from the hole, and goes in so slowly that it stays in line.
         return np.where(
             is_lined_up | facts.is_threaded,
             np.maximum(-facts.offset[:, 2] - 0.12, 0.0),
@@ -235,7 +235,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def _steer(
         self, sim: Sim, facts: PokeFacts, moving: dict[str, tuple[Array, Array]]
     ) -> dict[str, Motion]:
-        """Return motions to these poses, and of others to where both meet."""
+        """Return motions to these poses, and for others to where both meet."""
         motions, is_far = {}, facts.distance[:, None] > _FAR
         for agent, arm in self.scene.arms.items():
             tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]

@@ -103,14 +103,14 @@ def get_env(env_id: str) -> EnvSpec:
 
 
 def find_env(task: Task) -> str | None:
-    """Return the id of this task with these robots that is most like it, if any."""
+    """Return the id that is most like a task with these robots, if there is any."""
     here = Identity.of(task)
     alike = {
         env_id: here.differences(Identity.of(make_task(env_id)), ignore=ON_PLAYING)
         for env_id, spec in _ENVS.items()
         if spec.task is type(task) and spec.robots == here.robot_names
     }
-    # Of those that are equally like it, the one that it was made by.
+    # Among those that are equally like it, the one by which it was made.
     return min(
         alike, key=lambda each: (len(alike[each]), each != task.name), default=None
     )
@@ -143,7 +143,7 @@ def make_task(
     }
     spec = look_up("environment", name, {**_ENVS, **tasks})
     chosen = spec.robots if robots is None else robots
-    # A set's order would be chance.
+    # The order of a set would be chance.
     if isinstance(chosen, str | bytes) or not isinstance(chosen, Sequence):
         raise TypeError(f"robots must be a sequence of names, got {shown(chosen)}")
     arms = tuple(get_robot(robot) for robot in chosen)

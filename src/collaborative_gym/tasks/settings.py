@@ -19,7 +19,7 @@ def bounded(default: float | None, at_least: float, at_most: float) -> Any:
 def check_settings(settings: Any) -> None:
     """Check the fields of a dataclass whose defaults are numbers or booleans.
 
-    They become Python's own floats, integers and booleans, unless they are of a kind of
+    They become Python's own floats, integers and booleans, unless they are a kind of
     these already.
 
     Raises:

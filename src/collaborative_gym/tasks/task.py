@@ -39,9 +39,9 @@ class Randomization:
       link_mass: of the links of each arm, as a share of their masses.
       payload: of each loose thing and each tool, as a share of its mass.
       friction: of all contacts, as a share of their coefficients.
-      lost_torque: what one arm, any of them, lacks of its torque limits, as a share.
-      delay: by which all actions of an episode come late, in control steps.
-      delayed: share of the episodes in which they do.
+      lost_torque: share of its torque limits that one arm, drawn at random, lacks.
+      delay: how late all actions of an episode come, in control steps.
+      delayed: share of the episodes in which they come late.
       lost_actions: share of the actions of each arm that never arrive; it then holds
         still, and holds what it has in its grip.
       position_noise: of every observed place, along each axis, at every step, in m.
@@ -152,8 +152,7 @@ class Task(Generic[ConfigT, FactsT]):
     Attributes:
       name: the environment id or task's name by which `make` made it; else that of its
         class.
-      robot_counts: how many arms the task takes, any of these; the first is how many
-        there are if nobody says.
+      robot_counts: how many arms the task can have; the first is the usual number.
       gripping: whether actions have a grip component.
       config_class: the class of its settings.
       success_after: the goal counts as reached only after this many control steps.
@@ -253,8 +252,8 @@ class Task(Generic[ConfigT, FactsT]):
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         """Write the start of an episode into these worlds, and only these.
 
-        What is drawn is NumPy's; `start_arms` and the scene's `place` and `bend` make
-        it what the worlds need.
+        Draws are NumPy's arrays; `start_arms` and the scene's `place` and `bend` turn
+        them into what the worlds need.
 
         Args:
           sim: the worlds, these ones just reset to the model's initial state.
@@ -271,7 +270,7 @@ class Task(Generic[ConfigT, FactsT]):
         rng: EpisodeRandom,
         angles: Mapping[str, Array] | None = None,
     ) -> None:
-        """Put the arms near these angles, as far off as the randomization says.
+        """Put the arms near these angles, as far away as the randomization says.
 
         Args:
           sim: the worlds.

@@ -70,8 +70,8 @@ _CENTRE = np.array([0.0, 0.0, 1.0])
 """Where the bar's middle starts, at the height of all arms' shoulders, in m."""
 
 _FAR = 0.68
-"""Distance from an arm to its knob at the start, as a share of its reach. Nearer, arms
-end in postures in which neither gets the better of the other; so do Sawyers farther."""
+"""Distance from an arm to its knob at the start, as a share of its reach. Arms that are
+nearer end in postures in which neither wins; so do Sawyers that are farther."""
 
 _SLOPE = np.radians(30.0)
 """How far down hands point at the start; a Panda's hand cannot be level there."""
@@ -80,9 +80,9 @@ _POINTS, _TRIES = 9, 96
 """Points of the way on which a strength is sought, and from how many postures."""
 
 _HELP = 2.049
-"""The pull for a weaker arm, over what its strength is less. The expert of a Panda wins
-499 of 1,000 episodes against that of a Sawyer; 124 of 200 with 2.045, 59 with 2.055.
-With 2.07 that of a Panda still wins 124 of 200 against that of a Jaco."""
+"""The pull for a weaker arm, as a multiple of what its strength is less. The expert of
+a Panda wins 499 of 1,000 episodes against that of a Sawyer; 124 of 200 with 2.045, 59
+with 2.055. With 2.07 that of a Panda still wins 124 of 200 against that of a Jaco."""
 
 _HAUL = 0.1
 """How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
@@ -158,7 +158,7 @@ class Tug(Task[TugConfig, TugFacts]):
         )
 
     def build(self, scene: Scene) -> None:
-        # Which way along y each agent pulls.
+        # The direction along y in which each agent pulls.
         self._way = {
             a: float(np.sign(p.position[1])) for a, p in self._placed().items()
         }
@@ -200,7 +200,7 @@ class Tug(Task[TugConfig, TugFacts]):
             pulls = [strength(robot) for robot in robots]
         shares = np.array(pulls) / np.mean(pulls)
         lines = dict(zip(self.agents, (mean * shares).tolist(), strict=True))
-        # What is for one arm is against the other.
+        # What helps one arm is against the other.
         return lines, -_HELP * float(np.dot(pulls, list(self._way.values())))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
@@ -320,7 +320,7 @@ class Tug(Task[TugConfig, TugFacts]):
     def expert(self, sim: Sim, facts: TugFacts) -> dict[str, Motion]:
         """Pull, and lean to postures in which the arm pulls harder.
 
-        The hand goes wherever across the pull that the other arm lets it go.
+        Across the pull, the hand goes wherever the other arm lets it go.
         """
         motions = {}
         for agent, arm in self.scene.arms.items():
