@@ -1,4 +1,6 @@
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -16,6 +18,7 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
     """Return a function that trains the small task's baseline, of two runs."""
     four = dict.fromkeys(baselines._EPISODES, 4)
     monkeypatch.setattr(baselines, "_EPISODES", four)
+    monkeypatch.setattr(baselines, "_CHOICE_EPISODES", 4)
 
     def train_both(changes=None, output=tmp_path, **options):
         changes = changes or changed(tiny(total_steps=64))
@@ -67,6 +70,24 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, tmp_path)
         report = cg.evaluate(carry_id, policy, episodes=4, num_threads=1, **options)
         (row,) = [row for row in shown if f"| {starts} |" in row]
         assert f"| {format_statistic(report.mean_reward)} |" in row
+
+
+def test_of_equal_runs_the_one_whose_arms_keep_apart_is_better(alone, monkeypatch):
+    monkeypatch.setattr(baselines, "_CHOICE_EPISODES", 2)
+
+    def rank(policy, completion, mean):
+        best = {
+            "validation/completion": completion,
+            "validation/performance": 0.9,
+            "validation/return": mean,
+        }
+        run: Any = SimpleNamespace(policy=lambda: policy, best=best)
+        return baselines._rank("PassTaskSawyers-v0", run, alone)
+
+    # The expert's hands come within millimetres of one another.
+    assert rank("idle", 0.951, 1.0) > rank("expert", 0.953, 2.0)
+    assert rank("expert", 0.98, 1.0) > rank("idle", 0.95, 1.0)
+    assert rank("idle", 0.95, 2.0) > rank("idle", 0.95, 1.0)
 
 
 def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):

@@ -30,6 +30,9 @@ _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
 """What a card reports on; no run is trained on these episodes or chosen by them. Where
 they are late, each action is done one control step late."""
 
+_CHOICE_EPISODES, _CHOICE_SEED = 200, 1
+"""Other episodes, in which it is seen how near the arms come to one another."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -50,9 +53,11 @@ def write_baseline(
 ) -> Path:
     """Write the baseline that the best of an environment's runs gives; return its card.
 
-    In `output` there are then the policy of the run with the best validation, as
-    `ID.safetensors`; its curve, `ID.png`; and the card, `ID.md`, with all runs'
-    results.
+    In `output` there are then the policy of the best run, as `ID.safetensors`; its
+    curve, `ID.png`; and the card, `ID.md`, with all runs' results. The best run is the
+    one with the best completion and performance in validation, in percent. Of equals it
+    is the one whose arms keep farther apart, to the centimetre, then the one with the
+    better return in validation.
 
     Args:
       results: of the environment's runs, whose seeds differ.
@@ -62,7 +67,7 @@ def write_baseline(
     output, resources = Path(output), resources or Resources()
     env_id = results[0].settings.identity.name
     candidates = [Candidate(r, _measure(env_id, r, resources)) for r in results]
-    best = max(candidates, key=_validation)
+    best = max(candidates, key=lambda each: _rank(env_id, each.result, resources))
     for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.result.folder / name, partial)
@@ -86,8 +91,22 @@ def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Rep
     }
 
 
-def _validation(candidate: Candidate) -> float:
-    return candidate.result.best["validation/return"]
+def _rank(env_id: str, result: Result, resources: Resources) -> tuple[float, ...]:
+    """Return by what the shipped run is chosen; see `write_baseline`."""
+    report = evaluate(
+        env_id,
+        result.policy(),
+        episodes=_CHOICE_EPISODES,
+        seed=_CHOICE_SEED,
+        num_threads=resources.num_threads,
+    )
+    best = result.best
+    return (
+        round(best["validation/completion"], 2),
+        round(best["validation/performance"], 2),
+        round(report.strain["clearance"].worst, 2),
+        best["validation/return"],
+    )
 
 
 def write_card(
@@ -120,8 +139,8 @@ def write_card(
         f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
-        f" {hyperparameters.validation_episodes} validation episodes that are not those"
-        " below",
+        f" {hyperparameters.validation_episodes} validation episodes and, of equals, by"
+        " how far the arms keep apart; on episodes that are not those below",
         f"- command: `{training_command(settings, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
