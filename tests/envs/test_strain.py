@@ -12,7 +12,7 @@ import collaborative_gym as cg
 from collaborative_gym.envs.strain import STRAIN, internal_force
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.timing import SIM_DT
+from collaborative_gym.timing import SIM_DT, SUBSTEPS
 
 KINDS = "arms", "objects", "furniture"
 
@@ -191,6 +191,15 @@ def test_the_strain_is_what_mujoco_finds(env_id, policy, steps, nonzero):
     for name in STRAIN:
         assert strain[name][0] == pytest.approx(found[name], rel=1e-6, abs=1e-6), name
     assert all(found[name] > 0.0 for name in nonzero)
+
+
+def test_the_internal_force_of_a_control_step_is_its_mean():
+    env = made(make_task("BalanceTaskSawyers-v0"))
+    plain = Plain(env)
+    played(env, cg.load_policy("random", env), 3)
+    assert env.strain is not None
+    found = np.mean(plain.held[-SUBSTEPS:])
+    assert env.strain.internal_force[0] == pytest.approx(found, rel=1e-6) != 0.0
 
 
 @pytest.mark.parametrize(

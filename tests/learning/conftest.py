@@ -22,6 +22,7 @@ TINY = Hyperparameters(
     change_penalty=0.1,
     range_penalty=0.1,
     contact_penalty=0.1,
+    internal_penalty=0.1,
     action_penalty=0.1,
     delayed=0.5,
     lost_grips=0.1,

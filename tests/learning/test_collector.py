@@ -13,7 +13,12 @@ from collaborative_gym.learning.team import Sizes, make_learners
 LENGTH, WORLDS, STEPS = 12, 4, 8
 NOTHING, ALL = Assistance(0.0), Assistance(0.0)
 ALL.demand = 1.0
-PENALTIES = "torque_penalty", "change_penalty", "contact_penalty"
+PENALTIES = (
+    "torque_penalty",
+    "change_penalty",
+    "contact_penalty",
+    "internal_penalty",
+)
 
 
 @pytest.fixture
@@ -199,9 +204,7 @@ def test_shaping_fades_out_of_what_is_learned_and_of_no_episode(make, monkeypatc
             "independent",
             dense_share=share,
             total_steps=4 * WORLDS * STEPS,
-            torque_penalty=0.0,
-            change_penalty=0.0,
-            contact_penalty=0.0,
+            **dict.fromkeys(PENALTIES, 0.0),
         )
         collector._job.task.shaping = ("distance", "effort")
         terms, step = [], collector.env.step

@@ -6,6 +6,17 @@ import pytest
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.penalties import Penalties
 
+FREE = dict.fromkeys(
+    (
+        "torque_penalty",
+        "change_penalty",
+        "contact_penalty",
+        "internal_penalty",
+        "range_penalty",
+    ),
+    0.0,
+)
+
 
 @pytest.fixture
 def env(carry):
@@ -32,7 +43,7 @@ def charged(env, numbers, actions, previous):
 
 
 def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
-    numbers = tiny(torque_penalty=0.7, change_penalty=0.0, contact_penalty=0.0)
+    numbers = tiny(**{**FREE, "torque_penalty": 0.7})
     actions = moving(env, 0.3)
     found = charged(env, numbers, actions, actions)
     for agent, arm in env.scene.arms.items():
@@ -45,7 +56,7 @@ def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
 
 
 def test_what_a_servo_asks_for_beyond_its_motor_costs_evenly_more(env, tiny):
-    numbers = tiny(torque_penalty=1.0, change_penalty=0.0, contact_penalty=0.0)
+    numbers = tiny(**{**FREE, "torque_penalty": 1.0})
     actions = moving(env, 0.0)
     costs = []
     for share in (0.0, 1.0, 2.0, 3.0, 30.0):
@@ -61,10 +72,10 @@ def test_what_a_servo_asks_for_beyond_its_motor_costs_evenly_more(env, tiny):
 def test_a_change_of_action_costs_its_mean_square(env, tiny):
     actions = moving(env, 0.3)
     previous = {agent: each - 0.5 for agent, each in actions.items()}
-    numbers = tiny(torque_penalty=0.0, change_penalty=2.0, contact_penalty=0.0)
+    numbers = tiny(**{**FREE, "change_penalty": 2.0})
     for agent, found in charged(env, numbers, actions, previous).items():
         assert found == pytest.approx(2.0 - 2.0 * 0.25), agent
-    numbers = tiny(torque_penalty=0.0, change_penalty=0.0, contact_penalty=0.0)
+    numbers = tiny(**FREE)
     for found in charged(env, numbers, actions, previous).values():
         assert (found == 2.0).all()
 
@@ -81,13 +92,23 @@ def test_joints_cost_in_the_outer_tenth_of_their_ranges_from_the_beginning(env, 
     assert 2.0 - found == pytest.approx([0.0, 0.2, 0.05])
 
 
-def test_contacts_cost_by_the_deepest(carry, tiny):
+@pytest.fixture
+def measured(carry):
     env = VectorEnv(carry(), 4, num_threads=1, strain=True)
-    numbers = tiny(
-        torque_penalty=0.0, change_penalty=0.0, range_penalty=0.0, contact_penalty=0.5
-    )
-    depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
-    env.strain.depths = {kind: np.array(each) for kind, each in depths.items()}
-    for earned in charged(env, numbers, {}, {}).values():
-        np.testing.assert_allclose(earned, 2.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
+    yield env
     env.close()
+
+
+def test_contacts_cost_by_the_deepest(measured, tiny):
+    numbers = tiny(**{**FREE, "contact_penalty": 0.5})
+    depths = {"arms": [0.0, 2e-3, 5e-3, 0.05], "objects": [5e-4, 0.0, 7e-3, 0.0]}
+    measured.strain.depths = {kind: np.array(each) for kind, each in depths.items()}
+    for earned in charged(measured, numbers, {}, {}).values():
+        np.testing.assert_allclose(earned, 2.0 - 0.5 * np.array([0.0, 2.0, 6.0, 10.0]))
+
+
+def test_internal_force_costs_all_who_hold_by_ten_newton(measured, tiny):
+    numbers = tiny(**{**FREE, "internal_penalty": 0.5})
+    measured.strain.internal_force = np.array([0.0, 5.0, 40.0, 300.0])
+    for earned in charged(measured, numbers, {}, {}).values():
+        np.testing.assert_allclose(earned, 2.0 - 0.5 * np.array([0.0, 0.5, 4.0, 10.0]))

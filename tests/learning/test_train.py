@@ -395,6 +395,7 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
         torque_penalty=0.0,
         change_penalty=0.0,
         contact_penalty=0.0,
+        internal_penalty=0.0,
         range_penalty=0.0,
         action_penalty=0.0,
     )

@@ -83,6 +83,7 @@ def train_rival(
         torque_penalty=0.0,
         change_penalty=0.0,
         contact_penalty=0.0,
+        internal_penalty=0.0,
         range_penalty=0.0,
         action_penalty=0.0,
         delayed=0.0,

@@ -187,6 +187,7 @@ class Strain:
     Attributes:
       depths: by kind of contact, how deep the deepest was in the physics steps that
         were counted last, (num_envs,) in m.
+      internal_force: the mean over those steps, (num_envs,) in N.
     """
 
     def __init__(self, scene: Scene, sim: CpuSim):
@@ -205,6 +206,7 @@ class Strain:
         self._centres = sim.geom_xpos
         self._records: dict[str, np.ndarray] = {}
         self.depths = dict.fromkeys(_KINDS, np.zeros(sim.num_envs))
+        self.internal_force = np.zeros(sim.num_envs)
 
     def records(self, substeps: int) -> dict[str, np.ndarray]:
         """Return the arrays that so many physics steps are to be recorded in."""
@@ -245,6 +247,7 @@ class Strain:
         if self._held:
             forces = np.stack([self._internal_force(held) for held in self._held])
             greatest["internal_force"] = forces.max(axis=0)
+            self.internal_force = greatest["internal_force"].mean(axis=1)
             sums["internal_force_mean"] = greatest["internal_force"]
             is_held = np.any([self._is_held(held) for held in self._held], axis=0)
             held_steps = np.where(moved, is_held.sum(axis=1), 0)

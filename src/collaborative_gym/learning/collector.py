@@ -14,7 +14,7 @@ from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.guests import NOBODY, Guests, Invitation
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
-from collaborative_gym.learning.penalties import Penalties
+from collaborative_gym.learning.penalties import Penalties, needs_strain
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
@@ -260,7 +260,7 @@ class Collector:
             share,
             seed=seed,
             num_threads=job.num_threads,
-            strain=job.hyperparameters.contact_penalty > 0,
+            strain=needs_strain(job.hyperparameters),
         )
         self._players = [
             Player(learner, job, job.casting.worlds(learner, share))

@@ -93,13 +93,17 @@ class Hyperparameters:
         beyond a limit the price grows linearly.
       change_penalty: price of jerky actions. In each control step a robot pays this
         times the mean square of the change of its action. No reported return contains
-        penalties. These two, the contact penalty, late actions and lost grips begin at
-        zero. They grow by 2 % after each rollout in which half of the episodes are
-        completed.
+        penalties. These two, those of contacts and internal force, late actions and
+        lost grips begin at zero. They grow by 2 % after each rollout in which half of
+        the episodes are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
         arm or with fixed things count, and contacts of loose things above 1 mm.
         Measuring it makes collecting about a quarter slower.
+      internal_penalty: price of internal force. In each control step all robots pay
+        this for every 10 N that arms spend against each other on what they hold (see
+        `internal_force` among the measures of strain), the mean of the step, at most
+        100 N. It is measured as contacts are.
       range_penalty: price of joints at the ends of their ranges. In each control step a
         robot pays this times the mean square of how far its joints are in the outer
         tenth of their ranges. It holds from the beginning.
@@ -171,6 +175,7 @@ class Hyperparameters:
     torque_penalty: float = bounded(0.0, 0.0, 1e3)
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
+    internal_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
@@ -231,6 +236,7 @@ class Hyperparameters:
             self.torque_penalty,
             self.change_penalty,
             self.contact_penalty,
+            self.internal_penalty,
             self.range_penalty,
             self.action_penalty,
         )

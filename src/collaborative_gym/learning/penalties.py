@@ -11,19 +11,22 @@ _FREE_DEPTH, _MOST_DEPTH = 1.0, 10.0
 """How deep contacts of things cost nothing, since they rest that deep on what holds
 them, and how much more of any contact is counted, in mm."""
 
+_UNIT_FORCE, _MOST_FORCE = 10.0, 100.0
+"""The internal force that costs the price once, and how much of it is counted, in N."""
+
 _INNER = 0.9
 """Share of a joint's range, in its middle, in which a posture costs nothing."""
 
 
 class Penalties:
-    """What each robot pays for its torques, changes and joints, and all for contacts.
+    """What each robot pays for its own acts, and all for contacts and internal force.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
-    Contacts are looked at in every physics step, whoever is in them.
+    Contacts and internal force are looked at in every physics step, whoever is in them.
 
     Args:
-      env: the worlds, which measure strain if contacts cost something.
+      env: the worlds, which measure strain if `needs_strain` says so.
       hyperparameters: what is charged.
     """
 
@@ -32,6 +35,7 @@ class Penalties:
         self._torque = hyperparameters.torque_penalty
         self._change = hyperparameters.change_penalty
         self._contact = hyperparameters.contact_penalty
+        self._internal = hyperparameters.internal_penalty
         self._range = hyperparameters.range_penalty
 
     def charge(
@@ -52,8 +56,7 @@ class Penalties:
             arms that come to the ends of their ranges while they learn stay there.
         """
         charged = dict(rewards)
-        contact = share * self._contact
-        contacts = contact * self._depth() if contact else None
+        together = share * self._together() if share else 0.0
         for agent in charged:
             if self._range:
                 charged[agent] = charged[agent] - self._range * self._ends(agent)
@@ -66,8 +69,7 @@ class Penalties:
                 change = actions[agent] - previous[agent]
                 cost = share * self._change * _mean_square(change)
                 charged[agent] = charged[agent] - cost
-            if contacts is not None:
-                charged[agent] = charged[agent] - contacts
+            charged[agent] = charged[agent] - together
         return charged
 
     def _ends(self, agent: str) -> np.ndarray:
@@ -77,6 +79,17 @@ class Penalties:
         middle = (low + high) / 2
         away = np.abs(self._env.sim.qpos[:, arm.qpos] - middle) / (high - middle)
         return _mean_square(np.maximum(away - _INNER, 0.0) / (1.0 - _INNER))
+
+    def _together(self) -> np.ndarray | float:
+        """Return what all pay alike."""
+        cost = 0.0
+        if self._contact:
+            cost = self._contact * self._depth()
+        if self._internal:
+            assert self._env.strain is not None
+            force = np.minimum(self._env.strain.internal_force, _MOST_FORCE)
+            cost = cost + self._internal * force / _UNIT_FORCE
+        return cost
 
     def _depth(self) -> np.ndarray:
         """Return how deep the deepest contact was that costs something, in mm."""
@@ -95,6 +108,11 @@ class Penalties:
         behind = sim.act[:, arm.act] - sim.qpos[:, arm.qpos]
         torque = robot.stiffness * behind - robot.damping * sim.qvel[:, arm.dof]
         return np.abs(torque) / np.array(robot.torque_limits)
+
+
+def needs_strain(hyperparameters: Hyperparameters) -> bool:
+    """Return whether prices need worlds that measure strain."""
+    return bool(hyperparameters.contact_penalty or hyperparameters.internal_penalty)
 
 
 def _mean_square(columns: np.ndarray) -> np.ndarray:
