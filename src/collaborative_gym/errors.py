@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -157,6 +158,15 @@ def check_name(name: str, given: Any) -> None:
     check_kind(name, given, str, "a string")
     if not given:
         raise ValueError(f"{name} must not be empty, got ''")
+
+
+def check_word(name: str, given: Any) -> None:
+    """Raise unless what was given is a word that commands, links and files can name."""
+    check_name(name, given)
+    if not re.fullmatch(r"[\w:.-]+", given):
+        raise ValueError(
+            f"{name} must be one word of letters, digits and _ . : - , got {given!r}"
+        )
 
 
 def check_flag(name: str, given: Any) -> bool:

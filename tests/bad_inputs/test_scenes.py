@@ -232,7 +232,7 @@ REGISTRY = [
         "register",
         "name",
         lambda s, v: cg.register_task(v, cg.Task),
-        [None, 3, "", [], b"New"],
+        [None, 3, "", "New task", [], b"New"],
     ),
     *table(
         "register", "registered", lambda s, v: cg.register_task(v, cg.Task), ["Lift"]

@@ -26,6 +26,7 @@ def test_neighbours_may_overlap_at_home(own, from_urdf, in_a_world):
 
 WRONG_VALUES = [
     ({"name": ""}, "name must not be empty"),
+    ({"name": "my arm"}, "name must be one word of letters, digits .*got 'my arm'"),
     ({"stand": "desk"}, "no stand 'desk'.*; stands: none, pedestal, table"),
     ({"joints": ()}, "joints must name each arm joint once"),
     ({"joints": ("joint_1",) * 6}, "joints must name each arm joint once"),
@@ -34,6 +35,7 @@ WRONG_VALUES = [
         {"home": (0.0, 3.0, 0, 0, 0, 0)},
         "home puts joint 'joint_2' at 3, outside of its",
     ),
+    ({"home": (0, -45.0, 0, 0, 0, 0)}, "give angles in rad, not in degrees"),
     ({"home": (np.nan, 0, 0, 0, 0, 0)}, r"home\[0\] must be finite, got nan"),
     (
         {"home": (0, 0, 2.69, 0, -1.57, 0)},

@@ -283,6 +283,7 @@ class Certify(Worlds):
         certificates = []
         with progress_bars() as progress:
             for env_id in env_ids:
+                tell(f"{env_id}: each arm in turn is still; each trial prints a line")
                 certificate = certify(
                     env_id,
                     budget=QUICK if self.quick else self.budget,

@@ -123,7 +123,8 @@ def _check_ranges(robot: RobotData, model: mujoco.MjModel) -> None:
             raise robot_error(
                 robot,
                 f"{field} puts joint {name!r} at {value:g}, outside of its range"
-                f" {low:g} to {high:g} (rad or m) in the model file",
+                f" {low:g} to {high:g} in the model file; give angles in rad, not in"
+                " degrees, and lengths in m",
             )
 
 

@@ -12,6 +12,7 @@ from collaborative_gym.errors import (
     check_name,
     check_number,
     check_numbers,
+    check_word,
     unknown,
 )
 
@@ -109,7 +110,7 @@ class RobotData:
     )
 
     def __post_init__(self) -> None:
-        check_name("name", self.name)
+        check_word("name", self.name)
         check_kind("model_file", self.model_file, (str, Path), "a path")
         check_kind("title", self.title, str, "a string")
         check_kind("gripper", self.gripper, Gripper, "a Gripper")

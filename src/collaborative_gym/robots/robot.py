@@ -35,7 +35,7 @@ class Robot(RobotData):
     apart touch at home. This counts as a flaw of their shapes, and they never collide.
 
     Attributes:
-      name: the name under which tasks ask for the arm.
+      name: the name, one word, under which tasks ask for the arm.
       model_file: MJCF (.xml) or URDF (.urdf) file with the base at the origin, x
         forward and z up.
       joints: arm joint names in the model file, from the base to the tool.

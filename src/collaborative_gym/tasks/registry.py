@@ -11,6 +11,7 @@ from collaborative_gym.errors import (
     UnknownOption,
     check_kind,
     check_name,
+    check_word,
     look_up,
     shown,
     unknown,
@@ -45,9 +46,9 @@ def register_task(name: str, task: type[Task]) -> None:
     """Let `make` build a task by name with any robots.
 
     Raises:
-      ValueError: if the name is taken.
+      ValueError: if the name is taken, or not one word.
     """
-    check_name("name", name)
+    check_word("name", name)
     _check_task(task)
     if name in _TASKS:
         raise ValueError(f"task {name!r} is registered already")
