@@ -143,7 +143,8 @@ def test_reproduce_prints_the_table_and_writes_files(
 def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_path):
     arguments = ["certify", carry_id, "--quick", "--num-threads", "1", "--output"]
     assert main([*arguments, str(tmp_path)]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    begun, *lines = capsys.readouterr().out.splitlines()
+    assert begun.startswith(f"{carry_id}: each arm in turn is still")
     told = [line for line in lines if line.startswith(f"{carry_id}, robot_")]
     assert len(told) == 18 and "robot_1 idle, expert: " in told[0]
     assert max(map(len, lines[len(told) : -2])) <= 80
@@ -152,7 +153,7 @@ def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_p
     assert len(content["trials"]) == 18
     assert carry_id in (tmp_path / "certificates.md").read_text()
     assert main([*arguments, str(tmp_path)]) == 0
-    assert capsys.readouterr().out.splitlines() == lines[len(told) :]
+    assert capsys.readouterr().out.splitlines() == [begun, *lines[len(told) :]]
 
 
 def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp_path):
