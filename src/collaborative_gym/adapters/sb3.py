@@ -61,7 +61,7 @@ class SB3VecEnv(VecEnv):
             is_terminated = self._agents.shared(terminated)
             for i in np.flatnonzero(infos["ended"]):
                 told[i] = {
-                    # With these two it knows that the world goes on, and from where.
+                    # By these two it knows that the world goes on, and from where.
                     "terminal_observation": final[i],
                     "TimeLimit.truncated": not is_terminated[i],
                     "is_success": bool(infos["metrics"]["completion"][i]),

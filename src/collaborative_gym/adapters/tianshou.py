@@ -42,7 +42,7 @@ class TianshouEnv(BaseVectorEnv):
         self.is_async, self.is_closed, self.waiting_id = False, False, []
         self._agents = SingleAgent(env)
         self._next_seed: int | None = None
-        # Worlds that have begun an episode and not done a step of it.
+        # Worlds that have begun an episode and have not done a step of it.
         self._is_fresh = np.zeros(env.num_envs, bool)
         self._observations: dict[str, np.ndarray] = {}
 

@@ -62,7 +62,7 @@ class TorchRLEnv(EnvBase):
         self._next_seed: int | None = None
         self._observations: dict[str, np.ndarray] = {}
         self._metrics: Mapping[str, Any] = {}
-        # Worlds that have begun an episode and not done a step of it.
+        # Worlds that have begun an episode and have not done a step of it.
         self._is_fresh = np.zeros(env.num_envs, bool)
         self._make_specs()
 
@@ -108,7 +108,7 @@ class TorchRLEnv(EnvBase):
             begun = self.vector_env.reset(env_ids=stale)
             self._observations = begun[0]
         self._is_fresh |= asked
-        # Of an episode without a step there is nothing to tell.
+        # There is nothing to tell of an episode without a step.
         content = self._observed(self._observations, self._told(asked))
         return TensorDict(content, self.batch_size, device=self.device)
 

@@ -27,7 +27,7 @@ _PERCENT = ("completion", "performance")
 
 @dataclass(frozen=True)
 class ReportCard:
-    """What there is to say of some policies in one environment.
+    """What there is to say about some policies in one environment.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -197,7 +197,7 @@ def _named(
     """Return the policies by their names, at least one.
 
     Raises:
-      TypeError: if they are no list and no dictionary.
+      TypeError: if they are neither a list nor a dictionary.
       ValueError: if there is none, or there are two of one name.
     """
     if isinstance(policies, Mapping):
@@ -216,7 +216,7 @@ def _named(
 def _parts(
     on_progress: Callable[[float], object] | None, sizes: Sequence[int]
 ) -> list[Callable[[float], object] | None]:
-    """Return what tells the progress of each part as that of all."""
+    """Return callbacks for the progress of the parts, which tell that of all."""
     if on_progress is None:
         return [None] * len(sizes)
 

@@ -92,7 +92,7 @@ def _draw_robustness(axes: "Axes", card: ReportCard) -> None:
 def draw_strip(task: Task, policy: AnyPolicy, path: str | Path, seed: int = 0) -> None:
     """Draw the first episode of a seed, from its start to success, into a PNG.
 
-    Where it never succeeds, to its end.
+    If it never succeeds, the strip goes to its end.
 
     Args:
       task: what to do.

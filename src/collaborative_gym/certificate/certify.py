@@ -179,7 +179,7 @@ class _Work:
         counts["ppo"] = min(self._budget.ppo_rows, len(rows))
         self._total = sum(costs[player] * counts[player] for player in players)
         for player, try_out in players.items():
-            # A training needs to know how near the others came.
+            # A training must know how near the others came.
             for row in self._nearest_rows() if player == "ppo" else rows:
                 self._cost, self._steps = costs[player], 0.0
                 if costs[player] and not self._has(row, player):
@@ -210,7 +210,7 @@ class _Work:
         return [(agent, *way) for agent in self._task.agents for way in ways]
 
     def _nearest_rows(self) -> list[Row]:
-        """Return the rows to train in: of those least often completed the nearest."""
+        """Return the rows to train in: the nearest of those least often completed."""
         rows = replace(
             self._certificate,
             trials=tuple(t for t in self._certificate.trials if t.player != "ppo"),
@@ -348,7 +348,7 @@ def _resumed(blank: Certificate, path: Path) -> Certificate:
     for name in ("seed", "budget"):
         mine, theirs = blank.settings[name], found.settings[name]
         if name == "budget" and not any(t.player == "ppo" for t in found.trials):
-            # Trainings come last, and may be added.
+            # Trainings come last; more of them may be added.
             mine, theirs = (
                 {key: n for key, n in each.items() if not key.startswith("ppo_")}
                 for each in (mine, theirs)

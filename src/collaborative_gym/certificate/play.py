@@ -11,14 +11,15 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy
 
 Cast = Callable[[np.ndarray], Policy]
-"""Returns what plays these tries, one in each world of the environment."""
+"""A function that returns who plays these tries, one in each world of the
+environment."""
 
 _FAR = 1e3
 """Farther than any world is from its goal."""
 
 _REST, _PATIENCE = 5e-4, 10
-"""Where joints are slower than this, in rad/s or m/s, and no shortfall changes by as
-much, for so many control steps in all worlds of a round, nothing more will come."""
+"""If joints are slower than this, in rad/s or m/s, and no shortfall changes by so much,
+for so many control steps in all worlds of a round, nothing more will happen."""
 
 
 @dataclass(frozen=True)

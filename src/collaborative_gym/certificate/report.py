@@ -134,7 +134,7 @@ class Certificate:
 
     @property
     def best(self) -> dict[tuple[str, str, float], Trial]:
-        """The trial that did best against each still arm; of equals, the surest."""
+        """The trial that did best against each still arm; among equals, the surest."""
         return {
             row: max(trials, key=lambda trial: (trial.completion, trial.episodes))
             for row, trials in self.rows.items()
@@ -211,7 +211,7 @@ CERTIFICATE_NOTE = (
     " least median distance from the goal. A motion for each is searched for on the"
     " very start that it is played on."
 )
-"""What must be known to read the table."""
+"""What readers of the table must know."""
 
 COLUMNS = ("environment", "still arm", *PLAYERS.values(), "up to", "nearest")
 """What the table tells of each still arm."""

@@ -13,7 +13,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
 
 _FIRST_STD, _LEAST_STD = 0.7, 0.05
-"""Spread of the first candidates, and what is left of it at least."""
+"""Spread of the first candidates, and the least spread later."""
 
 _ELITE = 0.1
 """Share of the candidates that the next round is drawn around."""
@@ -87,9 +87,9 @@ def search(
 ) -> tuple[np.ndarray, Outcome]:
     """Search for a motion that reaches the goal from all starts of a group.
 
-    By the cross-entropy method, for each group by itself: candidates are drawn around
-    the best of the round before. A group whose motion reaches the goal from each of its
-    starts is done.
+    It uses the cross-entropy method, for each group by itself: candidates are drawn
+    around the best ones of the round before. A group whose motion reaches the goal from
+    each of its starts is done.
 
     Args:
       env: worlds that do not reset themselves.

@@ -26,15 +26,15 @@ def find_starts(
 ) -> dict[float, EnvState]:
     """Return states on the expert's way to the goal, up to `count` for each fraction.
 
-    Of the first episodes of a seed, in their order. Where the goal is met already at
-    that moment, or the expert does not meet it, the episode is left out.
+    They are from the first episodes of a seed, in their order. An episode is left out
+    if the goal is met already at that moment, or if the expert does not meet it.
 
     Args:
       env: worlds that do not reset themselves.
       seed: whose episodes.
       count: how many states of each fraction.
       fractions: of the time in which the expert reaches the goal; 0 for the very start,
-        of which none is left out.
+        where no episode is left out.
     """
     found: dict[float, list[EnvState]] = {fraction: [] for fraction in fractions}
     sizes = dict.fromkeys(fractions, 0)
@@ -60,7 +60,7 @@ def _on_the_way(
     met_at = _times_to_goal(env, seed, episodes) if later else np.zeros(env.num_envs)
     env.reset(seed=seed, episodes=episodes)
     found = {f: [env.get_state()] for f in fractions if f == 0.0}
-    # A moment after the start, and before the goal; never where it is not reached.
+    # A moment after the start and before the goal; never if the goal is not reached.
     moments = {f: np.maximum(1.0, np.floor(f * met_at)) for f in later}
     found |= {f: [env.get_state(np.arange(0))] for f in later}
     last = max((np.nanmax(moments[f], initial=0.0) for f in later), default=0.0)

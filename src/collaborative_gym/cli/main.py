@@ -152,14 +152,14 @@ def _first_line(kind: type) -> str:
 
 
 def _fail(error: Exception) -> int:
-    """Tell what is wrong, and where in a user's file; raise where it is our own bug."""
+    """Tell what is wrong, and where in a user's file; raise if it is our own bug."""
     cannot = isinstance(error, _CANNOT_BE_DONE) and not isinstance(error, _BAD)
     location, words = location_of(error), str(error)
     if isinstance(error, OSError) and error.errno is not None:
         of = error.filename or "a file without a name, such as the output"
         words = f"the system says {error.strerror!r} of {of}"
     if location:
-        # Python's own words are often no sentence, as those of a KeyError.
+        # Python's own words are often not a sentence, as those of a KeyError.
         raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
         if _PACKAGE not in Path(raised_in).parents:
             words = f"{type(error).__name__}: {words}"

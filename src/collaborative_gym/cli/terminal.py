@@ -51,7 +51,7 @@ class Command:
 
 
 OWN_SIZE = (0, 0)
-"""Stands for the size that videos of a format have unless told otherwise."""
+"""Stands for the usual size of videos of a format."""
 
 Env = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENV")]
 Envs = Annotated[
@@ -124,7 +124,7 @@ def read_policy(words: Sequence[str]) -> str | dict[str, str]:
     """Return the policy that is named by one word, or by one for each agent.
 
     Raises:
-      ValueError: if it is none or more.
+      ValueError: if there is none, or more than one.
     """
     policies = read_policies(words)
     if len(policies) != 1:
@@ -151,7 +151,7 @@ def read_policies(words: Sequence[str]) -> list[str | dict[str, str]]:
 
 
 def check_files(*paths: Path | None) -> None:
-    """Raise if one of the files cannot be written, so that it shows before the work."""
+    """Raise before the work if one of the files cannot be written."""
     given = [path for path in paths if path is not None]
     if len(set(given)) < len(given):
         raise ValueError(f"{given[0]} is named for two outputs; name two files")
@@ -169,7 +169,7 @@ def put(path: Path | None, text: str) -> None:
 
 
 class _Output(Console):
-    """A console that leaves to `main` what to do where nobody reads on."""
+    """A console that leaves it to `main` what to do if nobody reads any more."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collaborative_gym.learning.many import Outcome
 
 _Own = tyro.conf.arg(help_behavior_hint="")
-"""Of an option whose help says itself what holds where it is not given."""
+"""An option whose help says by itself what holds if it is not given."""
 
 _MOST_SEEDS = 10_000
 """More runs of one kind than anybody trains."""
@@ -34,7 +34,7 @@ class _NotGiven:
 
 
 def _not_given() -> Hyperparameters:
-    """Return the defaults, marked: to ask for a default is to overrule a recipe."""
+    """Return the defaults, marked, because asking for a default overrules a recipe."""
     marked = {}
     for option in fields(Hyperparameters):
         kind = type(option.default)
@@ -182,7 +182,7 @@ class Train(Command):
         }
 
     def _train_several(self) -> None:
-        """Train several runs; what fails is told in the end."""
+        """Train several runs, and tell at the end which failed."""
         for option, other in (("seed", "--seeds"), ("resume", "the same command")):
             if getattr(self, option) is not None:
                 raise ValueError(f"--{option} is for one run; give {other} instead")
@@ -264,7 +264,7 @@ def read_seeds(words: Sequence[str]) -> tuple[int, ...]:
     """Return the seeds that words such as "3" and "0-9" name.
 
     Raises:
-      ValueError: if a word is no seed and no range of seeds.
+      ValueError: if a word is neither a seed nor a range of seeds.
     """
     found: list[int] = []
     for word in words:

@@ -26,7 +26,7 @@ def compare(
       FileNotFoundError: if there is no run in one of the folders.
       KeyError: if the validations have no such measure.
       OSError: if a file cannot be read.
-      TypeError: if a folder is no path.
+      TypeError: if a folder is not a path.
       ValueError: if there is nothing to compare, a file is damaged, or a run is there
         twice.
     """
@@ -60,7 +60,7 @@ def _measures(grouping: Grouping) -> tuple[str, ...]:
 
 
 def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
-    """Return what must be known of runs that have not come to their end."""
+    """Return what readers must know of runs that have not come to their end."""
     notes = []
     for run in runs:
         last = int(run.rows[-1]["steps"]) if run.rows else 0

@@ -25,8 +25,10 @@ class Group:
     """Runs that differ by their seeds alone.
 
     Attributes:
-      environment: the name of theirs, with what tells it from others of that name.
-      method: what tells their settings from those of other groups in an environment.
+      environment: the name of their environment, with what tells it apart from others
+        of that name.
+      method: what tells their settings apart from those of other groups in an
+        environment.
       runs: by seed.
     """
 
@@ -135,7 +137,7 @@ def _words(settings: Mapping[str, Any], names: Sequence[str] | Mapping) -> str:
     words = []
     for name in names:
         if name in settings:
-            # Within a name's parts, the first say where and "name" says nothing.
+            # Among a name's parts, the first ones say where, and "name" says nothing.
             *_, last = name.removesuffix(".name").split(".")
             value = told(settings[name])
             words.append(value if name in _TOLD_ALONE else f"{last} {value}")

@@ -210,7 +210,7 @@ def _draw_improvements(axes: "Axes", comparison: Comparison) -> None:
 
 
 def _of(what: str, comparison: Comparison) -> str:
-    """Return a title, with how many environments it tells of where there are more."""
+    """Return a title, with the number of environments if there are several."""
     count = len(next(iter(comparison.contestants.values())).groups)
     return f"{what}, {count} environments" if count > 1 else what
 

@@ -97,8 +97,8 @@ class Comparison:
     Attributes:
       grouping: the groups, and what they differ in.
       measures: what all validations measured.
-      measure: the one by which `profiles` and `improvements` are told.
-      notes: what must be known of runs that have not come to their end.
+      measure: the one of `profiles` and `improvements`.
+      notes: what readers must know of runs that have not come to their end.
     """
 
     grouping: Grouping

@@ -15,7 +15,7 @@ VALIDATION = "validation/"
 """Begins the columns of what a validation measured."""
 
 _NO_SETTINGS = ("seed", "observation_sizes", "action_sizes", "start.metadata")
-"""What follows from other settings, or is not to tell runs apart."""
+"""Settings that follow from others, or that shall not tell runs apart."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def find_runs(paths: Sequence[str | Path]) -> list[TrainedRun]:
 
     Raises:
       FileNotFoundError: if there is no run in one of them.
-      TypeError: if one is no path.
+      TypeError: if one is not a path.
       ValueError: if a file is damaged, or there is no path.
     """
     found: dict[Path, Path] = {}
@@ -112,10 +112,10 @@ def flat(content: Any, name: str = "") -> dict[str, Any]:
 
 
 def differing(contents: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
-    """Return what the values of the names are that do not all agree, as texts.
+    """Return as texts the values of all names whose values differ.
 
-    A name that some do not have is compared among the others: a later version of the
-    package brought it.
+    A name that some do not have is compared among the others, because a later version
+    of the package brought it.
 
     Args:
       contents: with a value by name.

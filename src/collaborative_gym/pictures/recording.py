@@ -253,7 +253,7 @@ def _sides(size: Any) -> tuple[int, int]:
     """Return a picture's width and height.
 
     Raises:
-      TypeError: if they are no two integers.
+      TypeError: if they are not two integers.
       ValueError: if one is below 1, or above the largest that can be drawn.
     """
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:

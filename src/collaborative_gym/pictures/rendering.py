@@ -40,7 +40,7 @@ class Camera:
       height: of the pictures, in pixels.
 
     Raises:
-      TypeError: if a side is no integer.
+      TypeError: if a side is not an integer.
       ValueError: if a side is below 1, or above that of the model's off-screen buffer.
       RuntimeError: if no renderer can start, as in a process forked off from one that
         has drawn.
@@ -59,7 +59,7 @@ class Camera:
         self._options.geomgroup[:] = (1, 1, 1, 0, 0, 0)
         self._options.sitegroup[:] = 0
         self._renderer = _in_thread(_start, model, *self.size)
-        # Where it is given up unclosed, whichever thread finds it may not free it.
+        # If it is given up without `close`, the thread that finds it may not free it.
         self._free = weakref.finalize(self, _free, self._renderer, os.getpid())
 
     def picture(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:

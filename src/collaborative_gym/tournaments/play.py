@@ -282,7 +282,7 @@ class _Kept:
             check_writable(self._folder / "any.json")
 
     def check(self, casts: Sequence[_Cast]) -> None:
-        """Raise ValueError if what the folder has of these is of something else."""
+        """Raise ValueError if the folder's results of these are of something else."""
         for cast in casts:
             self.read(cast)
 
@@ -338,7 +338,7 @@ def _marks(cast: _Cast) -> dict[str, str | None]:
 
 
 def _file_name(cast: _Cast) -> str:
-    """Return a name that tells people who played, and is no other pairing's."""
+    """Return a name that tells people who played, and that no other pairing has."""
     names = [player.name for player in cast.values()]
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
     digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]

@@ -22,8 +22,8 @@ class Player:
       name: of the player.
       policies: what commands each agent.
       mark: what tells its policies apart from others of the name: names of scripted
-        ones, digests of trained ones. None where there is a function, of which nobody
-        knows whether it is the same.
+        ones, digests of trained ones. None where there is a function, since nobody can
+        tell whether it is the same one.
     """
 
     name: str
@@ -48,7 +48,7 @@ def enter(
     *,
     any_env: bool = False,
 ) -> list[Player]:
-    """Return the players, all that they need read from their files.
+    """Return the players, with all that they need read from their files.
 
     Args:
       policies: as `tournament` takes them.
@@ -57,7 +57,7 @@ def enter(
 
     Raises:
       Exception: as `load_policy` does; names the player.
-      TypeError: if they are no list and no dictionary.
+      TypeError: if they are neither a list nor a dictionary.
       ValueError: if there are fewer than two, or two of one name.
     """
     if not isinstance(policies, Mapping):

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 
 _MEAN = 1500.0
-"""What the ratings of all players have as their mean; only differences say anything."""
+"""The mean of all players' ratings; only differences say anything."""
 
 _SCALE = 400.0 / np.log(10.0)
 """Elo's scale: 400 points more are ten times the chances (Elo, 1978)."""
@@ -45,7 +45,7 @@ def bradley_terry(points: np.ndarray) -> np.ndarray:
         own = bend.sum(-1) + _PRIOR * average * (1.0 - average)
         curvature = own[..., None] * np.eye(count) - bend
         step = np.linalg.solve(curvature, slope[..., None])[..., 0]
-        # Far from the end, whole steps of Newton's may lead astray.
+        # Far from the end, whole steps of Newton's method may lead astray.
         largest = np.abs(step).max(-1, keepdims=True, initial=0.0)
         strength = strength + step / np.maximum(largest, 1.0)
         if largest.max(initial=0.0) < _NEAR:
@@ -56,7 +56,7 @@ def bradley_terry(points: np.ndarray) -> np.ndarray:
 def cyclic_triples(
     names: Sequence[str], beats: np.ndarray
 ) -> list[tuple[str, str, str]]:
-    """Return triples of whom each beats the next, and the last the first.
+    """Return triples of players in which each beats the next, and the last the first.
 
     Args:
       names: the players'.

@@ -191,7 +191,7 @@ class Tournament:
 
     @cached_property
     def cycles(self) -> list[tuple[str, str, str]]:
-        """Triples of whom each beats the next, and the last the first.
+        """Triples of players in which each beats the next, and the last the first.
 
         A player beats another if the interval of its points against it is above a half.
         """
@@ -322,7 +322,7 @@ class Tournament:
 
     def _group(self, runs: list[int]) -> dict[str, Statistic]:
         count = len(runs)
-        # Drawn after the episodes: draws of runs alone would go along with theirs.
+        # Drawn after the episodes, because draws of runs alone would repeat theirs.
         _, drawn = resample(np.arange(self.settings["episodes"]), np.arange(count))
         if self.is_divided:
             ratings = np.take_along_axis(self._drawn_ratings[:, runs], drawn, axis=1)
@@ -366,9 +366,9 @@ class Tournament:
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return what to call players in tables, if they stay apart so.
+    """Return what to call players in tables, if that still tells them apart.
 
-    Of a path it is the last part, of an expert's style its own name.
+    It is the last part of a path, and the style of an expert.
 
     Args:
       names: the players'.

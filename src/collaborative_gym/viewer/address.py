@@ -25,7 +25,7 @@ def free_port(host: str, port: int) -> int:
 
     Raises:
       OSError: if it cannot listen there, other than because somebody does.
-      ValueError: if there is no such port, or the address is none of this machine.
+      ValueError: if there is no such port, or this machine does not have the address.
     """
     if not 0 <= port <= _LAST_PORT:
         raise ValueError(f"port must be between 0 and {_LAST_PORT}, got {port}")

@@ -1,4 +1,4 @@
-"""A page's server, which answers no other page and takes only its users' input."""
+"""A page's server. It answers no other page, and takes only its users' input."""
 
 import ipaddress
 import logging
@@ -50,12 +50,12 @@ def start_server(
 
     A web page may send requests to every server that its reader's browser reaches. So
     all are refused, with status 403, unless `Host` is what this server is called, and
-    `Origin`, which browsers send with each WebSocket, is the same. Of the messages,
-    those are dropped that no page of ours sends.
+    `Origin`, which browsers send with each WebSocket, is the same. Messages that no
+    page of ours sends are dropped.
 
     A link is a path of the page that says what it is to show. The page connects by the
-    same path, and only by that it takes effect: a mere request, which other pages can
-    cause, changes nothing.
+    same path, and only then the link takes effect: a mere request, which other pages
+    can cause, changes nothing.
 
     Args:
       host: the address. Its names are `localhost`, loopback addresses and the address
@@ -151,7 +151,7 @@ class _Guard:
         )
 
     def _follow(self, connection: Any, request: Request) -> Response | None:
-        """Show what a link says once a page connects by it; refuse what is no link."""
+        """Show what a link says once a page connects by it; refuse all else."""
         try:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:

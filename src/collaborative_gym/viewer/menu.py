@@ -118,7 +118,7 @@ class Menu:
     def moved(self, choice: Choice, env: str) -> Choice:
         """Return the choice of another environment, with its own arms.
 
-        Who played before goes on if anybody can play so there, and else the expert.
+        The same policies go on if they can play there; else the expert plays.
         """
         robots = self._usual(env)
         choice = replace(choice, env=env, robots=robots)
@@ -132,7 +132,7 @@ class Menu:
 
         Raises:
           KeyError: if it names what may not be chosen.
-          ValueError: if it is no link, or its numbers do not fit.
+          ValueError: if it is not a link, or its numbers do not fit.
         """
         parts = parse_qs(link.removeprefix(LINK), strict_parsing=True)
         env = _one_of("environment", parts.get("env", [""])[0], self.envs)

@@ -130,7 +130,7 @@ class Panel:
             "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
         )
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
-        # Not in a tab: while those are not open, no script finds what is in them.
+        # Not in a tab: no script finds what is in a tab that is not open.
         self._shadows = gui.add_checkbox(
             _SHADOWS, True, hint="Slow where there is no graphics card"
         )
@@ -196,7 +196,8 @@ class Panel:
         self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
-        # An image that cannot be loaded runs it: pages run no scripts that come later.
+        # An image that cannot be loaded runs it, because pages run no scripts that come
+        # later.
         self._script.content = (
             f'<img src="data:," hidden onerror="{html.escape(script)}">'
         )

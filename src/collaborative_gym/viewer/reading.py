@@ -51,7 +51,7 @@ class Reading:
     def rows(self) -> list[tuple[str, str]]:
         """The reading as rows of name and value; the heading of a part has no value."""
         rows = [("stopped", ""), (f"  {self.trouble}", "")] if self.trouble else []
-        # Below, there are the same rows at any time, so that none jumps.
+        # There are the same rows at any time, so that none jumps.
         rows.append((f"episode of seed {self.seed}", str(self.episode)))
         rows.append(("time", f"{self.time:.1f} s"))
         indent = "  " * (len(self.players) > 1)

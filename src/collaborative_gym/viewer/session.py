@@ -24,7 +24,7 @@ _PICTURES = 60
 """How often a second to draw at most, of the user's time."""
 
 _LAG = 0.1
-"""How far the world may be late and still catch up, in s."""
+"""How late the world may be and still catch up, in s."""
 
 _HOLD = 1.0
 """How long the end of an episode is shown before the next begins, of the user's time
@@ -65,8 +65,8 @@ class Session:
       env: the world.
       policies: who commands each agent.
       reading: what to say about the present state.
-      film: the episode so far, a frame for its start and for each control step. Its
-        later ones are of a future that may differ once time goes on again.
+      film: the episode so far, a frame for its start and for each control step. Later
+        frames are of a future that may differ once time goes on again.
       perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
         the same bits as in every other environment.
     """
@@ -276,7 +276,7 @@ class Session:
             self._draw()
 
     def _stop(self, what: str, error: Exception) -> None:
-        """Pause, and say what failed and why; whoever plays on tries again."""
+        """Pause, and say what failed and why; to play on is to try again."""
         location = location_of(error)
         trouble = (
             f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"

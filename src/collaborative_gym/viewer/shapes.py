@@ -19,10 +19,10 @@ _SQUARE = 1.0
 """Side of the squares in which a plane is coloured, in m."""
 
 _SECTORS, _FINE = 24, 64
-"""In how many a round shape is divided, and a ball, whose triangles show a texture."""
+"""Number of sectors of a round shape, and of a ball, whose triangles show a texture."""
 
 _MAX_COLORS = 4
-"""A texture of more colours than these is drawn in their mean."""
+"""A texture with more colours than this is drawn in their mean."""
 
 _CUBE = np.array(
     [
@@ -168,7 +168,7 @@ def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Surface:
 def _arc(first: int, last: int, sectors: int = _SECTORS) -> np.ndarray:
     """Return an arc of radius 1, (points, 2), between two quarter turns."""
     angles = np.linspace(first, last, (last - first) * sectors // 4 + 1) * np.pi / 2
-    # On the axis the radius has to be 0 itself.
+    # On the axis the radius must be exactly 0.
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).round(12)
 
 

@@ -33,7 +33,7 @@ class Spring:
         forces = self._sim.xfrc_applied[0]
         if self._pulled is not None:
             body, before, written = self._pulled
-            # Where it differs, the task has set it since.
+            # If it differs, the task has set it since.
             is_ours = forces[body] == written
             forces[body] = np.where(is_ours, before, forces[body])
             self._pulled = None

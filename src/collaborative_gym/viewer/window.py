@@ -118,7 +118,7 @@ def _text(place: int, rows: Iterable[tuple[str, str]]) -> tuple[int, int, str, s
 
 
 def _check_display() -> None:
-    """Raise if no window can be opened, where MuJoCo would wait for one for ever.
+    """Raise if no window can be opened, because MuJoCo would wait for one for ever.
 
     Raises:
       RuntimeError: says why.
