@@ -1,4 +1,4 @@
-"""Help while little succeeds, and demands once much does."""
+"""Help while little succeeds, and demands once much succeeds."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.curve import sides_of
 
 _EASE, _RISE = 0.01, 0.02
-"""How much less is carried, and more demanded, after a rollout that went well."""
+"""How much less is carried, and how much more is demanded, after a good rollout."""
 
 
 class Assistance:
@@ -44,7 +44,7 @@ class Assistance:
     def adapt(self, episodes: Sequence[Mapping[str, Any]]) -> None:
         """Carry less, and demand more, if at least half of these were completed.
 
-        Where there are several sides, it is enough that one of them did.
+        If there are several sides, it is enough that one of them completed it.
         """
         completed = [
             max(row.get(f"{side}completion", 0.0) for side in sides_of(row))

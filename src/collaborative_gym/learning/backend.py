@@ -14,8 +14,8 @@ from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.policies.network import NetworkPolicy, Weights
 
 _CRITIC_ALONE = 10
-"""Rollouts in which critics learn alone, where policies know something already: what a
-critic that knows nothing says would make them forget it."""
+"""Rollouts in which only critics learn, if policies know something already. The advice
+of a critic that knows nothing would make them forget it."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Backend:
             learner.start(policy)
 
     def collect(self, invitation: Invitation = NOBODY) -> list[Collected]:
-        """Return one rollout of every collector that lives; the worlds go on."""
+        """Return one rollout of every collector that is alive; the worlds go on."""
         actors = {name: each.acting() for name, each in self._learners.items()}
         given = actors, self._iteration, self._assistance, invitation
         return self._collectors.collect(*given)

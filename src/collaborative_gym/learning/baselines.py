@@ -27,8 +27,8 @@ from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
-"""What a card reports on; no run is trained on these episodes or chosen by them. Where
-they are late, each action is done one control step late."""
+"""The episodes of a card; no run is trained on them or chosen by them. In late ones,
+each action is done one control step late."""
 
 _CHOICE_EPISODES, _CHOICE_SEED = 200, 1
 """Other episodes, in which it is seen how near the arms come to one another."""
@@ -193,7 +193,7 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
 
 
 def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
-    """Return with what a run began, and that with what, back to networks by chance."""
+    """Return with what a run began, and that in turn, back to random networks."""
     if not start_from:
         return "from scratch, without demonstrations"
     own = start["metadata"]

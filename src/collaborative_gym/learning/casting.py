@@ -27,13 +27,13 @@ class Casting:
     """Seats, and the casts among which the worlds are divided for good.
 
     A seat is what one policy commands as a whole: a side, or a robot of a team. The
-    members of a run are the policies that learn in it, each a whole one, which has
-    networks for every seat. Without seats, the only member plays all.
+    members of a run are the policies that learn in it. Each has networks for every
+    seat. Without seats, the only member plays all.
 
     Attributes:
       seats: the agents of each seat, by its name.
       casts: who sits where.
-      shares: of the worlds that each cast has; none for equal ones.
+      shares: share of the worlds that each cast has; none for equal shares.
     """
 
     seats: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -42,7 +42,7 @@ class Casting:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """The members that learn, by name; an only one has an empty name."""
+        """The members that learn, by name; a single one has an empty name."""
         names = (name for cast in self.casts for name in cast if name is not None)
         return tuple(dict.fromkeys(names)) or ("",)
 
@@ -63,7 +63,7 @@ class Casting:
                         yield host, seat
 
     def check(self, num_worlds: int) -> None:
-        """Raise ValueError where so many worlds would leave out a cast."""
+        """Raise ValueError if a cast would get none of so many worlds."""
         if set(self.spread(num_worlds)) < set(self.casts):
             raise ValueError(
                 f"{num_worlds} worlds are too few for {len(self.casts)} casts of"
@@ -78,7 +78,7 @@ class Casting:
         given = np.zeros(len(shares))
         found = []
         for world in range(num_worlds):
-            # The one that is furthest behind; rounding must not decide among equals.
+            # The cast that is furthest behind; rounding must not decide among equals.
             i = int(np.argmax(np.round(shares * (world + 1) - given, 9)))
             given[i] += 1
             found.append(self.casts[i])
@@ -148,7 +148,7 @@ def make_casting(
         )
     if opponents:
         return Casting(seats, (tuple(None if s in bound else "" for s in seats),))
-    # Those of a team who learn beside a guest learn together, as one.
+    # Robots of a team that learn beside a guest learn together, as one.
     own = tuple(agent for agent in task.agents if agent not in bound)
     guests = {agent: (agent,) for agent in task.agents if agent in bound}
     return Casting({"team": own} | guests, (("", *[None] * len(guests)),))
@@ -183,7 +183,7 @@ def _league(
 
 
 def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) -> None:
-    """Raise ValueError where words have no place in the task or beside one another."""
+    """Raise ValueError if words do not fit the task or do not go together."""
     if opponents and len(task.sides) == 1:
         raise ValueError(
             f"{task.name} has one side, so that nobody can be an opponent; leave out"

@@ -58,7 +58,7 @@ class Checkpoint:
         with replacing(path) as partial, open(partial, "wb") as file:
             file.write(_FORMAT + sha256(whole.getbuffer()).digest())
             file.write(whole.getbuffer())
-            # Else it may be empty in its place if the power fails.
+            # Otherwise the file may be empty if the power fails.
             file.flush()
             os.fsync(file.fileno())
 

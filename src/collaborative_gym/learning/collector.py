@@ -27,8 +27,8 @@ from collaborative_gym.learning.worlds import (
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
 
 _BLOCK, _STARTS = 1 << 28, 1 << 10
-"""Episodes between the first of two collectors, and collectors between two rollouts, so
-that one which starts anew plays episodes that nobody has played."""
+"""Episodes between the first ones of two collectors, and collectors between two
+rollouts. So a collector that starts anew plays episodes that nobody has played."""
 
 ActorState = Mapping[str, Any]
 """What a player acts with: the state of its `actor`, and the `mean` and `std` by which
@@ -67,8 +67,8 @@ class Rollout:
       actions: (steps, rows, a) float32.
       log_prob: of the actions, (steps, rows) float32.
       rewards: (steps, rows) float32.
-      terminated: where an episode ended and nothing more was to come, (steps, rows).
-      truncated: where its time was up alone, (steps, rows).
+      terminated: where an episode ended and nothing more could follow, (steps, rows).
+      truncated: where only its time was up, (steps, rows).
       final_observations: where it was, (ends, k) float32 in the order of `truncated`.
     """
 
@@ -125,7 +125,7 @@ class Collectors(Protocol):
 
 
 class Player:
-    """Acts for a learner's rows, with noise that may last, and keeps what came of it.
+    """Acts for a learner's rows, with noise that may last, and records the results.
 
     Args:
       learner: for whom.
@@ -190,7 +190,7 @@ class Player:
         terminated: Mapping[str, np.ndarray],
         truncated: Mapping[str, np.ndarray],
     ) -> None:
-        """Keep what came of the last actions, by agent as `VectorEnv.step` gives it.
+        """Record the results of the last actions, as `VectorEnv.step` gives them.
 
         Args:
           rewards: (num_envs,) each.
@@ -201,7 +201,7 @@ class Player:
         """
         over = self._per_row(terminated)
         late = self._per_row(truncated) & ~over
-        # Who shares its reward and is not its own is a guest in its worlds.
+        # Robots that share its reward, and that it does not command, are guests there.
         first = self.worlds[self.learner.agents[0]]
         own = {a: each[self.worlds.get(a, first)] for a, each in rewards.items()}
         earned = self.learner.rewards(own).astype(np.float32)
@@ -210,7 +210,7 @@ class Player:
             self._finals.append(self._seen(final_observations)[late])
 
     def finish(self, observations: Observations) -> Rollout:
-        """Return all that was kept, and begin anew; `observations` are the next."""
+        """Return all that was recorded, and begin anew; `observations` come next."""
         rows, actions, log_prob = zip(*self._steps, strict=True)
         last = self._seen(observations)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))
@@ -241,7 +241,7 @@ class Player:
 class Collector:
     """A share of a run's worlds, and a player for each learner.
 
-    It keeps nothing that cannot be lost: networks come with each call, and one that is
+    It can be lost without harm: networks come with each call, and a collector that is
     started anew begins episodes that nobody has played.
 
     Args:
@@ -279,7 +279,7 @@ class Collector:
     ) -> Collected:
         """Collect one rollout in each of these worlds.
 
-        What comes of it depends on the worlds and the arguments, and on no generator's
+        The result depends on the worlds and the arguments, and not on any generator's
         state.
 
         Args:
@@ -384,7 +384,7 @@ class Collector:
         terms: Mapping[str, Mapping[str, np.ndarray]],
         iteration: int,
     ) -> dict[str, np.ndarray]:
-        """Return rewards less what has faded of the terms that are shaping."""
+        """Return rewards without the faded part of the shaping terms."""
         numbers = self._job.hyperparameters
         if not numbers.dense_share:
             return dict(rewards)

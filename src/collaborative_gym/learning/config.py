@@ -290,7 +290,7 @@ _BALANCE: Mapping[str, Any] = {
     "torque_penalty": 0.05,
     "delayed": 0.25,
 }
-"""Larger noise dithers the board, and hides that the ball would rest off the middle."""
+"""Larger noise shakes the board, and hides that the ball would rest off the middle."""
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
@@ -312,7 +312,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     # Once both hold the cube, a robot_1 whose grip noise cannot open never lets go.
     "PassTaskJacoSawyer-v0": {"total_steps": 5_000_000, "grip_limit": 0.6},
 }
-"""Hyperparameters with which an environment is best learned, where they are others than
+"""The hyperparameters with which an environment is best learned, if they differ from
 the defaults."""
 
 
@@ -331,11 +331,11 @@ _OWN: Mapping[str, Sequence[str]] = {
     ),
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
 }
-"""Hyperparameters that mean something to one algorithm alone."""
+"""Hyperparameters that mean something to only one algorithm."""
 
 _USUAL: Mapping[str, Mapping[str, Any]] = {
     "ppo": {},
-    # Fewer worlds, as it learns more from each step, and often.
+    # Fewer worlds, because it learns more from each step, and often.
     "sac": {
         "total_steps": 500_000,
         "num_envs": 64,
@@ -343,14 +343,14 @@ _USUAL: Mapping[str, Mapping[str, Any]] = {
         "minibatch_size": 512,
     },
 }
-"""An algorithm's usual hyperparameters, where they are others than the defaults."""
+"""An algorithm's usual hyperparameters, if they differ from the defaults."""
 
 
 def recipe(env: str, algorithm: str = "ppo") -> Hyperparameters:
     """Return the hyperparameters for an environment: its recipe, or the defaults.
 
-    Recipes are made for PPO. Another algorithm takes over what means something to it,
-    but for what is usual with it.
+    Recipes are made for PPO. Another algorithm takes from them what means something to
+    it, unless it has usual values of its own.
 
     Args:
       env: its name.
@@ -402,7 +402,7 @@ def changed(
 def changed_recipe(
     env: str, changes: Mapping[str, Any] | None, algorithm: str = "ppo"
 ) -> Hyperparameters:
-    """Return an environment's hyperparameters, but for what is given in their place.
+    """Return an environment's hyperparameters, with the given ones in their place.
 
     Args:
       env: its name.

@@ -46,7 +46,7 @@ def robots_of(columns: Iterable[str]) -> list[str]:
 def sides_of(columns: Iterable[str]) -> list[str]:
     """Return what stands before each side's results, such as "side_1/".
 
-    Nothing does where all robots are on one side.
+    It is nothing if all robots are on one side.
     """
     return [f"{side}/" for side in _owners(columns, "side_")] or [""]
 

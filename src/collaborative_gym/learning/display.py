@@ -28,7 +28,7 @@ class Display:
     """Shows how far a run is and how well it does, while the context lasts.
 
     On a terminal it is a panel that is drawn anew with each row; elsewhere it is a
-    plain line at most every 30 s, at each validation and in the end.
+    plain line at most every 30 s, at each validation and at the end.
 
     Args:
       title: heads the panel.
@@ -123,7 +123,7 @@ class Display:
         ]
         if steps >= total:
             return [*words, f"took {format_duration(known['seconds'])}"]
-        # The latest rate jumps about; that since the first row foretells better.
+        # The latest rate jumps; the rate since the first row predicts better.
         assert self._first is not None, "a row is known"
         seconds = known["seconds"] - self._first["seconds"]
         if seconds > 0:

@@ -80,7 +80,7 @@ class ManyDisplay:
         heads = "steps", "return", "completion", "validated", "left"
         for head in heads:
             table.add_column(head, justify="right", no_wrap=True)
-        # The ones under way stand above those that wait, so that a screen has them.
+        # Runs under way stand above those that wait, so that they are on the screen.
         for name, row in sorted(self._known.items(), key=lambda each: not each[1]):
             cells = [format_result(row, column) for column in _SHOWN]
             table.add_row(name, self._share(name, row), *cells, self._left(name, row))

@@ -45,7 +45,7 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
         raise no_checkpoint(folder / wanted)
     with naming(folder / LOCK):
         folder.mkdir(parents=True, exist_ok=True)
-        # Not to be removed after: a run that waits at the file would hold no lock.
+        # The file stays: a run that waits for it would otherwise hold no lock.
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _lock(descriptor, folder)

@@ -63,7 +63,7 @@ class Guests:
         self._groups: dict[tuple[str, str], np.ndarray] = {}
 
     def invite(self, invitation: Invitation) -> None:
-        """Draw from these from now on; who is seated already stays."""
+        """Draw from these from now on; guests that are seated stay."""
         before, self._invitation = self._invitation.policies, invitation
         self._policies = {
             key: policy
@@ -81,7 +81,7 @@ class Guests:
         self._group()
 
     def seat(self, names: list[list[str]]) -> None:
-        """Seat by world whom these names say, in all seats."""
+        """Seat these guests by name, in all worlds and seats."""
         self.names = names
         everywhere = np.arange(self._env.num_envs)
         self._free = dict.fromkeys(self._seats, everywhere)

@@ -1,4 +1,4 @@
-"""A league: a main policy, those that look for its weaknesses, and all of their past.
+"""A league: a main policy, policies that look for its weaknesses, and their past.
 
 After AlphaStar (Vinyals et al. 2019, Nature 575; its numbers are those of the published
 pseudocode). Three members learn. `main` plays itself, and its past and the exploiters'
@@ -41,16 +41,18 @@ _WEIGHTS = {
     "variance": lambda rate: rate * (1.0 - rate),
     "capped": lambda rate: np.minimum(0.5, 1.0 - rate),
 }
-"""How often an opponent is drawn, by the share of points that one takes from it: the
-hard ones; those of one's own strength; all that are not weak."""
+"""How often an opponent is drawn, by the share of points that one takes from it. There
+are weights for hard ones, for those of equal strength, and for all that are not
+weak."""
 
 
 @dataclass
 class _Player:
-    """One who has a place in the league.
+    """A player with a place in the league.
 
     Attributes:
-      parent: whom it was copied from; empty for who learns and who was given.
+      parent: from whom it was copied; empty for members that learn and for given
+        policies.
       steps: of the run when it was copied.
       since: environment steps of who learns since it left a copy.
     """
@@ -106,7 +108,7 @@ class League(Pool):
         return Invitation(self.policies | {MAIN: latest(MAIN)}, by_seat)
 
     def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
-        """Count what was played; let those leave copies for whom it is time."""
+        """Count what was played; let members leave copies when it is time for them."""
         for names, row in zip(iteration.seated, iteration.episodes, strict=True):
             self._count(names, row)
         done, self._steps = backend.steps - self._steps, backend.steps
@@ -116,7 +118,7 @@ class League(Pool):
             self._players[member].since += share * done
         rng = np.random.default_rng([self._seed, backend.steps])
         for member in _LEARN:
-            # Drawn in any case, so that what one does changes no draw of another.
+            # Drawn in any case, so that one member changes no draw of another.
             chance = rng.random()
             if self._is_due(member):
                 self._copy(member, latest)
@@ -198,7 +200,7 @@ class League(Pool):
         return dict(zip(names, map(float, bradley_terry(table)), strict=True))
 
     def _age(self, name: str) -> int:
-        """Return the run's steps when a player was what it is."""
+        """Return the run's steps at which a player became what it is."""
         own = self._players[name]
         return own.steps if own.parent else self._steps
 
@@ -243,7 +245,7 @@ class League(Pool):
         self._inherit(name, member)
 
     def _inherit(self, name: str, like: str) -> None:
-        """Let one who is like another have its results in place of its own."""
+        """Let a player that is like another have its results in place of its own."""
         known = self._games.get(like, {}).items()
         self._games[name] = {a: list(each) for a, each in known if a != name}
         for home, others in self._games.items():
@@ -280,7 +282,7 @@ class League(Pool):
             return exploiters
         own = [name for name, parent in past.items() if parent == MAIN]
         rates = self._rates(MAIN, own)
-        # That the newest are the hardest, is no sign of having forgotten anything.
+        # If the newest are the hardest, main has not forgotten anything.
         while len(own) > 1 and rates[-2] >= rates[-1]:
             own, rates = own[:-1], rates[:-1]
         if len(own) > 1 and rates.min() < self._numbers.league_win_rate:

@@ -104,8 +104,8 @@ class SkrlLearner(ABC):
     def hold_statistics(self) -> None:
         """Standardize observations as now for good.
 
-        What is learned already leans on it: where a policy is sure of itself, a drift
-        of 2 % changes its actions more than an update may.
+        What is learned already depends on it: if a policy is sure of itself, a drift of
+        2 % changes its actions more than an update may.
         """
         self._scaler.is_held = True
 
@@ -147,14 +147,14 @@ class SkrlLearner(ABC):
         }
 
     def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what is taken from observations, and what they are divided by then."""
+        """Return what is subtracted from observations, and their divisor."""
         scaler = self._scaler
         std = scaler.running_variance.float().sqrt() + scaler.epsilon
         return scaler.running_mean.float(), std
 
     def _tensors(self, rollout: Rollout) -> dict[str, torch.Tensor]:
         """Return what was collected."""
-        # Copies, since what Ray hands over must not be written to.
+        # Copies, because nobody may write to what Ray hands over.
         return {
             name: torch.tensor(array, device=self._device)
             for name, array in vars(rollout).items()
@@ -214,7 +214,7 @@ class Policy(GaussianMixin, Model):
         return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
 
     def get_entropy(self, *, role: str = "") -> torch.Tensor:
-        """Return what PPO's loss holds for good, whatever the last actions gained."""
+        """Return what PPO's loss rewards, whatever the last actions gained."""
         means = self.distribution(role=role).mean[:, ~self.actor.is_grip]
         price = self._action_penalty * means.square().mean(dim=1, keepdim=True)
         return self._entropy * super().get_entropy(role=role) - price
@@ -255,8 +255,8 @@ class Critic(DeterministicMixin, Model):
 class Scaler(RunningStandardScaler):
     """Standardizes by the last `MEMORY` rows or so, not by all since the beginning.
 
-    Later it is the last half of them: a policy that has become sure of itself is
-    changed by statistics that drift.
+    Later it is the last half of all rows, because statistics that drift change a policy
+    that has become sure of itself.
 
     Attributes:
       is_held: whether it stays as it is.

@@ -130,8 +130,8 @@ def train_all(
         again, which loses what came after their last checkpoints.
       KeyError: if a name is unknown.
       TypeError: if something is of another kind.
-      ValueError: if the runs cannot be so; a run that is there already and was started
-        otherwise fails when its turn comes.
+      ValueError: if such runs are not possible; a run that is there already and was
+        started with other settings fails when its turn comes.
     """
     check_callback("on_row", on_row)
     plans = plan_runs(
@@ -220,7 +220,7 @@ def finish(
     check_kind("resources", resources, Resources, "Resources(...)")
     jobs = min(jobs or cores(), len(plans))
     if jobs > 1:
-        # Runs side by side keep the cores busy; more threads would only wait.
+        # Runs side by side keep the cores busy, so more threads would only wait.
         resources = replace(resources, num_threads=resources.num_threads or 1)
     with ctrl_c() as pressed:
         outcomes = _Crew(plans, resources, on_row).work(jobs, pressed)
@@ -245,7 +245,7 @@ class _Crew:
         self._outcomes: dict[Path, Outcome] = {}
 
     def work(self, jobs: int, pressed: Event) -> dict[Path, Outcome]:
-        """Return what became of the runs; of those that Ctrl-C stopped, nothing."""
+        """Return what became of the runs, but not of those that Ctrl-C stopped."""
         try:
             while self._under_way or (self._waiting and not pressed.is_set()):
                 while self._waiting and len(self._under_way) < jobs:
@@ -325,7 +325,7 @@ def _several(kind: str, given: Any) -> Sequence[Any]:
 
 
 def train_one() -> None:
-    """Train the run that standard input tells of, until it is done or that ends."""
+    """Train the run that standard input describes, until it is done or input ends."""
     # A parent may have told its children to ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # What prints on standard output must not come between the messages.

@@ -41,7 +41,7 @@ def summarize(
     `robot_1/distance`; by learner what the update did, such as `team/kl`; and the means
     of a validation, such as `validation/return`. Where there are several sides, return,
     completion and performance are by side, as `side_1/return`, and so is `score`. What
-    is not known, as where no episode ended, is left out.
+    is not known, for example if no episode ended, is left out.
 
     Args:
       steps: environment steps done so far, over all worlds.

@@ -13,8 +13,8 @@ from collaborative_gym.policies.network import Weights
 MEMORY = 400_000
 """Rows after which a normalization has forgotten most of what it saw.
 
-The first returns are far from the later ones: in their deviation, all that matters
-later would be small."""
+The first returns are far from the later ones. Measured by their deviation, all that
+matters later would be small."""
 
 LOG_STD_LIMITS = (-20.0, 2.0)
 """Bounds of the logarithm of the actions' standard deviation."""
@@ -70,7 +70,7 @@ class Actor(nn.Module):
         """Take over networks, by name; return their normalization of a row.
 
         Returns:
-          What is taken from a row of observations, and what it is divided by then.
+          What is subtracted from a row of observations, and what it is then divided by.
         """
         own = [weights[name] for name in self._names]
         for net, each in zip(self.nets, own, strict=True):
@@ -87,8 +87,8 @@ class Actor(nn.Module):
         """Return the networks as arrays, by name.
 
         Args:
-          mean: that was taken from a row of observations.
-          std: by which it was divided then.
+          mean: what was subtracted from a row of observations.
+          std: what it was then divided by.
         """
         found, start = {}, 0
         for name, size, net in zip(self._names, self._inputs, self.nets, strict=True):

@@ -8,14 +8,14 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 
 _FREE_DEPTH, _MOST_DEPTH = 1.0, 10.0
-"""How deep contacts of things cost nothing, since they rest that deep on what holds
-them, and how much more of any contact is counted, in mm."""
+"""Depth in mm up to which contacts of things cost nothing, because they rest so deep on
+what holds them; and how much more of any contact is counted."""
 
 _UNIT_FORCE, _MOST_FORCE = 10.0, 100.0
 """The internal force that costs the price once, and how much of it is counted, in N."""
 
 _INNER = 0.9
-"""Share of a joint's range, in its middle, in which a posture costs nothing."""
+"""Share of a joint's range, around its middle, in which a posture costs nothing."""
 
 
 class Penalties:
@@ -123,8 +123,8 @@ def _mean_torque(asked: np.ndarray) -> np.ndarray:
     """Return what torques cost that are asked for, as shares of their limits.
 
     Up to the limit it is the square. Beyond, where a servo may ask for many times what
-    its motor has, it is the tangent: it still tells where less is, and does not dwarf
-    the task.
+    its motor has, it is the tangent. So it still tells in which direction torque falls,
+    and does not dwarf the task.
     """
     within = np.minimum(asked, 1.0)
     return (within * (2.0 * asked - within)).mean(axis=1)

@@ -44,7 +44,7 @@ class Pool:
         found = []
         has_guests = any(None in cast for cast in self._casting.casts)
         for cast in dict.fromkeys(self._casting.casts):
-            # Games of a member with itself tell nothing of it.
+            # Games of a member with itself tell nothing about it.
             if member not in cast or (has_guests and None not in cast):
                 continue
             choices = [
@@ -76,7 +76,7 @@ class Pool:
 
 
 def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str, Any]:
-    """Return by word the policy that it names, checked in all seats that it may have.
+    """Return the policy that each word names, checked in all seats that it may have.
 
     Args:
       task: what is learned.

@@ -86,7 +86,7 @@ class PPOLearner(SkrlLearner):
         discount = self._hyperparameters.discount
         kept["rewards"][late] += discount * self._values(finals)[:, 0]
         observations = kept.pop("observations")
-        # Step by step, so that little is held at once.
+        # Step by step, so that little memory is used at once.
         values = torch.stack([self._values(rows) for rows in observations])
         kept = {n: x if x.ndim == 3 else x[..., None] for n, x in kept.items()}
         return {
@@ -142,7 +142,7 @@ class _Memory(RandomMemory):
     """Holds what one update learns from, of any number of rows."""
 
     def hold(self, columns: dict[str, torch.Tensor]) -> None:
-        """Hold these, (steps, rows, ...) each, in place of others."""
+        """Hold these, (steps, rows, ...) each, in place of what it held."""
         self.tensors = columns
         self.tensors_view = {name: each.flatten(0, 1) for name, each in columns.items()}
 

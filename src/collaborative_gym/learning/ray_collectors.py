@@ -19,7 +19,7 @@ import torch
 # Ray reads these as it is imported. Unless clusters are off, as on macOS they are, the
 # Ray that it starts listens on all interfaces. Others can be joined all the same.
 os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-# Else Ray tells its makers what it is used for.
+# Otherwise Ray tells its makers how it is used.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 
 try:
@@ -43,21 +43,22 @@ from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.plugins import loaded_files
 
 _PATIENCE = 300.0
-"""Seconds to wait for any collector, where all are lost or starting."""
+"""Seconds to wait for any collector if all are lost or starting."""
 
 _PROBE = 5.0
 """Seconds that a machine has to accept a connection."""
 
 _HEALTH = 12.0
-"""Seconds that a cluster then has to answer, with the start of who asks."""
+"""Seconds that a cluster then has to answer, including the start of the process that
+asks."""
 
 
 class RayCollectors:
     """Collectors that share a run's worlds, each in a process of its own.
 
-    One that is lost, with its node or alone, takes its part of a rollout with it. It is
-    started anew as soon as there is a CPU for it, and the others go on meanwhile. Where
-    none is lost, what is collected depends on the arguments alone.
+    If a collector is lost, alone or with its node, its part of a rollout is lost too.
+    It is started anew as soon as there is a CPU for it, and the others go on meanwhile.
+    If none is lost, what is collected depends only on the arguments.
 
     Args:
       job: what to do; of its `num_threads` each collector has as many, 0 for one.
@@ -146,7 +147,7 @@ class RayCollectors:
         self._starting[actor.ready.remote()] = index, actor
 
     def _welcome(self, least: int, seconds: float) -> None:
-        """Let those work who have started; wait for so many, and so long."""
+        """Take in the collectors that have started; wait for so many, and so long."""
         waiting = list(self._starting)
         if not waiting:
             return
@@ -166,7 +167,7 @@ class RayCollectors:
         return self._answers(method, dict.fromkeys(self._ready, given))
 
     def _answers(self, method: str, given: Mapping[int, tuple]) -> dict[int, Any]:
-        """Return what the method returns, by collector; start those anew that are lost.
+        """Return what the method returns, by collector; start lost ones anew.
 
         Raises:
           RuntimeError: if it raises in one of them.
@@ -205,7 +206,7 @@ def connect(address: str | None, num_cpus: int) -> bool:
     Raises:
       ConnectionError: if no cluster answers at the address.
       RuntimeError: if Ray was imported too early to keep it to this machine.
-      ValueError: if the address is none.
+      ValueError: if it is not an address.
     """
     if address is not None:
         _check_answers(address)
@@ -216,7 +217,7 @@ def connect(address: str | None, num_cpus: int) -> bool:
         try:
             ray.init(address, **quiet)
         except (ConnectionError, RuntimeError, RayError) as error:
-            # What happened stands last in it, after Ray's own traceback.
+            # What happened is at its end, after Ray's own traceback.
             cause = str(error.__cause__ or error).strip().splitlines()[-1]
             raise ConnectionError(f"cannot join Ray at {address}: {cause}") from error
         return True
@@ -247,7 +248,7 @@ def _check_answers(address: str) -> None:
         )
     try:
         socket.create_connection((host.strip("[]"), int(port)), _PROBE).close()
-        # Nothing in Ray's calls bounds the wait for who accepts but is no Ray.
+        # Ray's calls would wait without end for a server that accepts but is not Ray.
         command = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
         subprocess.run(
             [*command, "--address", address],
@@ -275,7 +276,7 @@ def _cpus() -> int:
 
 
 def _check_room(count: int, threads: int) -> None:
-    """Raise ValueError where Ray would wait without end for CPUs."""
+    """Raise ValueError if Ray would wait without end for CPUs."""
     if count * threads > _cpus():
         raise ValueError(
             f"{count} collectors need {count * threads} CPUs, but Ray has {_cpus()};"

@@ -193,7 +193,7 @@ class Run:
         )
 
     def _validate(self) -> Mapping[str, float]:
-        """Return the means of a validation beside those with whom is learned."""
+        """Return the means of a validation beside those with whom the run learns."""
         episodes = self._settings.hyperparameters.validation_episodes
         given: Any = {
             "episodes": episodes,
@@ -268,7 +268,7 @@ def _make_pool(task: Task, settings: Settings, folder: Path, casting: Casting) -
     guests = read_guests(task, casting, settings.opponents or settings.partners)
     if LEAGUE not in settings.opponents:
         return Pool(casting, guests)
-    # Needs SciPy's and Matplotlib's time, which only a league takes.
+    # Imports SciPy and Matplotlib, which take time; only a league needs them.
     from collaborative_gym.learning.league import League
 
     return League(

@@ -160,7 +160,7 @@ def settle(
     start_from: str | Path | None = None,
     algorithm: Algorithm | None = None,
 ) -> Settings:
-    """Return the settings of a run; what is None holds as it was, or as is usual.
+    """Return the settings of a run; what is None stays as it was, or is as usual.
 
     Args:
       task: what to learn.
@@ -179,7 +179,7 @@ def settle(
       KeyError: if there is no such policy, seat or algorithm.
       TypeError: if something is of another kind.
       ValueError: if something is unknown or out of range, the robots do not fit the
-        mode, or a run cannot go on so; says what differs.
+        mode, or a run cannot go on with other settings; says what differs.
     """
     if hyperparameters is not None:
         kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
@@ -236,7 +236,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
     Raises:
       FileNotFoundError: if there is no such file.
       KeyError: if there is no such policy.
-      ValueError: if it is no trained policy, or its networks are others than the run's.
+      ValueError: if it is not a trained policy, or its networks differ from the run's.
     """
     with closing(VectorEnv(task, 1, num_threads=1)) as env:
         policy = read_policy(settings.start_from, env)
@@ -300,9 +300,9 @@ def _words(name: str, given: Any) -> tuple[str, ...]:
 
 
 def _usual_mode(sizes: Sizes, opponents: Sequence[str]) -> Mode:
-    """Return the mode of who asks for none.
+    """Return the mode if none is asked for.
 
-    Robots that are alike learn from both sides of each game that a guest plays.
+    Robots that are alike learn in both seats of the games with guests.
     """
     alike = all(
         len(set(each.values())) == 1 for each in (sizes.observation, sizes.action)
@@ -311,7 +311,7 @@ def _usual_mode(sizes: Sizes, opponents: Sequence[str]) -> Mode:
 
 
 def _check_seats(settings: Settings, task: Task) -> None:
-    """Raise unless somebody can learn in every seat that is to be learned in."""
+    """Raise unless somebody can learn in every seat that shall learn."""
     if settings.algorithm == "sac" and (settings.opponents or settings.partners):
         raise ValueError(
             "sac forgets slowly what former opponents and partners did, and is not"

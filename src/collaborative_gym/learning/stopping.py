@@ -15,8 +15,8 @@ def ctrl_c() -> Iterator[threading.Event]:
         pressed.set()
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    # Only the main thread may set what a signal does, and one that is ignored, as in
-    # the background, or heeded by the caller stays so.
+    # Only the main thread may set what a signal does. A signal that is ignored, as in
+    # the background, or that the caller handles, stays so.
     if (
         threading.current_thread() is not threading.main_thread()
         or signal.getsignal(signal.SIGINT) is not signal.default_int_handler

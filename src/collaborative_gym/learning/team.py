@@ -144,7 +144,7 @@ def make_learners(
     seats: Mapping[str, tuple[str, ...]] | None = None,
     member: str = "",
 ) -> tuple[Learner, ...]:
-    """Return the learners of a mode. None has a reward over agents of several sides.
+    """Return the learners of a mode; no reward adds up agents of several sides.
 
     Args:
       mode: who learns what.

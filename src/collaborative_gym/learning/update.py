@@ -12,6 +12,7 @@ UPDATE = {
 }
 """What each number is called on the terminal, and how it is written there.
 
-`kl` is the divergence of the last epoch, `std` that of the actions. PPO tells of the
-KL and the entropy's loss, with the price of actions, SAC of the entropy's weight.
+`kl` is the divergence of the last epoch, `std` that of the actions. PPO tells the KL
+divergence and the entropy's loss, with the price of actions; SAC tells the entropy's
+weight.
 """

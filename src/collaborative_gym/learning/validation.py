@@ -1,4 +1,4 @@
-"""How well members do beside those with whom they learn."""
+"""How well members do together with those with whom they learn."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -77,7 +77,7 @@ def points(row: Mapping[str, Any], side: str, sides: Sequence[str]) -> float:
 def _view(
     row: Mapping[str, Any], seat: str, casting: Casting, task: Task
 ) -> dict[str, float]:
-    """Return an episode's results as who has the seat sees them."""
+    """Return an episode's results as the player in a seat sees them."""
     is_divided = len(task.sides) > 1
     prefix = f"{seat}/" if is_divided else ""
     names = ("return", "completion", "performance")

@@ -1,4 +1,4 @@
-"""What is kept of the worlds that a run collects from: full episodes, and states."""
+"""What is kept of the worlds in which a run collects: full episodes, and states."""
 
 from collections.abc import Mapping
 from typing import Any
