@@ -223,7 +223,11 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
         (True, {"opponent": ["idle", "idle"]}, "opponent names idle twice"),
         (True, {"opponent": [""]}, "opponent must not be empty"),
         (True, {"opponent": "nowhere.safetensors"}, "no policy file nowhere"),
-        (True, {"opponent": "PokeTaskSawyers-v0"}, "for PokeTaskSawyers-v0"),
+        (
+            True,
+            {"opponent": "PokeTaskSawyers-v0"},
+            "PokeTaskSawyers-v0': this policy is",
+        ),
         (False, {"partner": "idle", "mode": "centralized"}, "no seat for a partner"),
         (False, {"partner": "population", "mode": "centralized"}, "no seat for a part"),
         (False, {"hyperparameters": FADING}, "no terms of its reward that are shap"),

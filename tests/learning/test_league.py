@@ -233,6 +233,10 @@ def test_a_league_runs_and_its_players_can_be_named(train_tiny, duel, numbers):
     assert result.best["steps"] == 6 * STEPS
     with pytest.raises(KeyError, match="no player 'main-99'"):
         cg.load_policy(f"{result.folder}/main-99")
+    for name in files:
+        (result.folder / "players" / f"{name}.safetensors").unlink()
+    with pytest.raises(FileNotFoundError, match=r"no policy file .*main-0 exists"):
+        cg.load_policy(f"{result.folder}/main-0")
 
 
 def test_who_begins_anew_goes_on_from_main(train_tiny, duel, numbers, monkeypatch):
@@ -295,7 +299,7 @@ def test_a_killed_league_goes_on_as_if_nothing_had_been(
     [
         (["league", "self"], "self stands alone"),
         (["league", "side_1=idle"], "name a seat for each, or for none"),
-        (["league", "idel"], "no policy 'idel'"),
+        (["league", "idel"], "opponent 'idel': no policy 'idel'"),
     ],
 )
 def test_what_is_no_league_is_refused(train_tiny, duel, numbers, opponent, message):

@@ -67,7 +67,7 @@ def test_a_run_goes_on_with_its_partners(train_tiny, tiny):
         ({"robot_3": "idle"}, "no agent 'robot_3'"),
         ({"robot_1": "idle", "robot_2": "idle"}, "so that nobody learns; leave one"),
         ({"robot_2": 3}, "the partner robot_2 must be a policy's name, got 3"),
-        ({"robot_2": "idel"}, "no policy 'idel'"),
+        ({"robot_2": "idel"}, "partner 'robot_2=idel': no policy 'idel'"),
         (3, "partner must be a policy's name, several, or one for each of some seats"),
     ],
 )

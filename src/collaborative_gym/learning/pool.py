@@ -84,10 +84,11 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
       words: as `make_casting` takes them.
 
     Raises:
-      FileNotFoundError: if there is no such file.
+      FileNotFoundError: if there is no such file; this and the others name the guest.
       KeyError: if there is no such policy.
       ValueError: if one is damaged, or for another environment or seat.
     """
+    kind = "opponent" if len(task.sides) > 1 else "partner"
     free = dict.fromkeys(seat for _, seat in casting.guests())
     given = [word for word in words if word != LEAGUE] if free else []
     if not given:
@@ -96,8 +97,11 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
     with closing(VectorEnv(task, 1, num_threads=1)) as env:
         for word in given:
             own, name = split_word(word)
-            found[word] = read_policy(name, env)
-            for seat in free:
-                if own in ("", seat):
-                    commanding(casting.seats[seat], found[word], env, False)
+            try:
+                found[word] = read_policy(name, env)
+                for seat in free:
+                    if own in ("", seat):
+                        commanding(casting.seats[seat], found[word], env, False)
+            except (FileNotFoundError, LookupError, ValueError) as error:
+                raise type(error)(f"{kind} {word!r}: {error}") from error
     return found

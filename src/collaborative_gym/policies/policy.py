@@ -213,9 +213,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
         return (
             ExportedNetwork(path) if path.suffix in KINDS else NetworkPolicy.load(path)
         )
-    players = path.parent / _PLAYERS
-    if players.is_dir():
-        names = {file.stem: file for file in players.glob("*.safetensors")}
+    players = (path.parent / _PLAYERS).glob("*.safetensors")
+    if names := {file.stem: file for file in players}:
         return NetworkPolicy.load(look_up("player", path.name, names))
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(
