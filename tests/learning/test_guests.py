@@ -1,5 +1,7 @@
 """Policies that play beside those who learn, drawn when an episode starts."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -182,6 +184,15 @@ def test_a_run_among_guests_goes_on_as_if_it_had_not_stopped(
     whole = train_tiny(tmp_path / "whole", **options)
     with pytest.raises(KeyboardInterrupt):
         train_tiny(tmp_path / "cut", on_row=interrupt, **options)
+    given, other = (Path(each, "policy.safetensors") for each in opponents)
+    kept = given.read_bytes()
+    given.write_bytes(other.read_bytes())
+    with pytest.raises(ValueError, match="has changed since this run began; bring"):
+        train_tiny(resume=tmp_path / "cut", task=duel)
+    given.unlink()
+    with pytest.raises(FileNotFoundError, match=r"opponent '.*': .* has no policy"):
+        train_tiny(resume=tmp_path / "cut", task=duel)
+    given.write_bytes(kept)
     cut = train_tiny(resume=tmp_path / "cut", task=duel)
     files = [each.folder / "policy.safetensors" for each in (whole, cut)]
     assert files[0].read_bytes() == files[1].read_bytes()

@@ -131,15 +131,17 @@ class League(Pool):
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on, but the policies, which have files."""
         players = {name: asdict(player) for name, player in self._players.items()}
-        return {"players": players, "games": self._games, "steps": self._steps}
+        own = {"players": players, "games": self._games, "steps": self._steps}
+        return super().state_dict() | own
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state_dict` returned.
 
         Raises:
           FileNotFoundError: if the file of a player is gone.
-          ValueError: if it is damaged.
+          ValueError: if it is damaged, or a policy that was given has changed.
         """
+        super().load_state_dict(state)
         self._players = {name: _Player(**own) for name, own in state["players"].items()}
         self._games, self._steps = state["games"], state["steps"]
         for name, player in self._players.items():

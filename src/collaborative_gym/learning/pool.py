@@ -30,6 +30,11 @@ class Pool:
     def __init__(self, casting: Casting, policies: Mapping[str, Any]):
         self.policies = dict(policies)
         self._casting = casting
+        self._given = {
+            name: policy.digest
+            for name, policy in policies.items()
+            if isinstance(policy, NetworkPolicy)
+        }
 
     def invitation(self, latest: Latest) -> Invitation:
         """Return who may be drawn in the coming rollout."""
@@ -64,10 +69,20 @@ class Pool:
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on."""
-        return {}
+        return {"given": self._given}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
+        """Go on from what `state_dict` returned.
+
+        Raises:
+          ValueError: if a policy that was given is another one by now.
+        """
+        for name, digest in state.get("given", {}).items():
+            if self._given.get(name) != digest:
+                raise ValueError(
+                    f"the policy {name!r} has changed since this run began; bring the"
+                    " former one back, or start another run"
+                )
 
     def _names(self, seat: str) -> list[str]:
         """Return who may be drawn for a seat."""

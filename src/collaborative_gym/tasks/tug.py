@@ -32,11 +32,13 @@ distances of the two lines have the ratio of the strengths and keep their mean. 
 alone is not enough, because an arm that is pulled out of its posture gets weaker: a
 Panda's expert then won all episodes against a Sawyer's. So a constant force, as of a
 weight on a rope, also pulls the bar to the weaker side. It is about twice the
-difference of the strengths, 2.049 times for even chances of Panda and Sawyer. The same
-rule leaves a Panda better than a Jaco, and a Sawyer too: their experts win about 172
-and 136 of 200 episodes. For even chances the force must be right to less than 1 %,
-because who is ahead has the stronger posture. Torque limits alone do not foretell it
-that well.
+difference of the strengths, 2.049 times for even chances of Panda and Sawyer.
+
+Other unequal pairs are not fair. By the same rule the expert of a Panda wins about 172
+of 200 episodes against that of a Jaco, and a Sawyer's about 136. For even chances the
+force must be right to less than 1 %, because who is ahead has the stronger posture.
+Torque limits do not foretell it that well, and no one factor is right for all pairs. So
+take equal arms, or a Panda and a Sawyer, where chances must be even.
 
 The expert against itself decides all of 1,000 episodes of two Pandas and 948 of two
 Sawyers, in 2 s (median). From the first seat it wins 49.6 % of them. Of a Panda and a
