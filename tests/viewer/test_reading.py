@@ -79,6 +79,13 @@ def test_rows_show_it_all_with_sums(played):
     assert list(rows)[-2:] == ["ended last", "  so"]
 
 
+def test_nothing_reads_as_minus_zero(played):
+    _, _, latest = played(0)
+    terms = {"robot_1": {"grip": -1e-9}}
+    rows = dict(replace(latest, rewards=terms).rows)
+    assert rows["reward of robot_1"] == rows["  grip"] == "0.000"
+
+
 def test_what_was_earned_is_summed_from_each_start(make_env):
     env, latest = make_env(auto_reset=False), None
     for _ in range(2):

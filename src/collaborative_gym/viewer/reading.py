@@ -60,9 +60,9 @@ class Reading:
             if side in self.scores:
                 rows.append((f"{indent}score", f"{self.scores[side]:g}"))
             rows.append((f"{indent}success", _word(self.success[side])))
-            rows.append((f"{indent}return", f"{self.returns[side]:.1f}"))
+            rows.append((f"{indent}return", f"{self.returns[side]:z.1f}"))
         for agent, terms in self.rewards.items():
-            rows.append((f"reward of {agent}", f"{sum(terms.values()):.3f}"))
+            rows.append((f"reward of {agent}", f"{sum(terms.values()):z.3f}"))
             rows += [(f"  {name}", _word(term)) for name, term in terms.items()]
         if self.measures:
             rows.append(("measured", ""))
@@ -142,7 +142,7 @@ def _measures(
 def _word(value: float | bool) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:.3f}"
+    return f"{value:z.3f}"
 
 
 def _sum_up(
@@ -164,5 +164,5 @@ def _sum_up(
         else:
             told = f"success after {time[0]:.1f} s"
         name = f"{side} " if len(times) > 1 else ""
-        results.append(f"{name}{told}, return {earned[0]:.1f}")
+        results.append(f"{name}{told}, return {earned[0]:z.1f}")
     return f"episode {metrics['episode'][0]}: {'; '.join(results)}"
