@@ -145,6 +145,12 @@ def test_a_serve_avoids_mallets():
     assert np.abs(y).tolist() == [0.2] * 64
 
 
+def opposite(env):
+    """Return pairs of an agent and that in its place on the other side."""
+    one, two = env.sides.values()
+    return [*zip(one, two, strict=True), *zip(two, one, strict=True)]
+
+
 def turned(env, other):
     """Put what the worlds of `env` are, turned by half a turn, into `other`."""
     state = env.get_state()
@@ -153,7 +159,7 @@ def turned(env, other):
         at, dof = int(joint.qposadr[0]), int(joint.dofadr[0])
         other.sim.qpos[:, at] = -env.sim.qpos[:, at]
         other.sim.qvel[:, dof] = -env.sim.qvel[:, dof]
-    for one, two in zip(env.agents, env.agents[::-1], strict=True):
+    for one, two in opposite(env):
         arm, seat = env.scene.arms[one], other.scene.arms[two]
         other.sim.qpos[:, seat.qpos] = env.sim.qpos[:, arm.qpos]
         other.sim.act[:, seat.act] = env.sim.act[:, arm.act]
@@ -163,19 +169,20 @@ def turned(env, other):
     assert len(state.physics) == env.num_envs
 
 
-def test_swapped_seats_mirror_the_episode():
-    env, other = make(4), make(4)
+@pytest.mark.parametrize("env_id", [IDS[0], IDS[-1]])
+def test_swapped_seats_mirror_the_episode(env_id):
+    env, other = make(4, env_id), make(4, env_id)
     turned(env, other)
     one = env.step(env.idle())
     two = other.step(other.idle())
     # Rounding differs between the seats, and grows with every bounce.
     for step in range(40):
-        for agent, seat in zip(env.agents, env.agents[::-1], strict=True):
+        for agent, seat in opposite(env):
             np.testing.assert_allclose(
                 one[0][agent], two[0][seat], atol=1e-4, err_msg=f"{step} {agent}"
             )
         mine, yours = env.expert(), other.expert()
-        for agent, seat in zip(env.agents, env.agents[::-1], strict=True):
+        for agent, seat in opposite(env):
             np.testing.assert_allclose(mine[agent], yours[seat], atol=1e-4)
         one, two = env.step(mine), other.step(yours)
 
