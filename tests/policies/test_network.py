@@ -229,7 +229,7 @@ SPOILT = {
     },
     "agents": (edited(lambda d, t: d["parts"][0].update(agents=[3])), ""),
     "activation": (edited(lambda d, t: d.update(activation="rleu")), "rleu"),
-    "identity": (edited(lambda d, t: d.update(identity=[])), "no identity"),
+    "identity": (edited(lambda d, t: d.update(identity=[])), "not the identity"),
     "sizes": (edited(lambda d, t: d.update(action_sizes={"robot_1": 2})), "robot_2"),
     "weights": (edited(lambda d, t: t.clear()), "it has no 'robot_1/mean'"),
     "shape": (

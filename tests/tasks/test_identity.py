@@ -108,5 +108,5 @@ def test_policies_may_be_played_on_other_starts_and_lengths():
 
 @pytest.mark.parametrize("content", [{}, {"name": "a"}, [], None, {"robots": 3}])
 def test_what_is_no_identity_is_refused(content):
-    with pytest.raises(ValueError, match="no identity"):
+    with pytest.raises(ValueError, match="not the identity"):
         Identity.from_dict(content)

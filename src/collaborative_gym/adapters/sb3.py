@@ -82,14 +82,14 @@ class SB3VecEnv(VecEnv):
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise: the worlds have all in common."""
-        raise NotImplementedError("the worlds of a batch have all in common")
+        """Raise: no world of a batch has anything of its own."""
+        raise NotImplementedError("no world of a batch has anything of its own")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Raise: the worlds have all in common."""
-        raise NotImplementedError("the worlds of a batch have all in common")
+        """Raise: no world of a batch has anything of its own."""
+        raise NotImplementedError("no world of a batch has anything of its own")
 
     def env_is_wrapped(
         self, wrapper_class: type, indices: int | Iterable[int] | None = None

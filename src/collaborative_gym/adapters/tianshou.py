@@ -113,8 +113,8 @@ class TianshouEnv(BaseVectorEnv):
         return [common.get(key) for _ in self._wrap_id(id)]
 
     def set_env_attr(self, key: str, value: Any, id: Ids = None) -> None:
-        """Raise: the worlds have all in common."""
-        raise NotImplementedError("the worlds of a batch have all in common")
+        """Raise: no world of a batch has anything of its own."""
+        raise NotImplementedError("no world of a batch has anything of its own")
 
     def render(self, **_: Any) -> list[np.ndarray]:
         """Return a picture of each world, (480, 640, 3) uint8."""

@@ -227,8 +227,8 @@ def finish(
     if pressed.is_set():
         done = sum(each.result is not None for each in outcomes.values())
         raise KeyboardInterrupt(
-            f"stopped with {done} of {len(plans)} runs finished; the same command goes"
-            " on"
+            f"stopped with {done} of {len(plans)} runs finished; the same command"
+            " continues"
         )
     yield from (outcomes[plan.folder] for plan in plans)
 

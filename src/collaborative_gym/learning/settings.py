@@ -314,8 +314,8 @@ def _check_seats(settings: Settings, task: Task) -> None:
     """Raise unless somebody can learn in every seat that shall learn."""
     if settings.algorithm == "sac" and (settings.opponents or settings.partners):
         raise ValueError(
-            "sac forgets slowly what former opponents and partners did, and is not"
-            " tried with them; choose the algorithm ppo, or a task of one side without"
+            "sac forgets slowly what former opponents and partners did, and was"
+            " not tried with them; choose the algorithm ppo, or a task of one side without"
             " partner"
         )
     settings.learners(task)
@@ -357,8 +357,8 @@ def _check_same(settings: Settings, started: Settings) -> None:
             found += _differing(name, value, own[name])
     if found:
         raise ValueError(
-            f"this run cannot continue so: {'; '.join(found)}; leave out what differs,"
-            " or start another run"
+            f"this run cannot continue with other settings: {'; '.join(found)}; leave"
+            " out what differs, or start another run"
         )
 
 

@@ -287,8 +287,8 @@ class Scene:
         names = [*self._mocap, *self._free]
         if name not in names:
             raise ValueError(
-                f"{unknown('movable object', name, names)}; an object moves freely that"
-                " has a free joint, and a target once it is added by `add_target`"
+                f"{unknown('movable object', name, names)}; only objects with a"
+                " free joint, and what `add_target` added, can be placed"
             )
         try:
             if name in self._mocap:
@@ -365,8 +365,8 @@ class Scene:
         names = [element.name for element in self.spec.sites if element.name]
         if site not in names:
             raise ValueError(
-                f"{unknown('site', site, names)}; a site has the name of what it was"
-                " added as before it, as in 'pot/handle_1'"
+                f"{unknown('site', site, names)}; the name of its object"
+                " stands before that of a site, as in 'pot/handle_1'"
             )
 
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
@@ -402,6 +402,6 @@ def _check_child(name: str, child: mujoco.MjSpec) -> None:
     check_kind("child", child, mujoco.MjSpec, "an MjSpec")
     if child.parent is not None:
         raise ValueError(
-            f"the child given as {name!r} is in a scene already; make another one, by"
-            " calling the function that made it again"
+            f"the child given as {name!r} is in a scene already; call the function"
+            " that made it once more, and add what it returns"
         )

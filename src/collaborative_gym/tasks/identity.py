@@ -93,7 +93,7 @@ class Identity:
             name, task = str(content["name"]), str(content["task"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
-                f"this is no identity of an environment: {error!r}"
+                f"this is not the identity of an environment: {error!r}"
             ) from None
         return cls(name, task, robots, config, versions)
 
