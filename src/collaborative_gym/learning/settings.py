@@ -315,8 +315,8 @@ def _check_seats(settings: Settings, task: Task) -> None:
     if settings.algorithm == "sac" and (settings.opponents or settings.partners):
         raise ValueError(
             "sac forgets slowly what former opponents and partners did, and was"
-            " not tried with them; choose the algorithm ppo, or a task of one side without"
-            " partner"
+            " not tried with them; choose the algorithm ppo, or a task of one side"
+            " without partner"
         )
     settings.learners(task)
     if settings.hyperparameters.dense_share and not task.shaping:
