@@ -297,9 +297,9 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
     "BalanceTaskSawyers-v0": _BALANCE,
     "BalanceTaskJacoSawyer-v0": {"total_steps": 4_500_000, **_BALANCE},
-    # More noise than this drops the pot, less does not lift it. With an assistance of
-    # 0.5 one of two seeds never lifted. Arms that ask for far more torque than they have
-    # do not learn; hence the price of actions.
+    # More noise than this drops the pot, less does not lift it; with an assistance of
+    # 0.5 one of two seeds did not either. Arms that ask for far more torque than they
+    # have do not learn; hence the price of actions.
     "LiftTaskSawyers-v0": {
         "total_steps": 5_000_000,
         "initial_std": 0.15,
