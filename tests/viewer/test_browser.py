@@ -199,7 +199,7 @@ def test_the_buttons_work(serve, open_tab, wait_until):
     for agent, terms in session.reading.rewards.items():
         tab.get_by_text(f"reward of {agent}").wait_for()
         for name, term in terms.items():
-            row = tab.locator("tr", has_text=name).filter(has_text=f"{term:.3f}")
+            row = tab.locator("tr", has_text=name).filter(has_text=f"{term:z.3f}")
             assert row.count() >= 1
     press(tab, "Play")
     wait_until(lambda: session.reading.time > 0.5)
