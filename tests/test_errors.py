@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from collaborative_gym.errors import (
+    UnknownName,
     check_count,
     check_flag,
     check_number,
     check_numbers,
     look_up,
+    naming,
     shown,
 )
 
@@ -98,3 +100,25 @@ def test_names_are_looked_up():
 def test_what_is_shown_is_short():
     assert shown("a") == "'a'"
     assert len(shown(np.eye(30))) == 80 and "\n" not in shown(np.eye(30))
+
+
+@pytest.mark.parametrize(
+    "kind", [FileNotFoundError, UnknownName, TypeError, ValueError]
+)
+def test_errors_name_the_input(kind):
+    with pytest.raises(kind) as caught, naming("player 'late'"):
+        raise kind("it is damaged")
+    assert type(caught.value) is kind
+    assert str(caught.value) == "player 'late': it is damaged"
+
+
+def test_errors_that_are_more_than_a_message_name_the_input():
+    told = "player 'late': 'utf-8' codec"
+    with pytest.raises(ValueError, match=told) as caught, naming("player 'late'"):
+        b"\xff".decode()
+    assert isinstance(caught.value.__cause__, UnicodeDecodeError)
+
+
+def test_errors_that_are_not_about_the_input_stay():
+    with pytest.raises(PermissionError, match=r"^no$"), naming("player 'late'"):
+        raise PermissionError("no")

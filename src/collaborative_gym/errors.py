@@ -3,7 +3,8 @@
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -42,6 +43,30 @@ class UnknownName(KeyError):
 
 class UnknownOption(UnknownName, TypeError):
     """A keyword argument that does not exist. The message is like Python's own."""
+
+
+@contextmanager
+def naming(what: str) -> Iterator[None]:
+    """Begin the message of an error about an input with what was given.
+
+    Args:
+      what: which of several inputs it is, such as "player 'late'".
+
+    Raises:
+      FileNotFoundError, LookupError, TypeError, ValueError: what was raised within, of
+        the same class; of the nearest one of these if its class takes more than a
+        message, as that of text that cannot be decoded.
+    """
+    kinds = FileNotFoundError, LookupError, TypeError, ValueError
+    try:
+        yield
+    except kinds as error:
+        told = f"{what}: {error}"
+        try:
+            named = type(error)(told)
+        except TypeError:
+            named = next(kind for kind in kinds if isinstance(error, kind))(told)
+        raise named from error
 
 
 def unknown(kind: str, given: object, valid: Iterable[str]) -> str:

@@ -5,6 +5,7 @@ from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import naming
 from collaborative_gym.learning.backend import Backend, Iteration
 from collaborative_gym.learning.casting import LEAGUE, Casting, split_word
 from collaborative_gym.learning.guests import Invitation
@@ -112,11 +113,9 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
     with closing(VectorEnv(task, 1, num_threads=1)) as env:
         for word in given:
             own, name = split_word(word)
-            try:
+            with naming(f"{kind} {word!r}"):
                 found[word] = read_policy(name, env)
                 for seat in free:
                     if own in ("", seat):
                         commanding(casting.seats[seat], found[word], env, False)
-            except (FileNotFoundError, LookupError, ValueError) as error:
-                raise type(error)(f"{kind} {word!r}: {error}") from error
     return found

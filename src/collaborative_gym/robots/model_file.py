@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from collaborative_gym.errors import unknown
+from collaborative_gym.errors import naming, unknown
 from collaborative_gym.robots.data import RobotData, robot_error
 from collaborative_gym.robots.urdf import read_urdf
 
@@ -88,14 +88,10 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
             f"robot {robot.name!r}: there is no model file {path}; model_file is the"
             " path of an MJCF (.xml) or URDF (.urdf) file"
         )
-    try:
+    with naming(f"robot {robot.name!r}: {path.name} cannot be loaded"):
         if path.suffix.lower() == ".urdf":
             return read_urdf(path)
         return mujoco.MjSpec.from_file(str(path))
-    except (FileNotFoundError, ValueError) as error:
-        raise type(error)(
-            f"robot {robot.name!r}: {path.name} cannot be loaded: {error}"
-        ) from error
 
 
 def _leave_out(spec: mujoco.MjSpec) -> None:

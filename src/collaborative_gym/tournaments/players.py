@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, shown, unknown
+from collaborative_gym.errors import UnknownName, naming, shown, unknown
 from collaborative_gym.policies import AnyPolicy, Policy, name_policy
 from collaborative_gym.policies.exported import KINDS
 from collaborative_gym.policies.network import NetworkPolicy
@@ -89,7 +89,7 @@ def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Playe
         policy if isinstance(policy, Mapping) else dict.fromkeys(env.agents, policy)
     )
     found: dict[Any, Policy] = {}
-    try:
+    with naming(f"player {name!r}"):
         for agent in by_agent:
             if agent not in env.agents:
                 raise UnknownName(unknown("agent", agent, env.agents))
@@ -105,8 +105,6 @@ def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Playe
                     agents = [a for a in by_agent if _key(by_agent[a]) == key]
                     own = commanding(agents, own, env, any_env)
                 found[key] = own
-    except (LookupError, TypeError, ValueError, FileNotFoundError) as error:
-        raise type(error)(f"player {name!r}: {error}") from error
     policies = {agent: found[_key(by_agent[agent])] for agent in env.agents}
     marks = {agent: _mark(by_agent[agent], policies[agent]) for agent in env.agents}
     mark = "; ".join(f"{agent} {own}" for agent, own in marks.items())
