@@ -98,12 +98,12 @@ def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path)
 
 
 def test_all_leaves_out_what_has_no_baseline(capsys, monkeypatch):
-    ids = ["BalancePathSawyers-v0", "PokeTaskSawyers-v0"]
+    ids = ["TugSawyers-v0", "PokeTaskSawyers-v0"]
     monkeypatch.setattr(cg, "list_envs", lambda: ids)
     assert main(["evaluate", "--all", "--policy", "baseline", "--episodes", "1"]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("left out, as they have no baseline: BalancePathSawyers-v0")
-    assert "PokeTaskSawyers-v0" in told and told.count("BalancePath") == 1
+    assert told.startswith("left out, as they have no baseline: TugSawyers-v0")
+    assert "PokeTaskSawyers-v0" in told and told.count("TugSawyers") == 1
 
 
 def test_all_commands_play_the_same_policy_unless_told_otherwise():
