@@ -37,8 +37,8 @@ and its performance says for which share of the episode it was in the lead. The 
 `score` counts its goals. The side with more goals at the end has won.
 
 An episode lasts 40 s. By then most matches of the scripted player against itself are
-decided (of 1,696 with Pandas, side_1 won 528 and side_2 491, so 49 to 55 % of the decided
-ones), and two fouls fit in.
+decided (of 1,696 with Pandas, side_1 won 528 and side_2 491, so 49 to 55 % of the
+decided ones), and two fouls fit in.
 
 A thing that bounces turns round within one physics step, and keeps 0.8 of its speed.
 Until then it may be as deep in the other thing as it moves in 0.01 s. Air drag takes
