@@ -258,6 +258,27 @@ def test_who_begins_anew_goes_on_from_main(train_tiny, duel, numbers, monkeypatc
     assert (MAIN_EXPLOITER, MAIN, False, True) in restarted
 
 
+def test_who_begins_anew_may_begin_as_the_run_began(
+    train_tiny, duel, numbers, monkeypatch
+):
+    begun = []
+    restart = Backend.restart
+
+    def spied(self, member, like):
+        restart(self, member, like)
+        weights = self.weights(member)
+        begun.append((member, like, next(iter(weights.values())).layers[0][0].copy()))
+
+    monkeypatch.setattr(Backend, "restart", spied)
+    train_tiny(task=duel, opponent="league", hyperparameters=numbers(league_fresh=1.0))
+    exploiters = [
+        w for member, like, w in begun if (member, like) == (MAIN_EXPLOITER, None)
+    ]
+    assert len(exploiters) > 1
+    # Learned in between, and forgotten.
+    assert all(np.array_equal(exploiters[0], weights) for weights in exploiters)
+
+
 def test_ratings_are_drawn(tmp_path):
     path = tmp_path / "ratings.png"
     draw_ratings({MAIN: [(100, 1600.0), (0, 1400.0)], EXPLOITERS[0]: []}, "", path)

@@ -60,6 +60,7 @@ class Backend:
         self.steps = 0
         self._iteration = 0
         self._learners = {each.learner.name: each for each in learners}
+        self._first = self._members()
         self._collectors = collectors
         self._assistance = Assistance(assistance)
         self._final_noise = final_noise
@@ -70,6 +71,7 @@ class Backend:
         self._has_policy = True
         for learner in self._learners.values():
             learner.start(policy)
+        self._first = self._members()
 
     def collect(self, invitation: Invitation = NOBODY) -> list[Collected]:
         """Return one rollout of every collector that is alive; the worlds go on."""
@@ -112,10 +114,28 @@ class Backend:
             found |= learner.weights()
         return found
 
-    def restart(self, member: str, like: str) -> None:
-        """Let a member go on from all that another one has learned."""
-        for learner, model in zip(self._of(member), self._of(like), strict=True):
-            learner.load_state_dict(deepcopy(model.state_dict()))
+    def restart(self, member: str, like: str | None) -> None:
+        """Let a member go on from all that another one has learned.
+
+        Args:
+          member: who.
+          like: the other one; None to begin again as the member once began.
+        """
+        if like is None:
+            states = [self._first[each.learner.name] for each in self._of(member)]
+        else:
+            states = [each.state_dict() for each in self._of(like)]
+        for learner, state in zip(self._of(member), states, strict=True):
+            learner.load_state_dict(deepcopy(state))
+
+    def _members(self) -> dict[str, Any]:
+        """Return what the learners of members know, by name."""
+        learners = self._learners.items()
+        return {
+            name: deepcopy(each.state_dict())
+            for name, each in learners
+            if each.learner.member
+        }
 
     def _of(self, member: str) -> list[SkrlLearner]:
         learners = self._learners.values()
@@ -134,6 +154,7 @@ class Backend:
             "assistance": self._assistance.state_dict(),
             "has_policy": self._has_policy,
             "learners": {name: each.state_dict() for name, each in learners},
+            "first": self._first,
             "generator": torch.get_rng_state(),
             "cuda_generators": torch.cuda.get_rng_state_all() if cuda else [],
             "worlds": self._collectors.state_dict(),
@@ -146,6 +167,7 @@ class Backend:
         """
         for name, learner in self._learners.items():
             learner.load_state_dict(state["learners"][name])
+        self._first = state["first"]
         self._collectors.load_state_dict(state["worlds"])
         self.steps, self._iteration = state["steps"], state["iteration"]
         self._assistance.load_state_dict(state["assistance"])

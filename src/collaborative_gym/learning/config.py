@@ -137,6 +137,8 @@ class Hyperparameters:
       league_most_steps: number of steps after which a member leaves a copy in any case
         (our choice; AlphaStar's is 4e9).
       league_reset: how likely the league exploiter begins anew after a copy (0.25).
+      league_fresh: how likely a member that begins anew has the networks with which
+        the run began, and not main's (our choice).
       league_decay: factor by which a game counts less after each later game of the same
         two (0.99).
       hidden_sizes: widths of the hidden layers of policies and critics.
@@ -191,6 +193,7 @@ class Hyperparameters:
     league_least_steps: int = bounded(100_000, 0, 10**15)
     league_most_steps: int = bounded(250_000, 1, 10**15)
     league_reset: float = bounded(0.25, 0.0, 1.0)
+    league_fresh: float = bounded(0.0, 0.0, 1.0)
     league_decay: float = bounded(0.99, 0.0, 1.0)
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"

@@ -9,8 +9,9 @@ is and is played against from then on: `main-1` and so on. After that the main e
 begins anew, and sometimes the league exploiter does.
 
 Two things differ from AlphaStar. A member that begins anew begins as a copy of `main`,
-because there is no policy learned from people. And it leaves its own copy before that,
-not after. A copy inherits the results of the member that it was copied from.
+or with the networks with which the run began, because there is no policy learned from
+people. And it leaves its own copy before that, not after. A copy inherits the results
+of the member that it was copied from.
 """
 
 import json
@@ -117,16 +118,18 @@ class League(Pool):
             share = sum(member in cast for cast in casts) / len(casts)
             self._players[member].since += share * done
         rng = np.random.default_rng([self._seed, backend.steps])
+        # Drawn in any case, so that one member changes no draw of another.
+        chances = dict(zip(_LEARN, rng.random((2, len(_LEARN))).T, strict=True))
         for member in _LEARN:
-            # Drawn in any case, so that one member changes no draw of another.
-            chance = rng.random()
+            again, fresh = chances[member]
             if self._is_due(member):
                 self._copy(member, latest)
                 if member == EXPLOITERS[0] or (
-                    member == EXPLOITERS[1] and chance < self._numbers.league_reset
+                    member == EXPLOITERS[1] and again < self._numbers.league_reset
                 ):
-                    backend.restart(member, MAIN)
-                    self._inherit(member, MAIN)
+                    like = None if fresh < self._numbers.league_fresh else MAIN
+                    backend.restart(member, like)
+                    self._inherit(member, like or f"{MAIN}-0")
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on, but the policies, which have files."""

@@ -1,0 +1,114 @@
+"""How well policies of several seeds do, as a table: one recipe, many seeds.
+
+    python benchmarks/seeds.py RUN...
+
+RUN is a training run's folder, or a policy file. Its row replaces that of the same
+environment and seed in docs/tables/seeds.md, which is written anew after each; the
+numbers are in seeds.json beside it. All policies of an environment play the same 1,000
+starts of `default`, which no run was trained on or chosen by, and 200 of them with all
+actions one control step late.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import collaborative_gym as cg
+from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import POLICY_FILE
+
+TABLE = Path(__file__).parents[1] / "docs" / "tables" / "seeds"
+COMPLETION, PERFORMANCE = 0.98, 0.95
+"""What a seed has to reach."""
+
+
+def main() -> None:
+    """Measure, and bring the table up to that."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("runs", nargs="+", metavar="RUN", type=Path)
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--late-episodes", type=int, default=200)
+    options = parser.parse_args()
+    numbers = TABLE.with_suffix(".json")
+    for run in options.runs:
+        policy = NetworkPolicy.load(run / POLICY_FILE if run.is_dir() else run)
+        env, seed = policy.identity.name, policy.metadata["seed"]
+        row = measured(env, policy, options.episodes, options.late_episodes)
+        rows = json.loads(numbers.read_text()) if numbers.exists() else {}
+        rows.setdefault(env, {})[str(seed)] = row
+        numbers.write_text(json.dumps(rows, indent=1, sort_keys=True) + "\n")
+        TABLE.with_suffix(".md").write_text("\n".join(table(rows)) + "\n")
+
+
+def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
+    """Return a row's numbers."""
+    report = cg.evaluate(env, policy, episodes=episodes, num_threads=1)
+    delayed = cg.evaluate(env, policy, episodes=late, delay=1, num_threads=1)
+    lengths = list(steps(policy.metadata))
+    return {
+        "episodes": [episodes, late],
+        "steps": lengths[::-1],
+        "completion": report.completion.mean,
+        "performance": report.performance.mean,
+        "mean_reward": report.mean_reward.mean,
+        "late": delayed.completion.mean,
+        "torque_limit_share": report.strain["torque_limit_share"].mean,
+        "energy": report.strain["energy"].mean,
+    }
+
+
+def steps(metadata: dict) -> Iterator[int]:
+    """Yield the steps of a run up to its policy, and of those that it began with."""
+    yield metadata["steps"]
+    if "metadata" in metadata.get("start", {}):
+        yield from steps(metadata["start"]["metadata"])
+
+
+def table(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
+    """Yield the lines of the page, in the order of the environments."""
+    yield (
+        "| environment | seed | steps of its runs, M | completion | performance |"
+        " return | late | torque limits | energy |"
+    )
+    yield "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+    counts = []
+    for env in sorted(rows, key=cg.list_envs().index):
+        for seed in sorted(rows[env], key=int):
+            yield line(env, seed, rows[env][seed])
+        reached = sum(is_enough(row) for row in rows[env].values())
+        counts.append(f"{env}: {reached} of {len(rows[env])}")
+    yield ""
+    episodes, late = next(iter(next(iter(rows.values())).values()))["episodes"]
+    yield (
+        f"{episodes:,} held-out starts of `default` each, and {late} with late actions."
+        f" {episodes:,} of {episodes:,} mean {100 * wilson(1.0, episodes)[0]:.1f} % or"
+        f" more (Wilson, 95 %). Seeds that reach {100 * COMPLETION:.0f} % completion"
+        f" and {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
+    )
+
+
+def is_enough(row: dict) -> bool:
+    """Return whether a seed reached what it has to."""
+    return row["completion"] >= COMPLETION and row["performance"] >= PERFORMANCE
+
+
+def line(env: str, seed: str, row: dict) -> str:
+    """Return a seed's line."""
+    cells = [
+        env,
+        seed,
+        " + ".join(f"{length / 1e6:.1f}" for length in row["steps"]),
+        f"{100 * row['completion']:.1f} %",
+        f"{100 * row['performance']:.1f} %",
+        f"{row['mean_reward']:.1f}",
+        f"{100 * row['late']:.1f} %",
+        f"{100 * row['torque_limit_share']:.1f} %",
+        f"{row['energy']:.0f} J",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    main()
