@@ -67,7 +67,9 @@ def write_baseline(
     output, resources = Path(output), resources or Resources()
     env_id = results[0].settings.identity.name
     candidates = [Candidate(r, _measure(env_id, r, resources)) for r in results]
-    best = max(candidates, key=lambda each: _rank(env_id, each.result, resources))
+    best = candidates[0]
+    if len(candidates) > 1:
+        best = max(candidates, key=lambda each: _rank(env_id, each.result, resources))
     for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.result.folder / name, partial)
@@ -126,6 +128,10 @@ def write_card(
         f"{name} {_option(value)}" for name, value in changed(hyperparameters).items()
     ]
     steps = best.result.best["steps"]
+    among = (
+        ", and among seeds by completion, performance, clearance and energy in"
+        f" {_CHOICE_EPISODES} others"
+    ) * (len(candidates) > 1)
     lines = [
         f"# {env_id}: baseline",
         "",
@@ -138,9 +144,8 @@ def write_card(
         f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
-        f" {hyperparameters.validation_episodes} validation episodes, and among seeds"
-        " by completion, performance, clearance and energy in"
-        f" {_CHOICE_EPISODES} others; they are not those below",
+        f" {hyperparameters.validation_episodes} validation episodes{among}; they are"
+        " not those below",
         f"- command: `{training_command(settings, resources)}`",
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
