@@ -2,8 +2,11 @@
 
 import json
 import os
+import pickle
 import signal
+import subprocess
 import sys
+from io import BytesIO
 
 import pytest
 
@@ -134,6 +137,27 @@ def test_a_run_that_goes_on_writes_how_long_it_is_to_be(train_tiny, tiny):
     train_tiny(resume=first.folder, hyperparameters=tiny(total_steps=64))
     config = json.loads((first.folder / "config.json").read_text())
     assert config["hyperparameters"]["total_steps"] == 64
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("total_steps", "is_done"), [(32, True), (64, False)])
+def test_a_run_at_its_end_is_not_stopped(total_steps, is_done, tiny, tmp_path):
+    """Ctrl-C during its last update finds it finished."""
+    code = (
+        "from collaborative_gym.learning import many\n"
+        "many.train = lambda on_row, **_: on_row({'steps': 32}, {})\n"
+        "many.train_one()"
+    )
+    given = {"output": tmp_path, "hyperparameters": tiny(total_steps=total_steps)}
+    child = subprocess.run(
+        [sys.executable, "-c", code],
+        input=pickle.dumps(((), given)),
+        stdout=subprocess.PIPE,
+        check=True,
+    )
+    said = BytesIO(child.stdout)
+    assert pickle.load(said) == ({"steps": 32}, {})
+    assert (pickle.load(said) is not None) == is_done
 
 
 @pytest.mark.slow

@@ -337,11 +337,14 @@ def train_one() -> None:
         pickle.dump(message, out)
         out.flush()
 
+    total_steps = given["hyperparameters"].total_steps
+
     def on_row(row: Mapping[str, float], best: Mapping[str, float]) -> None:
         # Input ends when the run is to stop, and also when nobody is there any more.
         with suppress(BrokenPipeError):
             send((dict(row), dict(best)))
-        if select.select([sys.stdin], [], [], 0.0)[0]:
+        # After its last update a run is finished, so there is nothing to stop.
+        if row["steps"] < total_steps and select.select([sys.stdin], [], [], 0.0)[0]:
             signal.raise_signal(signal.SIGINT)
 
     folder = given.get("output") or given["resume"]
