@@ -96,11 +96,19 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     first = cg.load_policy(card.with_suffix(".safetensors"))
     monkeypatch.chdir(tmp_path)
     start = card.with_suffix(".safetensors").name
-    card = train_both(output=tmp_path / "more", start_from=start)
+    card = train_both(output=tmp_path / "more", start_from=start, randomization="wide")
     text = card.read_text()
     began = f"beginning with the policy `{start}` of then (digest {first.digest[:12]}"
     assert began in text and "0.00 M steps from scratch, without" in text
-    assert f"--start-from {start}" in text
+    # All runs that led to it can be trained again, one after another.
+    commands = [line for line in text.splitlines() if line.startswith("- command")]
+    assert [line.partition(":")[0] for line in commands] == [
+        "- command 1 of 2",
+        "- command 2 of 2",
+    ]
+    assert "--start-from" not in commands[0] and "wide" not in commands[0]
+    assert commands[0].endswith(f" --output {start}`")
+    assert commands[1].endswith(f"--start-from {start} --randomization wide`")
 
 
 def test_what_is_changed_is_laid_over_the_recipe(

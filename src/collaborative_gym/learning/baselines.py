@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,7 @@ def write_card(
         f"{name} {_option(value)}" for name, value in changed(hyperparameters).items()
     ]
     steps = best.result.best["steps"]
+    starts = settings.identity.config["randomization"]
     among = (
         ", and among seeds by completion, performance, clearance and energy in"
         f" {_CHOICE_EPISODES} others"
@@ -139,14 +140,14 @@ def write_card(
         f" {_beginning(settings.start_from, settings.start)}; mode collaborative, no"
         f" shaping, {_curriculum(hyperparameters)}.",
         "",
-        f"- environment: `{env_id}`, randomization `{_randomization(settings)}`",
+        f"- environment: `{env_id}`, randomization `{_preset(starts)}`",
         f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
         f" {hyperparameters.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {hyperparameters.validation_episodes} validation episodes{among}; they are"
         " not those below",
-        f"- command: `{training_command(settings, resources)}`",
+        *_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -210,30 +211,52 @@ def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
     )
 
 
-def training_command(settings: Settings, resources: Resources) -> str:
-    """Return the command that trains such a run again."""
-    env_id = settings.identity.name
-    others = changed(settings.hyperparameters, recipe(env_id))
-    if settings.start_from:
-        others["start_from"] = settings.start_from
+def _commands(settings: Settings, resources: Resources) -> list[str]:
+    """Return lines with the commands that train such a run again, the first run first.
+
+    Runs from before a policy's file said how its starts were drawn are left out.
+    """
+    identity, start = settings.identity, settings.start
+    options = ""
     if resources.torch_threads != Resources.torch_threads:
         # Another number may change the last bits.
-        others["torch_threads"] = resources.torch_threads
+        options = f" --torch-threads {resources.torch_threads}"
+    own, starts = asdict(settings), identity.config["randomization"]
+    commands = [_command(identity.name, own, starts) + options]
+    while "randomization" in start:
+        later, own = own, start["metadata"]
+        command = _command(start["environment"], own, start["randomization"])
+        commands.append(f"{command} --output {later['start_from']}")
+        start = own["start"]
+    count = len(commands)
+    return [
+        f"- command{f' {i + 1} of {count}' if count > 1 else ''}: `{command}`"
+        for i, command in enumerate(reversed(commands))
+    ]
+
+
+def _command(env_id: str, own: Mapping[str, Any], randomization: Any) -> str:
+    """Return the command that trains a run again, by what its policy says of it."""
+    numbers = dict(own["hyperparameters"])
+    numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
+    others = changed(Hyperparameters(**numbers), recipe(env_id))
+    if own["start_from"]:
+        others["start_from"] = own["start_from"]
     options = [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
-    if (preset := _randomization(settings)) != "default":
+    if (preset := _preset(randomization)) != "default":
         options.append(f"--randomization {preset}")
-    if settings.opponents:
-        options.append(f"--opponent {' '.join(settings.opponents)}")
+    if own["opponents"]:
+        options.append(f"--opponent {' '.join(own['opponents'])}")
     return " ".join(
-        [f"collaborative-gym train {env_id} --seed {settings.seed}", *options]
+        [f"collaborative-gym train {env_id} --seed {own['seed']}", *options]
     )
 
 
-def _randomization(settings: Settings) -> str:
+def _preset(randomization: Mapping[str, Any]) -> str:
     """Return the preset by which a run's starts were drawn, or else the value."""
-    own = Randomization(**settings.identity.config["randomization"])
+    own = Randomization(**randomization)
     names = [name for name, preset in RANDOMIZATIONS.items() if preset == own]
     return names[0] if names else str(own)
 

@@ -56,7 +56,8 @@ class Settings:
       partners: who plays with it.
       start_from: the policy with which it began, as it was named; nothing for networks
         drawn by chance.
-      start: that policy's `digest`, and how it was trained, its `metadata`.
+      start: that policy's `digest`, the `environment` and `randomization` in which it
+        was trained, and how, its `metadata`.
       algorithm: what learns.
     """
 
@@ -221,7 +222,12 @@ def settle(
         _check_same(settings, started)
     elif settings.start_from:
         first = first_policy(settings, task)
-        start = {"digest": first.digest, "metadata": first.metadata}
+        start = {
+            "digest": first.digest,
+            "environment": first.identity.name,
+            "randomization": first.identity.config["randomization"],
+            "metadata": first.metadata,
+        }
         settings = replace(settings, start=start)
     check_algorithm(algorithm, settings.hyperparameters)
     return settings
