@@ -142,7 +142,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(
 
 
 def test_ctrl_c_is_heeded_after_the_update_and_the_second_one_at_once(
-    train_tiny, tmp_path
+    train_tiny, tmp_path, capfd
 ):
     def press(times):
         def interrupt(row, best):
@@ -158,6 +158,7 @@ def test_ctrl_c_is_heeded_after_the_update_and_the_second_one_at_once(
     ):
         train_tiny(tmp_path / "once", on_row=press(1), **options)
     assert Checkpoint.load(tmp_path / "once" / LAST).backend["steps"] == 96
+    assert "stopping after the current update; Ctrl-C again" in capfd.readouterr().err
     with pytest.raises(KeyboardInterrupt) as caught:
         train_tiny(tmp_path / "twice", on_row=press(2), **options)
     assert not caught.value.args

@@ -345,7 +345,7 @@ def format_statistic(
 ) -> str:
     """Return a mean and its interval for people, such as `98.0 % (95.0 to 100)`.
 
-    A single value has no interval.
+    A single value has no interval, and equal ones show none.
 
     Args:
       statistic: what to tell.
@@ -363,14 +363,14 @@ def format_interval(
 
     Args:
       value: the number; for NaN it is a dash.
-      low: lower end; NaN for no interval.
+      low: lower end; NaN for no interval. One without a width is not told.
       high: upper end.
       percent: whether they are shares from 0 to 1.
       unit: what to put after the number.
     """
     if math.isnan(value):
         return "-"
-    ends = [value] if math.isnan(low) else [low, high]
+    ends = [value] if math.isnan(low) or low == high else [low, high]
     digits = 1 if percent or max(map(abs, ends)) < 1000 else 0
     middle = format_number(value, percent=percent, unit=unit, digits=digits)
     if len(ends) == 1:
