@@ -1,6 +1,6 @@
 """MAPPO, IPPO or MASAC of BenchMARL on any environment; its others are as short.
 
-pip install 'collaborative-gym[benchmarl]'
+pip install -e ".[benchmarl]"
 python examples/train_benchmarl.py
 """
 

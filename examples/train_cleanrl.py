@@ -1,6 +1,6 @@
 """PPO in one file, as CleanRL writes it: no library between you and the numbers.
 
-    pip install 'collaborative-gym[train]'
+    pip install -e ".[train]"
     python examples/train_cleanrl.py
 
 One agent commands all robots. Gymnasium's vector wrappers count the episodes and

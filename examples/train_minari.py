@@ -1,6 +1,6 @@
 """Minari: the expert's episodes as a dataset, and a network that learns to copy them.
 
-    pip install 'collaborative-gym[train]' 'minari[hdf5]'
+    pip install -e ".[train]" 'minari[hdf5]'
     python examples/train_minari.py
 
 All episodes are played at once. Minari's own `DataCollector` plays them one after the

@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3, with one agent that commands all robots.
 
-    pip install 'collaborative-gym[sb3]'
+    pip install -e ".[sb3]"
     python examples/train_stable_baselines3.py
 
 Stable-Baselines3 makes batches of its own by stepping single environments one by one

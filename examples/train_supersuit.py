@@ -1,6 +1,6 @@
 """One network for every robot, by SuperSuit's vector environment.
 
-    pip install 'collaborative-gym[sb3]' supersuit
+    pip install -e ".[sb3]" supersuit
     python examples/train_supersuit.py
 
 SuperSuit makes the agents of some PettingZoo environments the rows of one batch. Here

@@ -1,6 +1,6 @@
 """Tianshou's PPO, with one agent that commands all robots.
 
-pip install 'collaborative-gym[tianshou]'
+pip install -e ".[tianshou]"
 python examples/train_tianshou.py
 """
 

@@ -352,7 +352,7 @@ def test_view_without_display_and_extra_says_what_to_do(
     printed = capsys.readouterr()
     assert "no display to open a window on" in printed.out
     assert printed.err.startswith("error: the viewer in the browser needs viser")
-    assert "pip install 'collaborative-gym[view]'" in printed.err
+    assert "pip install -e '.[view]'" in printed.err
     assert "collaborative-gym record" in printed.err
 
 

@@ -43,11 +43,13 @@ WRONG_VALUES = [
     ),
     ({"velocity_limits": ()}, "has 6 joints but 0 values in velocity_limits"),
     ({"velocity_limits": (0.0,) + (1.0,) * 5}, "must be above 0, got 0.0"),
+    ({"velocity_limits": (120.0,) * 6}, "at most 30 rad/s, got 120; give rad/s, not"),
     ({"torque_limits": (-5.0,) + (1.0,) * 5}, "torque_limits of joint 'joint_1' must"),
     ({"damping": (np.inf,) + (1.0,) * 5}, r"damping\[0\] must be finite, got inf"),
     ({"armature": (-1.0,) + (1.0,) * 5}, "must be at least 0, got -1.0"),
     ({"payload": 0.0}, "payload must be above 0, got 0.0"),
     ({"reach": -1.0}, "reach must be above 0, got -1.0"),
+    ({"reach": 900.0}, "its reach is 900 m, but .* 1.32 m long; give both in m"),
     ({"reach": float("inf")}, "reach must be finite, got inf"),
     (
         {"joints": tuple(f"joint{i}" for i in range(6))},
@@ -78,6 +80,7 @@ def test_wrong_values_are_refused(own, fields, message):
 
 
 WRONG_FILES = [
+    ((' range="-2.2 2.2"', ' range="2.2 -2.2"'), "its range the wrong way round, 2.2"),
     ((' range="-2.2 2.2"', ""), "joint 'joint_2' has no range; give it one in the mod"),
     (
         ('<joint name="joint_4"', '<joint name="joint_4" type="slide"'),
@@ -105,7 +108,7 @@ WRONG_FILES = [
     (("</worldbody>", ""), "robot 'own': arm.xml cannot be loaded: "),
     (
         ('<body name="base">', '<body name="base"><freejoint/>'),
-        "a joint '' that nothing",
+        "a joint without a name, of body 'base', that nothing",
     ),
 ]
 
@@ -128,6 +131,7 @@ def test_a_missing_model_file_is_named(own, tmp_path):
     [
         ({"open_position": 0.0}, "open_position must differ from its closed_position"),
         ({"open_gap": 0.0}, "closed_gap must be at least 0 and below its open_gap"),
+        ({"open_gap": 78.0}, "open_gap must be at most 1 m, got 78; give m, not mm"),
         ({"closed_gap": -0.1}, "closed_gap must be at least 0 and below its open_gap"),
         ({"force": 0.0}, "force must be above 0, got 0.0"),
         ({"force": np.nan}, "force must be finite, got nan"),

@@ -47,6 +47,16 @@ def test_the_arm_pulls_a_bar_and_is_too_short_for_hockey(own):
         cg.make("Hockey", robots=(own, own))
 
 
+def test_arms_of_six_and_of_seven_joints_play_hockey(edited):
+    longer = ("0 0 0.42", "0 0 0.6"), ("0.42 0 0.05 0.42", "0.6 0 0.05 0.6")
+    arm = edited(*longer, ("0 0 0.38", "0 0 0.55"), reach=1.25)
+    for robots in ((arm, "sawyer"), ("sawyer", arm)):
+        report = cg.evaluate(
+            "Hockey", "expert", episodes=2, robots=robots, num_threads=1
+        )
+        assert sum(side.score.mean for side in report.sides.values()) > 0.0
+
+
 def test_both_model_files_are_the_same_arm(own, from_urdf, compiled):
     for field in ("torque_limits", "armature", "damping", "stiffness"):
         np.testing.assert_allclose(getattr(from_urdf, field), getattr(own, field))

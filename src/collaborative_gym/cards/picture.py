@@ -38,7 +38,7 @@ def draw_card(card: ReportCard, path: str | Path) -> None:
     except ImportError:
         raise ImportError(
             "pictures of report cards need matplotlib, which is not installed;"
-            " pip install 'collaborative-gym[train]'"
+            " pip install -e '.[train]'"
         ) from None
     panels = [_draw_times, _draw_robustness] if card.robustness else [_draw_times]
     size = _PLOT[0] * len(panels), _PLOT[1]

@@ -133,7 +133,7 @@ def _looking() -> Any:
     except ImportError:
         raise ImportError(
             "pictures of comparisons need matplotlib, which is not installed;"
-            " pip install 'collaborative-gym[train]'"
+            " pip install -e '.[train]'"
         ) from None
     return lambda: rc_context(_LOOK)
 

@@ -111,7 +111,7 @@ class Monitor:
             if find_spec(name) is None:
                 raise ImportError(
                     f"training needs {name}, which is not installed;"
-                    " pip install 'collaborative-gym[train]'"
+                    " pip install -e '.[train]'"
                 )
         # Takes seconds, and only a run needs it.
         from torch.utils.tensorboard.writer import SummaryWriter

@@ -28,7 +28,7 @@ try:
 except ImportError as error:
     raise ImportError(
         f"the backend ray needs {error.name}, which is not installed;"
-        " pip install 'collaborative-gym[ray]'"
+        " pip install -e '.[ray]'"
     ) from error
 
 from collaborative_gym.evaluation.machine import cores

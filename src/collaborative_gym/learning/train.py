@@ -12,7 +12,7 @@ try:
 except ImportError as error:
     raise ImportError(
         f"training needs {error.name}, which is not installed;"
-        " pip install 'collaborative-gym[train]'"
+        " pip install -e '.[train]'"
     ) from error
 
 from collaborative_gym.errors import (

@@ -52,11 +52,11 @@ class Weighing:
         if self.together < _MARGIN**2 * most:
             alone = " and ".join(f"{load:.1f}" for load in self.alone)
             raise ValueError(
-                "these arms are too unequal for Lift, or too far from the pot: alone"
-                f" they carry {alone} kg, together {self.together:.1f} kg, which must"
-                f" be {_MARGIN**2:.2f} times what the stronger one carries alone; mount"
-                " that one farther from the pot and the weaker one nearer, or pass"
-                " pot_mass"
+                f"one of these arms carries too much of Lift's pot alone: {alone} kg"
+                f" alone and {self.together:.1f} kg together, which must be"
+                f" {_MARGIN**2:.2f} times what the stronger one carries alone; if one"
+                " is stronger, mount it farther from the pot and the weaker one nearer,"
+                " or pass pot_mass"
             )
         return float(np.sqrt(most * self.together))
 

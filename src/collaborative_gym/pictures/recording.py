@@ -425,5 +425,5 @@ def _import(name: str) -> Any:
     except ImportError as error:
         raise ImportError(
             f"videos and pictures need {name.split('.')[0]}, which is not installed;"
-            " pip install 'collaborative-gym[video]'"
+            " pip install -e '.[video]'"
         ) from error

@@ -76,7 +76,7 @@ def _onnx(path: Path) -> _Run:
         import onnxruntime
     except ImportError as error:
         raise ImportError(
-            f"{path} needs ONNX Runtime; install collaborative-gym[onnx]"
+            f"{path} needs ONNX Runtime; pip install -e '.[onnx]'"
         ) from error
     options = onnxruntime.SessionOptions()  # type: ignore[attr-defined]
     # Networks of this size gain nothing from more.
@@ -93,9 +93,7 @@ def _torchscript(path: Path) -> _Run:
     try:
         import torch
     except ImportError as error:
-        raise ImportError(
-            f"{path} needs torch; install collaborative-gym[train]"
-        ) from error
+        raise ImportError(f"{path} needs torch; pip install -e '.[train]'") from error
     try:
         with warnings.catch_warnings():
             # TorchScript is deprecated; files of it are still around.

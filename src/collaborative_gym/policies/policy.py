@@ -221,7 +221,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
             f"no policy file {path} exists; the folder of a training run has one after"
             " its first validation"
         )
-    raise UnknownName(unknown("policy", name, [*_NAMES, *list_envs()]))
+    shipped = [env_id for env_id in list_envs() if has_baseline(env_id)]
+    raise UnknownName(unknown("policy", name, [*_NAMES, *shipped]))
 
 
 def has_baseline(env_id: str) -> bool:

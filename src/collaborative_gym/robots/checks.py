@@ -10,6 +10,9 @@ from collaborative_gym.robots.data import RobotData, robot_error
 _MOUNTING = 0.5
 """Greatest distance of the first joint from the origin, as a share of the reach."""
 
+_STRETCHED = 1.5
+"""Greatest reach, as a share of the way from the first joint to the tcp."""
+
 _TOUCHING = 0.0005
 """Shapes nearer than this, in m, count as touching at home."""
 
@@ -40,6 +43,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     _check_chain(robot, model)
     data = at_home(robot, model, robot.gripper.open_position)
     _check_mounting(robot, model, data)
+    _check_reach(robot, model, data)
     _check_tcp(robot, model, data)
     if len(robot.gripper.joints) > 1:
         _check_fingers(robot, model)
@@ -103,6 +107,13 @@ def _check_joints(robot: RobotData, model: mujoco.MjModel) -> None:
                 " those of fingers hinges or slides (prismatic)",
             )
     for name in robot.joints:
+        low, high = model.joint(name).range
+        if low > high:
+            raise robot_error(
+                robot,
+                f"joint {name!r} has its range the wrong way round, {low:g} to"
+                f" {high:g}; give the lower end first",
+            )
         if not model.joint(name).limited[0]:
             raise robot_error(
                 robot,
@@ -150,6 +161,19 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
             robot,
             "other joints come between those of the arm; in the model file, put what"
             " branches off the arm behind the link that carries on",
+        )
+
+
+def _check_reach(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise ValueError if the stretched arm is much shorter than its reach."""
+    points = [data.xanchor[model.joint(name).id] for name in robot.joints]
+    points.append(data.site(robot.tcp).xpos)
+    length = sum(np.linalg.norm(b - a) for a, b in pairwise(points))
+    if robot.reach > _STRETCHED * length:
+        raise robot_error(
+            robot,
+            f"its reach is {robot.reach:g} m, but in the model file the way along its"
+            f" joints to the tcp is {length:.2f} m long; give both in m",
         )
 
 

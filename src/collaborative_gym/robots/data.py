@@ -19,6 +19,12 @@ from collaborative_gym.errors import (
 _STANDS = ("pedestal", "table", "none")
 """What an arm can stand on."""
 
+_FASTEST = 30.0
+"""Joint speeds above this, in rad/s, are degrees: no arm turns five times a second."""
+
+_WIDEST = 1.0
+"""Gaps of a gripper above this, in m, are millimetres."""
+
 _PER_JOINT = (
     "home",
     "velocity_limits",
@@ -162,6 +168,11 @@ def _check_gripper(gripper: Gripper) -> None:
             "a gripper's closed_gap must be at least 0 and below its open_gap, got"
             f" {gaps[1]} and {gaps[0]}"
         )
+    if gaps[0] > _WIDEST:
+        raise ValueError(
+            f"a gripper's open_gap must be at most {_WIDEST:g} m, got {gaps[0]:g};"
+            " give m, not mm"
+        )
     if gripper.force <= 0:
         raise ValueError(f"a gripper's force must be above 0, got {gripper.force}")
 
@@ -186,6 +197,12 @@ def _check_values(robot: RobotData) -> None:
                 f" {name}; give one per joint"
             )
         for joint, value in zip(robot.joints, values, strict=True):
+            if name == "velocity_limits" and value > _FASTEST:
+                raise robot_error(
+                    robot,
+                    f"velocity_limits of joint {joint!r} must be at most {_FASTEST:g}"
+                    f" rad/s, got {value:g}; give rad/s, not degrees",
+                )
             least = {"home": -np.inf, "armature": 0.0}.get(name, 1e-9)
             if value < least:
                 bound = "at least 0" if name == "armature" else "above 0"

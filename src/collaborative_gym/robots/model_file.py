@@ -120,11 +120,14 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
                 raise robot_error(robot, f"{file} has {unknown(kind, name, names)}")
     driven = {*robot.joints, *fingers}
     driven |= {eq.name1 for eq in spec.equalities if follows(eq, fingers)}
-    for name in joints:
-        if name not in driven:
+    for joint in spec.joints:
+        if joint.name not in driven:
+            named = repr(joint.name)
+            if not joint.name:
+                named = f"without a name, of body {joint.parent.name!r},"
             raise robot_error(
                 robot,
-                f"{file} has a joint {name!r} that nothing would drive; name it in"
+                f"{file} has a joint {named} that nothing would drive; name it in"
                 ' joints or in gripper.joints, or fix it (type="fixed" in URDF, no'
                 " <joint> in MJCF)",
             )

@@ -37,7 +37,8 @@ def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
                 robot,
                 f"its model file has no torque limit for joint {name!r}; pass"
                 ' torque_limits, or give it in the file (<limit effort="..."> in URDF,'
-                " actuatorfrcrange in MJCF)",
+                " actuatorfrcrange of the joint in MJCF; the forcerange of an actuator"
+                " is not read)",
             )
     return tuple(limits)
 

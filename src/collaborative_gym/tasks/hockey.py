@@ -215,6 +215,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         model = sim.model
         self._lane = dict(zip(self.agents, np.tile(self._lanes, 2), strict=True))
         self._chains = Chains(model, list(scene.arms.values()))
+        # Arms may differ in their number of joints.
+        self._alone = {a: Chains(model, [arm]) for a, arm in scene.arms.items()}
         self._charts = {}
         for agent, arm in scene.arms.items():
             edges = np.diag(self._turns[agent] * _AREA_SIZE)
@@ -414,7 +416,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
           way: (n, 2) in the table's frame, in m.
         """
         arm = self.scene.arms[agent]
-        kinematics = self._chains.of(np.full(len(way), self.agents.index(agent)))
+        kinematics = self._alone[agent].of(np.zeros(len(way), int))
         rows, goal, there = np.arange(len(way)), np.zeros((len(way), 3)), angles.copy()
         goal[:, 2] = HEIGHT + _HOVER
         for i in range(4):

@@ -53,7 +53,7 @@ def tournament_figure(tournament: Tournament) -> "Figure":
     except ImportError:
         raise ImportError(
             "pictures of tournaments need matplotlib, which is not installed;"
-            " pip install 'collaborative-gym[train]'"
+            " pip install -e '.[train]'"
         ) from None
     players = list(tournament.players)
     measures = tournament.measures

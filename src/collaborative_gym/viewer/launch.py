@@ -92,8 +92,8 @@ def _page(session: Session, any_env: bool, host: str, port: int) -> Any:
         from collaborative_gym.viewer.web import Page
     except ImportError as error:
         raise ImportError(
-            f"the viewer in the browser needs {error.name}, which is not installed; pip"
-            " install 'collaborative-gym[view]', or make a video instead:"
+            f"the viewer in the browser needs {error.name}, which is not installed;"
+            " pip install -e '.[view]', or make a video instead:"
             " collaborative-gym record ENV --output video.mp4"
         ) from error
     menu = Menu(session.env, session.policies, any_env=any_env)
