@@ -208,14 +208,20 @@ def test_the_next_start_comes_a_second_after_the_first_policys_success(
 
 
 def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
-    told = []
+    told, shares = [], []
     monkeypatch.setattr(
         recording, "_labelled", lambda frame, text: told.append(text) or frame
     )
-    policies = {"robot_1": "expert", "robot_2": "idle"}
     path = recording.record(
-        "TugPandas-v0", tmp_path / "a.gif", policy=policies, seconds=1.0, size=SIZE
+        "TugPandas-v0",
+        tmp_path / "a.gif",
+        policy={"robot_1": "expert", "robot_2": "idle"},
+        seconds=1.0,
+        size=SIZE,
+        on_progress=shares.append,
     )
+    # It lasts longer than was asked for, and only its end is the whole.
+    assert shares == sorted(shares) and shares.count(1.0) == 1
     assert told[0] == "0.0 s  robot_1 expert 0 : 0 robot_2 idle"
     assert told[-1][7:] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
     # The end is shown for a second.

@@ -109,8 +109,10 @@ def test_unknown_policy_names_the_nearest(make_env):
     with pytest.raises(
         KeyError,
         match=r"did you mean 'expert'\?\); .*expert, frozen, gripping, idle, random",
-    ):
+    ) as caught:
         load_policy("exprt", make_env())
+    assert "PokeTaskSawyers-v0" in str(caught.value)
+    assert "HockeyDoubles-v0" not in str(caught.value)  # It has no baseline.
 
 
 def test_a_policy_is_for_an_environment_of_this_package():

@@ -183,7 +183,8 @@ class Table11:
         """Return how the numbers were made, in one sentence."""
         return (
             f"Means over {self.episodes} episodes of seed {self.seed}, the thesis's"
-            " (2023, Table 11) over 200 trials; on `paper` unless it says `default`."
+            " (2023, Table 11) over 200 trials; from its fixed starts (`paper`) unless"
+            " it says `default`."
         )
 
     def to_json(self) -> str:

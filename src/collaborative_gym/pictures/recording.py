@@ -327,9 +327,12 @@ def _film(
                 yield np.concatenate(frames, axis=1)
             played += CONTROL_DT
             if on_progress is not None:
-                on_progress(min(1.0, played / seconds))
+                # The last start is shown to its end, whenever that comes.
+                on_progress(min(0.99, played / seconds))
             left -= cast[0].is_done
             rows = [player.step() for player in cast] if left >= 0 else []
+    if on_progress is not None:
+        on_progress(1.0)
 
 
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
