@@ -17,7 +17,6 @@ from pathlib import Path
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.policy import POLICY_FILE
 
 TABLE = Path(__file__).parents[1] / "docs" / "tables" / "seeds"
 COMPLETION, PERFORMANCE = 0.98, 0.95
@@ -33,7 +32,7 @@ def main() -> None:
     options = parser.parse_args()
     numbers = TABLE.with_suffix(".json")
     for run in options.runs:
-        policy = NetworkPolicy.load(run / POLICY_FILE if run.is_dir() else run)
+        policy = cg.load_policy(run)
         env, seed = policy.identity.name, policy.metadata["seed"]
         row = measured(env, policy, options.episodes, options.late_episodes)
         rows = json.loads(numbers.read_text()) if numbers.exists() else {}

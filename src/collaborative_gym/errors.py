@@ -45,6 +45,14 @@ class UnknownOption(UnknownName, TypeError):
     """A keyword argument that does not exist. The message is like Python's own."""
 
 
+def how_to_install(extra: str) -> str:
+    """Return the command that installs an extra of this package, in a clone of it.
+
+    What PyPI calls `collaborative-gym` is another project.
+    """
+    return f"pip install -e '.[{extra}]'"
+
+
 @contextmanager
 def naming(what: str) -> Iterator[None]:
     """Begin the message of an error about an input with what was given.

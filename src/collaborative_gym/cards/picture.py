@@ -8,6 +8,7 @@ import numpy as np
 
 from collaborative_gym.cards.card import ReportCard
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.files import replacing
 from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.tasks.task import Task
@@ -38,7 +39,7 @@ def draw_card(card: ReportCard, path: str | Path) -> None:
     except ImportError:
         raise ImportError(
             "pictures of report cards need matplotlib, which is not installed;"
-            " pip install -e '.[train]'"
+            f" {how_to_install('train')}"
         ) from None
     panels = [_draw_times, _draw_robustness] if card.robustness else [_draw_times]
     size = _PLOT[0] * len(panels), _PLOT[1]

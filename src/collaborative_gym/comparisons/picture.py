@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from collaborative_gym.comparisons.result import Comparison, is_share
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.bootstrap import Estimate
 from collaborative_gym.files import replacing
 from collaborative_gym.learning.curve import COLOURS
@@ -133,7 +134,7 @@ def _looking() -> Any:
     except ImportError:
         raise ImportError(
             "pictures of comparisons need matplotlib, which is not installed;"
-            " pip install -e '.[train]'"
+            f" {how_to_install('train')}"
         ) from None
     return lambda: rc_context(_LOOK)
 

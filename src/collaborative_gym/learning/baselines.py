@@ -235,8 +235,14 @@ def _commands(settings: Settings, resources: Resources) -> list[str]:
     ]
 
 
-def _command(env_id: str, own: Mapping[str, Any], randomization: Any) -> str:
-    """Return the command that trains a run again, by what its policy says of it."""
+def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> str:
+    """Return the command that trains a run again.
+
+    Args:
+      env_id: its environment.
+      own: what its policy says of it.
+      starts: how its starts were drawn.
+    """
     numbers = dict(own["hyperparameters"])
     numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
     others = changed(Hyperparameters(**numbers), recipe(env_id))
@@ -245,7 +251,7 @@ def _command(env_id: str, own: Mapping[str, Any], randomization: Any) -> str:
     options = [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
-    if (preset := _preset(randomization)) != "default":
+    if (preset := _preset(starts)) != "default":
         options.append(f"--randomization {preset}")
     if own["opponents"]:
         options.append(f"--opponent {' '.join(own['opponents'])}")

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from numbers import Integral
 from pathlib import Path
 
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.report import Report
 from collaborative_gym.files import naming, write_text
 from collaborative_gym.learning.backend import Iteration
@@ -111,7 +112,7 @@ class Monitor:
             if find_spec(name) is None:
                 raise ImportError(
                     f"training needs {name}, which is not installed;"
-                    " pip install -e '.[train]'"
+                    f" {how_to_install('train')}"
                 )
         # Takes seconds, and only a run needs it.
         from torch.utils.tensorboard.writer import SummaryWriter

@@ -16,6 +16,8 @@ from typing import Any
 import cloudpickle
 import torch
 
+from collaborative_gym.errors import how_to_install
+
 # Ray reads these as it is imported. Unless clusters are off, as on macOS they are, the
 # Ray that it starts listens on all interfaces. Others can be joined all the same.
 os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
@@ -28,7 +30,7 @@ try:
 except ImportError as error:
     raise ImportError(
         f"the backend ray needs {error.name}, which is not installed;"
-        " pip install -e '.[ray]'"
+        f" {how_to_install('ray')}"
     ) from error
 
 from collaborative_gym.evaluation.machine import cores

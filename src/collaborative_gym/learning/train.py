@@ -6,21 +6,23 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+from collaborative_gym.errors import (
+    check_callback,
+    check_count,
+    check_flag,
+    check_kind,
+    how_to_install,
+)
+
 try:
     import skrl  # noqa: F401  # Shows here what is missing.
     import torch
 except ImportError as error:
     raise ImportError(
         f"training needs {error.name}, which is not installed;"
-        " pip install -e '.[train]'"
+        f" {how_to_install('train')}"
     ) from error
 
-from collaborative_gym.errors import (
-    check_callback,
-    check_count,
-    check_flag,
-    check_kind,
-)
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import write_text
 from collaborative_gym.learning.checkpoint import Checkpoint

@@ -19,6 +19,7 @@ from collaborative_gym.errors import (
     check_count,
     check_kind,
     check_number,
+    how_to_install,
     shown,
     unknown,
 )
@@ -428,5 +429,5 @@ def _import(name: str) -> Any:
     except ImportError as error:
         raise ImportError(
             f"videos and pictures need {name.split('.')[0]}, which is not installed;"
-            " pip install -e '.[video]'"
+            f" {how_to_install('video')}"
         ) from error

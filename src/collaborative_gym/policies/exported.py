@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.math import Array
 
 _CPU = ["CPUExecutionProvider"]
@@ -76,7 +77,7 @@ def _onnx(path: Path) -> _Run:
         import onnxruntime
     except ImportError as error:
         raise ImportError(
-            f"{path} needs ONNX Runtime; pip install -e '.[onnx]'"
+            f"{path} needs ONNX Runtime; {how_to_install('onnx')}"
         ) from error
     options = onnxruntime.SessionOptions()  # type: ignore[attr-defined]
     # Networks of this size gain nothing from more.
@@ -93,7 +94,7 @@ def _torchscript(path: Path) -> _Run:
     try:
         import torch
     except ImportError as error:
-        raise ImportError(f"{path} needs torch; pip install -e '.[train]'") from error
+        raise ImportError(f"{path} needs torch; {how_to_install('train')}") from error
     try:
         with warnings.catch_warnings():
             # TorchScript is deprecated; files of it are still around.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.report import Statistic
 from collaborative_gym.files import replacing
 from collaborative_gym.tournaments.result import (
@@ -53,7 +54,7 @@ def tournament_figure(tournament: Tournament) -> "Figure":
     except ImportError:
         raise ImportError(
             "pictures of tournaments need matplotlib, which is not installed;"
-            " pip install -e '.[train]'"
+            f" {how_to_install('train')}"
         ) from None
     players = list(tournament.players)
     measures = tournament.measures

@@ -5,6 +5,7 @@ from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import how_to_install
 from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
@@ -93,7 +94,7 @@ def _page(session: Session, any_env: bool, host: str, port: int) -> Any:
     except ImportError as error:
         raise ImportError(
             f"the viewer in the browser needs {error.name}, which is not installed;"
-            " pip install -e '.[view]', or make a video instead:"
+            f" {how_to_install('view')}, or make a video instead:"
             " collaborative-gym record ENV --output video.mp4"
         ) from error
     menu = Menu(session.env, session.policies, any_env=any_env)
