@@ -286,7 +286,24 @@ def test_a_phone_shows_the_arms_and_a_folded_panel(serve, open_tab, wait_until):
         base = f"{agent}/base"
         wait_until(lambda base=base: 20 < pixel_of(tab, page, base)[0] < 370)
     tab.get_by_text("Collaborative Gym").click()
-    tab.get_by_role("button", name="Play").wait_for()
+    play = tab.get_by_role("button", name="Play")
+    play.wait_for()
+    for button in (play, tab.get_by_role("tab", name="Plots")):
+        assert (button.bounding_box() or {})["height"] >= 44  # for a thumb
+
+
+def test_a_tab_that_takes_the_first_camera_late_gets_its_own_again(
+    serve, open_tab, wait_until
+):
+    _, page = serve(ENVS[0])
+    open_tab(page, width=390, height=800)
+    camera = next(iter(page._server.get_clients().values())).camera
+    first = page._server.initial_camera
+    wait_until(lambda: not np.allclose(camera.position, first.position, atol=0.1))
+    time.sleep(2.0)  # The tab has told its size for the last time.
+    own = camera.position.copy()
+    camera.position, camera.look_at = first.position, first.look_at
+    wait_until(lambda: np.allclose(camera.position, own, atol=0.1), timeout=PATIENCE)
 
 
 def test_shadows_can_be_had(serve, open_tab, wait_until):

@@ -37,6 +37,11 @@ window.isKnown = true;
 draws without a graphics card, where a picture takes a second with them, and on a phone
 folds the panel, which would hide the arms."""
 
+_THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
+.mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
+}</style>"""
+"""Buttons and tabs that a thumb can hit."""
+
 
 class Panel:
     """The panel of all tabs, which share its controls.
@@ -199,7 +204,7 @@ class Panel:
         # An image that cannot be loaded runs it, because pages run no scripts that come
         # later.
         self._script.content = (
-            f'<img src="data:," hidden onerror="{html.escape(script)}">'
+            f'{_THUMBS}<img src="data:," hidden onerror="{html.escape(script)}">'
         )
 
     def _ask(

@@ -77,8 +77,9 @@ class Page:
     def _join(self, client: viser.ClientHandle) -> None:
         """Place a new tab's camera, and again when its picture gets another shape.
 
-        The first size that a tab tells may be that of a page not yet laid out. Whoever
-        has moved the camera keeps it.
+        The first size that a tab tells may be that of a page not yet laid out. A tab
+        may also take the first camera of all tabs after its own. Whoever has moved the
+        camera keeps it.
         """
         if client.client_id not in self._server.get_clients():
             return  # It has left already.
@@ -87,9 +88,11 @@ class Page:
 
         async def follow(camera: viser.CameraHandle) -> None:
             nonlocal aspect, eye
-            own = eye, self._server.initial_camera.position
-            is_unmoved = any(np.allclose(camera.position, at, atol=0.01) for at in own)
-            if is_unmoved and not np.isclose(camera.aspect, aspect, rtol=0.01):
+            first = self._server.initial_camera.position
+            is_placed = np.allclose(camera.position, eye, atol=0.01)
+            is_first = np.allclose(camera.position, first, atol=0.01)
+            has_new_shape = not np.isclose(camera.aspect, aspect, rtol=0.01)
+            if has_new_shape if is_placed else is_first:
                 aspect = camera.aspect
                 eye = self._stage.stand(client, self._panel.view)
 
