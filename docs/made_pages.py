@@ -13,6 +13,7 @@ import os
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 
 import griffe
@@ -45,6 +46,9 @@ COMMANDS = (
 """The verbs of the command line, in the order of its own help."""
 
 _TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey", "Tug")
+_AGAINST = ("Hockey", "Tug")
+"""Those in which robots play against each other."""
+
 _LABELS = (
     "Agents",
     "Randomised",
@@ -100,6 +104,11 @@ def expanded(markdown: str, path: str = "index.md") -> str:
         return _put(comment[1]).replace("](docs/", links)
 
     return re.sub(r"<!-- put: (.+) -->", put, markdown)
+
+
+def still(film: str) -> str:
+    """Return the path of the picture that stands for a film in the gallery."""
+    return film.removesuffix(".gif") + ".jpg"
 
 
 def python_lines(what: str) -> str:
@@ -242,7 +251,7 @@ def _settings(config: type[cg.TaskConfig]) -> str:
     rows = []
     for field in dataclasses.fields(config):
         made = field.default is dataclasses.MISSING
-        default = '"default"' if made else repr(field.default)
+        default = '"default"' if made else _short(field.default)
         rows.append((f"`{field.name}`", meanings[field.name], f"`{default}`"))
     return (
         "Options of `cg.make`, `cg.make_vec` and `gymnasium.make`. The randomization is"
@@ -250,6 +259,11 @@ def _settings(config: type[cg.TaskConfig]) -> str:
         " [`Randomization`](../reference/python.md#collaborative_gym.Randomization)."
         "\n\n" + _table(("setting", "meaning", "default"), rows)
     )
+
+
+def _short(value: object) -> str:
+    """Return a default as one would write it."""
+    return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
 def _attributes(owner: type) -> dict[str, str]:
@@ -296,17 +310,21 @@ def _examples() -> str:
     return "\n\n".join(_folded(path.name, path.read_text()) for path in paths)
 
 
-def _films() -> str:
-    """Return a film of each environment that has one, with links from the gallery."""
+def _films(tasks: Sequence[str]) -> str:
+    """Return a picture of each environment that has a film, which leads to the film.
+
+    The films themselves are too heavy for one page.
+    """
     paragraphs = []
-    for name in _TASKS:
+    for name in tasks:
         for env_id, _ in _envs(name):
             film = f"media/baselines/{env_id}.gif"
             if (ROOT / "docs" / film).exists():
                 page = f"tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
                     f"### [{env_id}]({page})",
-                    f"![{env_id}, played by those whom the picture names]({film})",
+                    f"[![{env_id}, played by those whom the picture names; to its film]"
+                    f"({still(film)})]({film})",
                 ]
     return "\n\n".join(paragraphs)
 
@@ -447,7 +465,7 @@ def _labelled(paragraph: str) -> str:
 
 
 def _place(placement: cg.Placement) -> str:
-    x, y, z = (f"{value:.3g}" for value in placement.position)
+    x, y, z = (f"{value + 0.0:.3g}" for value in placement.position)  # no -0
     return f"({x}, {y}, {z}) m, turned by {np.degrees(placement.yaw):.0f} degrees"
 
 
@@ -471,6 +489,7 @@ _MADE = {
     "chart": _chart,
     "environments": _environments,
     "examples": _examples,
-    "films": _films,
+    "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
+    "films against": partial(_films, _AGAINST),
 }
 """What is put into a page by the name of what makes it."""
