@@ -72,8 +72,8 @@ def section(env: str, found: dict) -> list[str]:
         )
     lines.append("")
     for seat, lists in found["conventions"].items():
-        listed = "; ".join(", ".join(own) for own in lists)
-        lines.append(f"- partners by the {seat} that suits them: {listed}")
+        listed = "; ".join(", ".join(f"`{name}`" for name in own) for own in lists)
+        lines.append(f"- groups of partners that the same {seat} suits: {listed}")
     return [*lines, ""]
 
 
@@ -104,8 +104,8 @@ def main() -> None:
     fewest = min(found["episodes"] for found in kept.values())
     head = (
         "Each cell has completion in %, performance in % and return, over"
-        f" {fewest} episodes or more. Of {fewest}, 100 % is 95 % surely"
-        f" {100 * wilson(1.0, fewest)[0]:.0f} % or more (Wilson)."
+        f" {fewest} episodes or more. For 100 % of {fewest} episodes, the 95 % interval"
+        f" is {100 * wilson(1.0, fewest)[0]:.0f} to 100 % (Wilson)."
     )
     lines = [line for env in order for line in section(env, kept[env])]
     path.with_suffix(".md").write_text("\n".join([head, "", *lines]).rstrip() + "\n")

@@ -57,8 +57,9 @@ def table(rows: dict[str, dict]) -> str:
     told = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
     lines += [
         "",
-        f"Completion and performance in %, over {told} episodes of each cell. Of"
-        f" {counts[0]} episodes 100 % is 95 % surely {low:.0f} % or more (Wilson).",
+        f"Completion and performance in %, over {told} episodes of each cell. For"
+        f" 100 % of {counts[0]} episodes, the 95 % interval is {low:.0f} to 100 %"
+        " (Wilson).",
     ]
     return "\n".join(lines) + "\n"
 

@@ -164,7 +164,7 @@ def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp
     told = capsys.readouterr().out
     assert "idle + expert" in told and "robot_1 / robot_2" in told
     assert "worst: idle" in told and "self-play" in told and "2 of scripted" in told
-    assert "Partners by the robot_2 that suits them:" in told
+    assert "Groups of partners that the same robot_2 suits:" in told
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names >= {"pairings", "tournament.json", "tournament.csv"}
     assert main([*line, "--json", "-"]) == 0

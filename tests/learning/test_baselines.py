@@ -98,7 +98,8 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     start = card.with_suffix(".safetensors").name
     card = train_both(output=tmp_path / "more", start_from=start, randomization="wide")
     text = card.read_text()
-    began = f"beginning with the policy `{start}` of then (digest {first.digest[:12]}"
+    began = f"beginning with the policy `{start}` as it was then (digest"
+    began += f" {first.digest[:12]}"
     assert began in text and "0.00 M steps from scratch, without" in text
     # All runs that led to it can be trained again, one after another.
     commands = [line for line in text.splitlines() if line.startswith("- command")]

@@ -139,7 +139,7 @@ def _partners_table(tournament: Tournament) -> Table:
     table.caption = _tournament_caption(tournament)
     for seat, lists in tournament.conventions.items():
         listed = " | ".join(", ".join(map(names.__getitem__, own)) for own in lists)
-        table.caption += f"\nPartners by the {seat} that suits them: {listed}."
+        table.caption += f"\nGroups of partners that the same {seat} suits: {listed}."
     return table
 
 

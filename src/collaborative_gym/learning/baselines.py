@@ -205,7 +205,7 @@ def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
     own = start["metadata"]
     before = _beginning(own.get("start_from", ""), own.get("start", {}))
     return (
-        f"beginning with the policy `{start_from}` of then (digest"
+        f"beginning with the policy `{start_from}` as it was then (digest"
         f" {start['digest'][:12]}, seed {own['seed']}, {own['steps'] / 1e6:.2f} M"
         f" steps {before})"
     )
