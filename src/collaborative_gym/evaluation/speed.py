@@ -41,7 +41,7 @@ class Speed:
       env_rate: of `VectorEnv.step`, with its resets.
       ratio: the median of the rounds' env_rate / bare_rate.
       rate_per_core: env_rate by the threads that it used.
-      single_rate: of one PettingZoo environment.
+      single_rate: of one PettingZoo environment, with its resets.
       reset_ms: time of one world's reset, in ms.
       make_s: time to make the first PettingZoo environment of a process, in s.
       kb_per_env: memory per world, in kB.
@@ -186,7 +186,14 @@ def _single_rate(env: PettingZooEnv) -> float:
         }
         for _ in range(count)
     ]
-    return count / _time(lambda: [env.step(action) for action in actions])
+
+    def step() -> None:
+        for action in actions:
+            if not env.agents:  # A side has won, which ends the episode early.
+                env.reset()
+            env.step(action)
+
+    return count / _time(step)
 
 
 def _time(call: Callable[[], object]) -> float:
