@@ -71,6 +71,7 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
     [
         (KeyError, {"robots": ("panda", "jacko")}, "no robot 'jacko' .*mean 'jaco'"),
         (KeyError, {"heigt": 1.0}, "no option 'heigt' .*mean 'height'.*; options: "),
+        (KeyError, {"robot": "panda"}, "no option 'robot' .*mean 'robots'"),
         (
             KeyError,
             {"randomization": "papr"},

@@ -42,6 +42,17 @@ def check_writable(path: str | Path) -> None:
         pass
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, if they are missing.
+
+    Raises:
+      OSError: if it cannot be made; says so if it is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, f"{folder} is a file, not a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with replacing(path) as partial:
@@ -60,7 +71,7 @@ def _beside(path: Path) -> Iterator[Path]:
         with naming(path):
             if path.exists() and not path.is_file():
                 raise IsADirectoryError(errno.EISDIR, "it is a folder or a device")
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             folder = stack.enter_context(
                 TemporaryDirectory(
                     prefix=f".{path.stem}.",

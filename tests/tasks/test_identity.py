@@ -58,6 +58,16 @@ def test_arms_are_told_apart_by_name_value_and_number():
     assert alone.differences(pandas) == ['robots is ["panda"], not ["panda", "panda"]']
 
 
+def test_where_other_arms_stand_is_not_told():
+    sawyers, mixed = identity("PokeTaskSawyers-v0"), identity("PokeTaskPandaSawyer-v0")
+    assert sawyers.config["placements"] != mixed.config["placements"]
+    found = sawyers.differences(mixed, ignore=ON_PLAYING)
+    assert found == ["robot_1 is sawyer, not panda"]
+    moved = identity("Poke", "sawyer", "sawyer")
+    (told,) = moved.differences(sawyers, ignore=ON_PLAYING)
+    assert told.startswith("placements is ")
+
+
 def test_an_arm_with_another_model_file_is_another_arm(tmp_path):
     panda = cg.get_robot("panda")
     file = tmp_path / "panda.xml"

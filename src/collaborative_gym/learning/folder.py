@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
 
-from collaborative_gym.files import naming
+from collaborative_gym.files import make_folder, naming
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 
 try:
@@ -44,7 +44,7 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
     if wanted is not None and not (folder / wanted).is_file():
         raise no_checkpoint(folder / wanted)
     with naming(folder / LOCK):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         # The file stays: a run that waits for it would otherwise hold no lock.
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:

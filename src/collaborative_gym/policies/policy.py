@@ -34,6 +34,12 @@ BASELINES = Path(__file__).parents[1] / "baselines"
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 
+_FIRST = (
+    "after its first validation: there is one every --validation-interval steps, and"
+    " one at the end"
+)
+"""When a training run has a policy."""
+
 _PLAYERS = "players"
 """Where the folder of a run with several players has a policy for each."""
 
@@ -205,8 +211,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
     if path.is_dir():
         if not (path / POLICY_FILE).exists():
             raise FileNotFoundError(
-                f"{path} has no {POLICY_FILE}; training writes it at its first"
-                " validation"
+                f"{path} has no {POLICY_FILE}; give the folder of one training run,"
+                f" which has it {_FIRST}"
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
@@ -218,8 +224,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
         return NetworkPolicy.load(look_up("player", path.name, names))
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(
-            f"no policy file {path} exists; the folder of a training run has one after"
-            " its first validation"
+            f"no policy file {path} exists; the folder of a training run has one"
+            f" {_FIRST}"
         )
     shipped = [env_id for env_id in list_envs() if has_baseline(env_id)]
     raise UnknownName(unknown("policy", name, [*_NAMES, *shipped]))

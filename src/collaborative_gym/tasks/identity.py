@@ -124,6 +124,9 @@ class Identity:
                     found.append(f"{agent} is {robot['name']}, not {wanted['name']}")
                 elif robot != wanted:
                     found.append(f"{agent} is another arm of the name {robot['name']}")
+        if self.robot_names != other.robot_names:
+            # Other arms stand elsewhere, which tells nothing more.
+            ignore = {*ignore, "placements"}
         own, others = (
             {name: value for name, value in config.items() if name not in ignore}
             for config in (self.config, other.config)

@@ -209,7 +209,7 @@ def _configure(task: type[Task], settings: dict[str, Any]):
         if option not in valid:
             raise UnknownOption(
                 f"got an unexpected keyword argument {option!r}:"
-                f" {unknown('option', option, valid)}"
+                f" {unknown('option', option, [*valid, 'robots'])}"
             )
     return task.config_class(**settings)
 
