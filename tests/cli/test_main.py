@@ -45,7 +45,15 @@ def test_list_builds_worlds_for_their_sizes_alone(carry_id, capsys, monkeypatch)
     assert main(["list", "--sizes"]) == 0
     lines = capsys.readouterr().out.splitlines()
     carry = [line.split() for line in lines if line.startswith(carry_id)]
-    assert carry[1] == [*carry[0], "19,", "19", "8,", "8"]
+    assert carry[1] == [carry_id, "panda,", "panda", "19,", "19", "8,", "8"]
+
+
+def test_a_list_with_sizes_has_room_for_every_name(capsys, monkeypatch):
+    monkeypatch.setattr(environments, "list_envs", lambda: ["HockeyDoubles-v0"])
+    assert main(["list", "--sizes"]) == 0
+    table = capsys.readouterr().out.partition("\n\n")[0]
+    assert "HockeyDoubles-v0" in table and "31, 31, 31, 31" in table
+    assert "…" not in table
 
 
 @pytest.mark.parametrize("command", ["evaluate Carry --episodes 2", "benchmark Poke"])

@@ -36,8 +36,8 @@ class List(Command):
     """List the environments, with their robots and whether a baseline is shipped.
 
     Attributes:
-      sizes: list the sizes of each agent's observation and action, too. It builds every
-        world, which takes seconds.
+      sizes: list the sizes of each agent's observation and action instead of the task
+        and the baseline. It builds every world, which takes seconds.
     """
 
     sizes: tyro.conf.FlagCreatePairsOff[bool] = False

@@ -9,20 +9,27 @@ from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 
 
 def environments_table(with_sizes: bool) -> Table:
-    """Return ids, tasks and robots of all environments, one line each."""
-    sizes = ["observation", "action"] if with_sizes else []
-    table = new_table("environment", "task", "robots", "baseline", *sizes)
-    for column in table.columns[1:4]:
-        column.justify = "left"
+    """Return ids and robots of all environments, one line each.
+
+    Args:
+      with_sizes: whether each line has the sizes instead of the task and the baseline,
+        since a terminal has no room for all.
+    """
+    if with_sizes:
+        table = new_table("environment", "robots", "observation", "action")
+        table.columns[1].justify = "left"
+    else:
+        table = new_table("environment", "task", "robots", "baseline")
+        for column in table.columns:
+            column.justify = "left"
     for env_id in list_envs():
         spec = get_env(env_id)
-        table.add_row(
-            env_id,
-            spec.task.__name__,
-            ", ".join(spec.robots),
-            "yes" if has_baseline(env_id) else "-",
-            *(_sizes(env_id) if with_sizes else ()),
-        )
+        robots = ", ".join(spec.robots)
+        if with_sizes:
+            table.add_row(env_id, robots, *_sizes(env_id))
+        else:
+            baseline = "yes" if has_baseline(env_id) else "-"
+            table.add_row(env_id, spec.task.__name__, robots, baseline)
     return table
 
 
