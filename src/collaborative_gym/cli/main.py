@@ -28,7 +28,7 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.compare import Compare
 from collaborative_gym.cli.report import Report
-from collaborative_gym.cli.terminal import Command, tell
+from collaborative_gym.cli.terminal import WHOLE_NUMBERS, Command, tell
 from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import Train
 from collaborative_gym.errors import UnknownName, unknown
@@ -122,7 +122,10 @@ def _run(arguments: list[str]) -> None:
     verb = arguments[0] if arguments else ""
     if verb in _VERBS:  # Reading the options of one command is quicker.
         command = tyro.cli(
-            _VERBS[verb], prog=f"collaborative-gym {verb}", args=arguments[1:]
+            _VERBS[verb],
+            prog=f"collaborative-gym {verb}",
+            args=arguments[1:],
+            registry=WHOLE_NUMBERS,
         )
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))

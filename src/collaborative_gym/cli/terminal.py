@@ -113,6 +113,36 @@ class Played(Worlds):
     any_env: tyro.conf.FlagCreatePairsOff[bool] = False
 
 
+WHOLE_NUMBERS = tyro.constructors.ConstructorRegistry()
+"""Reads integers, and says in plain words what is none."""
+
+
+@WHOLE_NUMBERS.primitive_rule
+def _whole_number(
+    info: tyro.constructors.PrimitiveTypeInfo,
+) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
+    # An option without a value of its own has None, which nobody types.
+    if info.type not in (int, int | None):
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="INT",
+        instance_from_str=lambda words: _read_whole_number(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def _read_whole_number(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError:
+        # Python speaks of literals and bases. Many write a million as 1e6.
+        raise ValueError(
+            f"{word!r} is not a whole number; write it in digits, such as 1000000"
+        ) from None
+
+
 STANDARD_OUTPUT = Path("-")
 """Stands for standard output where a file is named."""
 
