@@ -36,7 +36,8 @@ def compare(
     validated = [run for run in found if run.rows]
     if not validated:
         raise ValueError(
-            f"none of {len(found)} runs has a validation yet; let them train for longer"
+            f"there is no validation yet in {len(found)} of {len(found)} runs; let them"
+            " train for longer: there is one every --validation-interval steps"
         )
     grouping = group_runs(validated)
     measures = _measures(grouping)

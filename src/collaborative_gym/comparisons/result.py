@@ -232,14 +232,17 @@ class Comparison:
         """What was compared, and what it differs in, as sentences."""
         count = sum(len(group.runs) for group in self.groups)
         seeds = sorted({run.seed for group in self.groups for run in group.runs})
-        lines = [f"{count} runs, seeds {', '.join(map(str, seeds))}."]
+        runs = "1 run" if count == 1 else f"{count} runs"
+        seed = "seed" if len(seeds) == 1 else "seeds"
+        lines = [f"{runs}, {seed} {', '.join(map(str, seeds))}."]
         named = dict(self.grouping.differences)
         if len(self.environments) > 1:
             named = {"environment": list(self.environments), **named}
         told = "; ".join(f"{name} ({', '.join(v)})" for name, v in named.items())
-        lines.append(
-            f"They differ in {told}." if told else "They differ in nothing else."
-        )
+        if count > 1:
+            lines.append(
+                f"They differ in {told}." if told else "They differ in nothing else."
+            )
         others = self.grouping.of_environments
         if others:
             told = "; ".join(f"{name} ({', '.join(v)})" for name, v in others.items())
