@@ -56,6 +56,27 @@ def test_a_list_with_sizes_has_room_for_every_name(capsys, monkeypatch):
     assert "…" not in table
 
 
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("certify Poke --output {folder}", True),
+        ("tournament Poke --policies idle expert --output {folder}", True),
+        ("tournament Poke --policies idle expert", False),
+    ],
+)
+def test_ctrl_c_tells_what_the_same_command_continues(
+    command, told, capsys, monkeypatch, tmp_path
+):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    for work in ("certificate.certify.certify", "tournaments.play.tournament"):
+        monkeypatch.setattr(f"collaborative_gym.{work}", interrupt)
+    assert main(command.format(folder=tmp_path).split()) == 130
+    said = "stopped; the same command continues" in capsys.readouterr().err
+    assert said == told
+
+
 @pytest.mark.parametrize("command", ["evaluate Carry --episodes 2", "benchmark Poke"])
 def test_a_file_named_dash_is_standard_output(carry_id, capsys, command):
     arguments = [*command.split(), "--num-envs", "2", "--num-threads", "1"]

@@ -20,6 +20,7 @@ from collaborative_gym.cli.terminal import (
     Size,
     Worlds,
     check_files,
+    continuing,
     progress_bars,
     put,
     read_policies,
@@ -281,7 +282,7 @@ class Certify(Worlds):
         markdown = self.output / "certificates.md"
         check_files(markdown)
         certificates = []
-        with progress_bars() as progress:
+        with continuing(), progress_bars() as progress:
             for env_id in env_ids:
                 tell(f"{env_id}: each arm in turn is still; each trial prints a line")
                 certificate = certify(

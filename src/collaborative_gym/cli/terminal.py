@@ -244,6 +244,19 @@ def warn(text: str) -> None:
 
 
 @contextmanager
+def continuing() -> Iterator[None]:
+    """Tell after Ctrl-C that the same command continues what was done in the context.
+
+    Raises:
+      KeyboardInterrupt: the same, with words for the user.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("stopped; the same command continues") from None
+
+
+@contextmanager
 def progress_bars() -> Iterator[Progress]:
     """Show progress bars below one another while the context lasts.
 

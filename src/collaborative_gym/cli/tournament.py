@@ -1,6 +1,7 @@
 """The command that lets policies play with one another."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,7 @@ from collaborative_gym.cli.terminal import (
     Played,
     Policies,
     check_files,
+    continuing,
     progress_bars,
     put,
     read_policies,
@@ -79,7 +81,8 @@ class Tournament(Played):
         files = [self.output / name for name in names] if self.output else []
         check_files(*files, self.json)
         besides = (self.json,)
-        with progress_bars() as progress:
+        stoppable = continuing() if self.output else nullcontext()
+        with stoppable, progress_bars() as progress:
             played = tournament(
                 self.env,
                 read_policies(self.policies),
