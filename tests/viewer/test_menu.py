@@ -83,6 +83,22 @@ def test_another_environment_has_its_own_arms_and_able_players(menu):
     assert len(doubles.robots) == 4
 
 
+def test_another_arm_has_able_players(env):
+    menu = Menu(env, {"robot_1": "baseline", "robot_2": "runs/mine"})
+    assert {"baseline", "runs/mine"} <= set(menu.policies(lift()))
+    choice = lift("baseline", "expert:first-leads")
+    armed = menu.armed(choice, 1, "jaco")
+    assert armed.robots == ("sawyer", "jaco")
+    assert armed.policies == ("expert", "expert:first-leads")
+    assert "baseline" not in menu.policies(armed)
+    with pytest.raises(KeyError, match="no policy 'baseline'"):
+        menu.read(armed.link.replace("policies=expert&", "policies=baseline&"))
+    assert menu.armed(lift("idle", "runs/mine"), 0, "jaco").policies[1] == "expert"
+    anywhere = Menu(env, {"robot_1": "expert", "robot_2": "runs/mine"}, any_env=True)
+    kept = anywhere.armed(lift("idle", "runs/mine"), 0, "jaco")
+    assert kept.policies == ("idle", "runs/mine")
+
+
 def test_the_same_world_is_kept_for_other_policies_and_starts(menu, env):
     chosen = menu.chosen(env, {"robot_1": "idle", "robot_2": "idle"})
     same, act, policies = menu.load(chosen, env)

@@ -1,6 +1,6 @@
 """What a viewer may play: environments, arms, policies and starts."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 from urllib.parse import parse_qs, urlencode
@@ -91,8 +91,9 @@ class Menu:
 
     def policies(self, choice: Choice) -> tuple[str, ...]:
         """Return who may command the arms of a choice."""
-        styles = {**STYLES, **self._make(choice).styles}
-        names = [*self._policies, *(f"expert:{style}" for style in styles)]
+        # A viewer that was started with baselines also goes where there are none.
+        given = [name for name in self._policies if name != "baseline"]
+        names = [*given, *self._styles(choice)]
         if self._has_baseline(choice):
             names.insert(1, "baseline")
         return tuple(dict.fromkeys(names))
@@ -120,12 +121,17 @@ class Menu:
 
         The same policies go on if they can play there; else the expert plays.
         """
-        robots = self._usual(env)
-        choice = replace(choice, env=env, robots=robots)
-        able = {*_SCRIPTED, *(["baseline"] if self._has_baseline(choice) else [])}
-        names = [name if name in able else "expert" for name in choice.policies]
-        names += names[-1:] * len(robots)
-        return replace(choice, policies=tuple(names[: len(robots)]))
+        return self._able(replace(choice, env=env, robots=self._usual(env)))
+
+    def armed(self, choice: Choice, i: int, robot: str) -> Choice:
+        """Return the choice of another arm for one of the agents.
+
+        The same policies go on if they can play with it; else the expert plays.
+        """
+        robots = list(choice.robots)
+        robots[i] = robot
+        given = self._policies if self._any_env else ()
+        return self._able(replace(choice, robots=tuple(robots)), given)
 
     def read(self, link: str) -> Choice:
         """Return the choice of a link; what it does not say is as usual.
@@ -186,11 +192,33 @@ class Menu:
         robots = [self._robots[name] for name in choice.robots]
         return make_task(choice.env, robots, randomization)
 
+    def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
+        """Return the choice with the expert for each policy that cannot play there.
+
+        Args:
+          choice: what to play.
+          given: which can, besides the scripted ones and a shipped baseline.
+        """
+        able = {*_SCRIPTED, *self._styles(choice), *given} - {"baseline"}
+        if self._has_baseline(choice):
+            able.add("baseline")
+        names = [name if name in able else "expert" for name in choice.policies]
+        names += names[-1:] * len(choice.robots)
+        return replace(choice, policies=tuple(names[: len(choice.robots)]))
+
+    def _styles(self, choice: Choice) -> list[str]:
+        """Return the names of the expert's styles."""
+        return [f"expert:{each}" for each in {**STYLES, **self._make(choice).styles}]
+
     def _usual(self, env: str) -> tuple[str, ...]:
         """Return an environment's own arms."""
         return _arms(make_task(env) if env in list_envs() else self._task)
 
     def _has_baseline(self, choice: Choice) -> bool:
+        if "baseline" in self._policies:
+            own = self._task.name, _arms(self._task)
+            if (choice.env, choice.robots) == own:  # It plays already.
+                return True
         is_shipped = has_baseline(choice.env)
         return is_shipped and choice.robots == self._usual(choice.env)
 

@@ -182,20 +182,20 @@ class Panel:
                 ),
             ]
             for i, agent in enumerate(env.agents):
-                for what, field, options in (
-                    ("arm", "robots", menu.robots),
-                    ("policy", "policies", menu.policies(choice)),
-                ):
-                    offers.append(
-                        self._ask(
-                            f"{agent}, {what}",
-                            options,
-                            getattr(choice, field)[i],
-                            lambda now, name, i=i, field=field: _with(
-                                now, field, i, name
-                            ),
-                        )
-                    )
+                offers += [
+                    self._ask(
+                        f"{agent}, arm",
+                        menu.robots,
+                        choice.robots[i],
+                        lambda now, name, i=i: menu.armed(now, i, name),
+                    ),
+                    self._ask(
+                        f"{agent}, policy",
+                        menu.policies(choice),
+                        choice.policies[i],
+                        lambda now, name, i=i: _led(now, i, name),
+                    ),
+                ]
             self._link = self._gui.add_html("")
             offers.append(self._link)
         self._offers = offers
@@ -230,10 +230,11 @@ def _on_user(box: Any, do: Callable[[Any], object]) -> None:
     box.on_update(lambda event: event.client and do(event.target.value))
 
 
-def _with(choice: Choice, field: str, i: int, name: str) -> Choice:
-    names = list(getattr(choice, field))
-    names[i] = name
-    return replace(choice, **{field: tuple(names)})
+def _led(choice: Choice, i: int, policy: str) -> Choice:
+    """Return the choice of another policy for one of the agents."""
+    policies = list(choice.policies)
+    policies[i] = policy
+    return replace(choice, policies=tuple(policies))
 
 
 def _heading(task: Task, reading: Reading) -> str:
