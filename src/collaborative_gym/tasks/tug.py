@@ -19,11 +19,11 @@ and the posture in which each arm holds it.
 Reward of each agent:
 
 - `win`: 10 for the winner and -10 for the loser, once, else 0.
-- `way`: twice the speed of the bar towards the own line, in m/s. Shaping.
+- `way`: twice the speed of the bar towards the agent's line, in m/s. Shaping.
 - `effort`: -0.01 times the length of the action. Shaping.
 
 Success of a side: the bar's middle is past its line. The episode ends then. When time
-is up it is a draw. Performance counts how long the bar is on the own half.
+is up it is a draw. Performance counts how long the bar is on its half.
 
 Each line is 0.14 of the arms' mean reach away from the start of the bar. Unequal arms
 get a handicap by their strengths. The strength of an arm is the pull that its torque
@@ -133,7 +133,7 @@ class TugFacts:
 
 
 class Tug(Task[TugConfig, TugFacts]):
-    """Pull the bar over the own line, against the other arm.
+    """Pull the bar over your own line, against the other arm.
 
     Attributes:
       lines: distance of each agent's line from where the bar starts, in m.
