@@ -123,6 +123,20 @@ def test_the_time_shows_and_leads(poke, wait_until):
     wait_until(lambda: session.reading.time == pytest.approx(0.1))
 
 
+def test_a_slider_past_what_was_played_comes_back(poke, wait_until):
+    session, page = poke
+    session.step()
+    slider = page._panel._time
+    wait_until(lambda: slider.value == pytest.approx(0.1))
+    for _ in range(2):  # The second time the world is there already.
+        slider._impl.value = 18.0
+        event = SimpleNamespace(client=object(), target=slider)
+        for callback in slider._impl.update_cb:
+            callback(event)
+        wait_until(lambda: slider.value == pytest.approx(0.1))
+    assert session.reading.time == pytest.approx(0.1)
+
+
 def test_contact_forces_bear_what_lies_on_the_ground():
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])

@@ -259,7 +259,7 @@ def test_an_episode_can_be_gone_back_in_and_goes_on_with_the_same_bits(
         session.seek(step)
         wait_until(lambda step=step: steps_done(session) == step)
         np.testing.assert_array_equal(positions(session), expected[step])
-        assert session.reading is session.film[step].reading
+        assert session.reading == session.film[step].reading
     assert len(session.film) == 6  # What was played is kept until time goes on.
     session.step()
     wait_until(lambda: steps_done(session) == 4)

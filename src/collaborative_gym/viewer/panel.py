@@ -132,7 +132,7 @@ class Panel:
             "Episode", list(moves), hint="Back: to the end of what was played before it"
         )
         self._time = gui.add_slider(
-            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
+            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
         )
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
         # Not in a tab: no script finds what is in a tab that is not open.

@@ -250,7 +250,9 @@ class Session:
         frame = self.film[min(step, len(self.film) - 1)]
         self._spring.forget()
         self._observations = self.env.set_state(frame.state)
-        self.reading, self._ended = frame.reading, 0.0
+        # A new object, so that a slider that was drawn past the end is set back even
+        # where the world was at the end already.
+        self.reading, self._ended = replace(frame.reading), 0.0
         self._draw()
 
     def _go_back(self) -> None:
