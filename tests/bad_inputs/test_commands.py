@@ -132,6 +132,8 @@ WHOLE = [
     ("train Lif", "Lif"),
     ("train Poke --total-steps 1e6", "'1e6' is not a whole number"),
     ("train Poke --seed None", "'None' is not a whole number"),
+    ("train Poke --mode foo", "('collaborative', 'independent', 'shared', 'centr"),
+    ("train Poke --algorithm None", "Expected one of ('ppo', 'sac')"),
     ("train --all --mode shared", "mode"),
     ("train --all --seed 1", "seed"),
     ("train Poke --output {folder}/a --resume {folder}/b", "{folder}/b"),

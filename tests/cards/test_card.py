@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -47,6 +48,8 @@ def test_the_page_tells_what_was_found(card):
     for name in DISTURBANCES:
         assert f"\n| {name} | " in page.partition("## Robustness")[2]
     assert "| robot_1 / robot_2 | expert | idle |" in page
+    assert "\n| expert | 100 % (34 to 100) | " in page.partition("**completion**")[2]
+    assert page.rstrip().endswith(f"mujoco {mujoco.__version__}.")
 
 
 def test_each_disturbance_is_measured_alone(carry):

@@ -15,7 +15,7 @@ def test_a_panel_for_each_environment_then_the_profile_and_the_improvement(two_m
     figure = comparison_figure(cg.compare(two_modes))
     assert figure.get_figwidth() == 7.16
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles == ["CarryPandas-v0", "profile", "improvement"]
+    assert titles == ["(a) CarryPandas-v0", "(b) profile", "(c) improvement"]
     curves = figure.axes[0]
     first, second = curves.get_lines()
     assert (first.get_label(), second.get_label()) == ("collaborative", "independent")

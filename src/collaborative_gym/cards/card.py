@@ -1,7 +1,6 @@
 """The report card of policies: how they do, how gently, disturbed and with others."""
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +10,8 @@ from collaborative_gym.evaluation.play import evaluate
 from collaborative_gym.evaluation.report import (
     Report,
     format_statistic,
+    markdown_tables,
     plain_to_json,
-    reports_to_markdown,
 )
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.policies import AnyPolicy, name_policy
@@ -20,7 +19,7 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Randomization, Task
 from collaborative_gym.tournaments.play import tournament
-from collaborative_gym.tournaments.result import Tournament, format_measure
+from collaborative_gym.tournaments.result import Tournament, format_estimate
 
 _PERCENT = ("completion", "performance")
 
@@ -75,13 +74,14 @@ class ReportCard:
                 " nothing is trained. Intervals are of 95 %, Wilson's of completion and"
                 " the bootstrap's of all else."
             )
-            # The page is of one environment, the first column of the tables.
-            table = reports_to_markdown([report]).strip()
-            parts.append(re.sub(r"(?m)^\|[^|]*(?=\|)", "", table))
+            parts.append(markdown_tables(report).strip())
         if self.robustness:
             parts += ["## Robustness", self._robustness()]
         if self.cross_play:
             parts += ["## Cross-play", *self._matrices(self.cross_play)]
+        versions = next(iter(self.reports.values())).settings["identity"]["versions"]
+        told = ", ".join(f"{name} {version}" for name, version in versions.items())
+        parts.append(f"Versions: {told}.")
         return "\n\n".join(parts) + "\n"
 
     def _robustness(self) -> str:
@@ -106,7 +106,7 @@ class ReportCard:
             first, *others = played.seats
             head = f"{first} / {others[0]}" if len(others) == 1 else "one / all others"
             lines = [
-                [row, *(format_measure(measure, each.mean) for each in cells.values())]
+                [row, *(format_estimate(measure, each) for each in cells.values())]
                 for row, cells in played.matrices[measure].items()
             ]
             parts.append(f"**{measure}**\n\n{_table([head, *played.players], lines)}")

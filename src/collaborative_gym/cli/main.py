@@ -28,7 +28,7 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.compare import Compare
 from collaborative_gym.cli.report import Report
-from collaborative_gym.cli.terminal import WHOLE_NUMBERS, Command, tell
+from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, tell
 from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import Train
 from collaborative_gym.errors import UnknownName, unknown
@@ -125,7 +125,7 @@ def _run(arguments: list[str]) -> None:
             _VERBS[verb],
             prog=f"collaborative-gym {verb}",
             args=arguments[1:],
-            registry=WHOLE_NUMBERS,
+            registry=PLAIN_WORDS,
         )
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))

@@ -1,6 +1,5 @@
 """Tables that the command line prints."""
 
-import math
 from collections.abc import Sequence
 
 from rich.table import Table
@@ -26,6 +25,7 @@ from collaborative_gym.evaluation.speed import Benchmark
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 from collaborative_gym.tournaments.result import (
     Tournament,
+    format_estimate,
     format_measure,
     short_names,
 )
@@ -178,13 +178,9 @@ def _tournament_caption(tournament: Tournament) -> str:
 
 def _measured(measure: str, statistic: Statistic) -> Text:
     """Return a mean, and its interval below."""
-    name = measure.partition(" ")[0]
-    mean = Text(format_measure(name, statistic.mean))
-    if math.isnan(statistic.low):
-        return mean
-    ends = (format_measure(name, end) for end in (statistic.low, statistic.high))
-    low, high = (end.removesuffix(" %") for end in ends)
-    return mean.append(f"\n{low} to {high}", "dim")
+    told = format_estimate(measure.partition(" ")[0], statistic)
+    mean, _, ends = told.rstrip(")").partition(" (")
+    return Text.assemble(mean, (f"\n{ends}" if ends else "", "dim"))
 
 
 def comparison_tables(comparison: Comparison) -> list[Table]:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Literal, get_args, get_origin
 
 import tyro
 from rich import box
@@ -113,11 +114,11 @@ class Played(Worlds):
     any_env: tyro.conf.FlagCreatePairsOff[bool] = False
 
 
-WHOLE_NUMBERS = tyro.constructors.ConstructorRegistry()
-"""Reads integers, and says in plain words what is none."""
+PLAIN_WORDS = tyro.constructors.ConstructorRegistry()
+"""Reads whole numbers and names so that errors about them are in plain words."""
 
 
-@WHOLE_NUMBERS.primitive_rule
+@PLAIN_WORDS.primitive_rule
 def _whole_number(
     info: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
@@ -130,6 +131,25 @@ def _whole_number(
         instance_from_str=lambda words: _read_whole_number(words[0]),
         is_instance=lambda value: value is None or isinstance(value, int),
         str_from_instance=lambda value: [str(value)],
+    )
+
+
+@PLAIN_WORDS.primitive_rule
+def _name_or_none(
+    info: tyro.constructors.PrimitiveTypeInfo,
+) -> tyro.constructors.PrimitiveConstructorSpec[str] | None:
+    """Offer the names of `Literal[...] | None`, but not None, which nobody types."""
+    kinds = [kind for kind in get_args(info.type) if kind is not NoneType]
+    if len(kinds) == len(get_args(info.type)) or get_origin(kinds[0]) is not Literal:
+        return None
+    names = get_args(kinds[0])
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="NAME",
+        instance_from_str=lambda words: words[0],
+        is_instance=lambda value: value is None or value in names,
+        str_from_instance=lambda value: [str(value)],
+        choices=names,
     )
 
 

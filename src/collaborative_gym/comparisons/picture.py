@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -104,8 +105,10 @@ def comparison_figure(comparison: Comparison) -> "Figure":
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         axes = list(figure.subplots(lines, columns, squeeze=False).flat)
-        for own, draw in zip(axes, drawings, strict=False):
+        for letter, own, draw in zip(ascii_lowercase, axes, drawings, strict=False):
             draw(own)
+            if len(drawings) > 1:  # A paper's text calls panels by letters.
+                own.set_title(f"({letter}) {own.get_title()}")
         for unused in axes[len(drawings) :]:
             unused.remove()
         if len(names) > 1:

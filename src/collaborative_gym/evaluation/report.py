@@ -206,8 +206,10 @@ class Report:
         return reports_to_csv([self])
 
     def to_markdown(self) -> str:
-        """Return the statistics as a Markdown table."""
-        return reports_to_markdown([self])
+        """Return the statistics as Markdown: what was played, and tables."""
+        count, seed = (self.settings[name] for name in ("episodes", "seed"))
+        told = f"{self.environment}, {count} episodes of seed {seed}"
+        return f"{told}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
         """Return what a notebook shows."""
@@ -253,49 +255,40 @@ def reports_to_csv(reports: Sequence[Report]) -> str:
     return text.getvalue()
 
 
-def reports_to_markdown(reports: Sequence[Report]) -> str:
-    """Return Markdown tables, one line for each environment and measure."""
-    lines = [
-        "| environment | measure | mean (95 % interval) | median"
-        " | interquartile mean |",
-        "|---|---|---|---|---|",
+def markdown_tables(report: Report) -> str:
+    """Return Markdown tables of a report, one line for each measure."""
+    measures = [
+        *_measures(report, "score"),
+        *_measures(report, "mean_reward"),
+        *(
+            (f"return of {agent}", own, False, "")
+            for agent, own in report.returns.items()
+        ),
+        *_measures(report, "completion", True),
+        *_measures(report, "performance", True),
+        *_measures(report, "time_to_success", unit=" s"),
     ]
-    for report in reports:
-        measures = [
-            *_measures(report, "score"),
-            *_measures(report, "mean_reward"),
-            *(
-                (f"return of {agent}", own, False, "")
-                for agent, own in report.returns.items()
-            ),
-            *_measures(report, "completion", True),
-            *_measures(report, "performance", True),
-            *_measures(report, "time_to_success", unit=" s"),
-        ]
-        for name, statistic, percent, unit in measures:
-            cells = (
-                report.environment,
-                name,
-                format_statistic(statistic, percent=percent, unit=unit),
-                format_number(statistic.median, percent=percent, unit=unit),
-                format_number(statistic.iqm, percent=percent, unit=unit),
-            )
-            lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", *strain_rows(reports)]
-    lines += [line for note in one_episode_notes(reports) for line in ("", note)]
+    lines = [
+        "| measure | mean (95 % interval) | median | interquartile mean |",
+        "|---|---|---|---|",
+    ]
+    for name, statistic, percent, unit in measures:
+        cells = (
+            name,
+            format_statistic(statistic, percent=percent, unit=unit),
+            format_number(statistic.median, percent=percent, unit=unit),
+            format_number(statistic.iqm, percent=percent, unit=unit),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", *strain_rows(report)]
+    lines += [line for note in one_episode_notes([report]) for line in ("", note)]
     return "\n".join(lines) + "\n"
 
 
-def strain_rows(reports: Sequence[Report]) -> list[str]:
+def strain_rows(report: Report) -> list[str]:
     """Return the lines of a Markdown table of the strain."""
-    lines = [
-        "| environment | strain | mean | worst | in episode |",
-        "|---|---|---|---|---|",
-    ]
-    for report in reports:
-        for cells in strain_lines(report):
-            lines.append(f"| {report.environment} | {' | '.join(cells)} |")
-    return lines
+    lines = ["| strain | mean | worst | in episode |", "|---|---|---|---|"]
+    return lines + [f"| {' | '.join(cells)} |" for cells in strain_lines(report)]
 
 
 def one_episode_notes(reports: Sequence[Report]) -> list[str]:

@@ -161,7 +161,7 @@ def write_card(
     ]
     lines += [row for each in candidates for row in _rows(each, each is best)]
     lines += ["", "The strain of the shipped one on `default`:", ""]
-    lines += strain_rows([best.reports["default"]])
+    lines += strain_rows(best.reports["default"])
     return "\n".join(lines) + "\n"
 
 

@@ -391,6 +391,16 @@ def format_measure(measure: str, value: float) -> str:
     return format_number(value, digits=1 if abs(value) < 100 else 0)
 
 
+def format_estimate(measure: str, statistic: Statistic) -> str:
+    """Return a mean and its interval for people, such as "97 % (84 to 100)"."""
+    mean = format_measure(measure, statistic.mean)
+    if math.isnan(statistic.low):
+        return mean
+    ends = (format_measure(measure, end) for end in (statistic.low, statistic.high))
+    low, high = (end.removesuffix(" %") for end in ends)
+    return f"{mean} ({low} to {high})"
+
+
 def _mean(values: np.ndarray) -> np.ndarray:
     """Return the mean over the first axis of what is not NaN; NaN where all is."""
     known = ~np.isnan(values)
