@@ -288,8 +288,9 @@ def test_a_phone_shows_the_arms_and_a_folded_panel(serve, open_tab, wait_until):
     tab.get_by_text("Collaborative Gym").click()
     play = tab.get_by_role("button", name="Play")
     play.wait_for()
-    for button in (play, tab.get_by_role("tab", name="Plots")):
-        assert (button.bounding_box() or {})["height"] >= 44  # for a thumb
+    plots, thumb = tab.get_by_role("tab", name="Plots"), ".mantine-Slider-thumb"
+    for part, least in ((play, 44), (plots, 44), (tab.locator(thumb).first, 28)):
+        assert (part.bounding_box() or {})["height"] >= least  # for a thumb
 
 
 def test_a_tab_that_takes_the_first_camera_late_gets_its_own_again(

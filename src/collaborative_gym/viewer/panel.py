@@ -39,8 +39,11 @@ folds the panel, which would hide the arms."""
 
 _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
+.mantine-Input-input { min-height: 44px !important; }
+.mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
+.mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
 }</style>"""
-"""Buttons and tabs that a thumb can hit."""
+"""Buttons, tabs, boxes and sliders that a thumb can hit; some have sizes of their own."""
 
 
 class Panel:
