@@ -105,6 +105,18 @@ WRONG_FILES = [
         "close along x of its t",
     ),
     (('mass="3.6"', 'mass="-3.6"'), "robot 'own': MuJoCo cannot compile arm.xml: "),
+    (
+        ('mass="3.6"', 'mass="0"'),
+        "mass and inertia.*, Element name 'shoulder', .*; give it a mass in kg and an",
+    ),
+    (
+        ("0.00845 0.007605 0.00845", "0.00845 7605 0.00845"),
+        "Element name 'shoulder', .*; no body has this inertia: give it in kg m2",
+    ),
+    (
+        ('name="joint_5"', 'name="joint_4"'),
+        "cannot be loaded: repeated name 'joint_4' in joint, Element 'joint', line ",
+    ),
     (("</worldbody>", ""), "robot 'own': arm.xml cannot be loaded: "),
     (
         ('<body name="base">', '<body name="base"><freejoint/>'),
@@ -117,6 +129,22 @@ WRONG_FILES = [
 def test_wrong_model_files_are_refused(edited, edit, message):
     with pytest.raises(ValueError, match=message):
         edited(edit, torque_limits=())
+
+
+def test_a_missing_mesh_is_named(edited):
+    asset = ("<asset>", '<asset><mesh name="hand" file="hand.stl"/>')
+    geom = ('<site name="tcp"', '<geom type="mesh" mesh="hand"/><site name="tcp"')
+    with pytest.raises(FileNotFoundError, match=r"'hand\.stl'; put the mesh beside"):
+        edited(asset, geom)
+
+
+def test_other_formats_are_refused(own, tmp_path):
+    file = tmp_path / "arm.sdf"
+    file.write_text("<sdf/>")
+    with pytest.raises(
+        ValueError, match=r"its name must end in \.xml \(MJCF\) or \.urd"
+    ):
+        replace(own, model_file=file)
 
 
 def test_a_missing_model_file_is_named(own, tmp_path):

@@ -120,3 +120,34 @@ def test_what_is_no_urdf_is_refused(own, tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ValueError, match=message):
         replace(own, model_file=file)
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (('<link name="forearm"', '<link name="hand"'), "it has 2 links 'hand'; give"),
+        (
+            ('<joint name="joint_5"', '<joint name="joint_4"'),
+            "it has 2 joints 'joint_4'; give each of them a name of its own",
+        ),
+        (
+            ('<parent link="forearm"', '<parent link="forarm"'),
+            "parent of joint 'joint_4': no link 'forarm' .did you mean 'forearm'",
+        ),
+        (
+            ('<mimic joint="left_finger"', '<mimic joint="left"'),
+            "mimic of joint 'right_finger': no joint 'left' .did you mean 'left_fing",
+        ),
+        (('upper="2.7"', 'upper="2.7rad"'), "joint 'joint_3': bad format in .*'upper'"),
+        (
+            ('<joint name="joint_3" type="revolute"', '<joint name="joint_3" type="?"'),
+            "joint 'joint_3': invalid joint type",
+        ),
+        (('<mass value="2.8"/>', '<mass value=""/>'), "link 'forearm': .*'mass'"),
+    ],
+)
+def test_the_link_or_joint_that_is_wrong_is_named(edited, edit, message):
+    with pytest.raises(
+        ValueError, match=f"'own': arm.urdf cannot be loaded: {message}"
+    ):
+        edited(edit, suffix=".urdf")

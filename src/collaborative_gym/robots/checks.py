@@ -5,7 +5,7 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from collaborative_gym.robots.data import RobotData, robot_error
+from collaborative_gym.robots.data import RobotData, compile_error, robot_error
 
 _MOUNTING = 0.5
 """Greatest distance of the first joint from the origin, as a share of the reach."""
@@ -27,6 +27,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     millimetre on.
 
     Raises:
+      FileNotFoundError: if a mesh is missing.
       ValueError: if MuJoCo cannot compile it, or a definition does not fit it.
     """
     for geom in spec.geoms:
@@ -36,8 +37,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         model = spec.compile()
     except ValueError as error:
-        file = robot.model_file.name
-        raise robot_error(robot, f"MuJoCo cannot compile {file}: {error}") from error
+        raise compile_error(robot, error) from error
     _check_joints(robot, model)
     _check_ranges(robot, model)
     _check_chain(robot, model)

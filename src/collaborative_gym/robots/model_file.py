@@ -6,7 +6,12 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.errors import naming, unknown
-from collaborative_gym.robots.data import RobotData, robot_error
+from collaborative_gym.robots.data import (
+    RobotData,
+    compile_error,
+    on_one_line,
+    robot_error,
+)
 from collaborative_gym.robots.urdf import read_urdf
 
 _FINGER_INERTIA = 0.002
@@ -91,7 +96,12 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
     with naming(f"robot {robot.name!r}: {path.name} cannot be loaded"):
         if path.suffix.lower() == ".urdf":
             return read_urdf(path)
-        return mujoco.MjSpec.from_file(str(path))
+        if path.suffix.lower() != ".xml":
+            raise ValueError("its name must end in .xml (MJCF) or .urdf (URDF)")
+        try:
+            return mujoco.MjSpec.from_file(str(path))
+        except ValueError as error:
+            raise ValueError(on_one_line(error)) from error
 
 
 def _leave_out(spec: mujoco.MjSpec) -> None:
@@ -148,8 +158,7 @@ def _add_tcp(robot: RobotData, spec: mujoco.MjSpec) -> None:
     try:
         data = kinematics(spec, {})
     except ValueError as error:
-        file = robot.model_file.name
-        raise robot_error(robot, f"MuJoCo cannot compile {file}: {error}") from error
+        raise compile_error(robot, error) from error
     body = spec.body(robot.tcp)
     while body.parent.name != "world" and not (
         body.joints or body.geoms or body.explicitinertial

@@ -1,10 +1,14 @@
 """URDF files as they come from makers, read without editing them."""
 
+import re
 from math import tau
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
+
+from collaborative_gym.errors import unknown
+from collaborative_gym.robots.data import on_one_line
 
 _MESHES = {".stl", ".obj", ".msh"}
 """Formats that MuJoCo reads."""
@@ -15,13 +19,14 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
 
     MuJoCo alone would drop the visual shapes, look for meshes of a ROS package in a
     folder "package:", and leave continuous joints without a range. Here such joints get
-    two turns either way. A `mujoco` element of the file still holds.
+    one turn either way. A `mujoco` element of the file still holds.
 
     Raises:
       FileNotFoundError: if a mesh is missing.
       ValueError: if MuJoCo cannot read the file as URDF.
     """
     root = _parse(path)
+    _check_tree(root)
     compiler = _compiler(root)
     compiler.attrib.setdefault("discardvisual", "false")
     for joint in root.iter("joint"):
@@ -30,7 +35,7 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
     if not {"meshdir", "assetdir", "strippath"} & set(compiler.attrib):
         for link in root.iter("link"):
             _find_meshes(link, path)
-    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec = _read_by_mujoco(root)
     spec.modelfiledir = str(path.parent)
     for body in spec.bodies:
         if any(_is_seen_only(geom) for geom in body.geoms):
@@ -51,6 +56,49 @@ def _parse(path: Path) -> ElementTree.Element:
             f"it is a xacro file; expand it first: xacro {path.name} > arm.urdf"
         )
     return root
+
+
+def _check_tree(root: ElementTree.Element) -> None:
+    """Raise ValueError if two parts share a name, or a joint names what is not there.
+
+    MuJoCo refuses this too, but does not say which name it means.
+    """
+    names = {
+        kind: [element.get("name", "") for element in root.findall(kind)]
+        for kind in ("link", "joint")
+    }
+    for kind, given in names.items():
+        for name in given:
+            if given.count(name) > 1:
+                raise ValueError(
+                    f"it has {given.count(name)} {kind}s {name!r}; give each of them a"
+                    " name of its own"
+                )
+    for joint in root.findall("joint"):
+        for role, kind in (("parent", "link"), ("child", "link"), ("mimic", "joint")):
+            other = joint.find(role)
+            if other is not None and other.get(kind) not in names[kind]:
+                wrong = unknown(kind, other.get(kind), names[kind])
+                raise ValueError(f"{role} of joint {joint.get('name')!r}: {wrong}")
+
+
+def _read_by_mujoco(root: ElementTree.Element) -> mujoco.MjSpec:
+    """Return what MuJoCo makes of a URDF file; an error names the link or joint."""
+    # Each link and joint is on a line of its own, so MuJoCo's line tells which it is.
+    root.text = "\n"
+    for part in root:
+        for element in part.iter():
+            element.text = element.tail = None
+        part.tail = "\n"
+    try:
+        return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    except ValueError as error:
+        told, line = on_one_line(error), re.search(r", line (\d+)", str(error))
+        if line is None:
+            raise ValueError(told) from error
+        part = root[int(line[1]) - 2]
+        told = told.replace(line[0], "")
+        raise ValueError(f"{part.tag} {part.get('name')!r}: {told}") from error
 
 
 def _compiler(root: ElementTree.Element) -> ElementTree.Element:
