@@ -105,8 +105,8 @@ def test_a_grip_that_was_let_go_can_be_taken_at_once(held):
 def test_a_gripper_holds_what_its_arm_pulls_if_nothing_else_is_said():
     panda = cg.get_robot("panda")
     assert panda.gripper.holding_force == pytest.approx(87.0 / (0.855 / 8.0))
-    weak = replace(panda, gripper=replace(panda.gripper, holding_force=7.0))
-    assert weak.gripper.holding_force == 7.0
+    weak = replace(panda, gripper=replace(panda.gripper, holding_force=70.0))
+    assert weak.gripper.holding_force == 70.0
 
 
 def torn_apart(env, watched=False, first=None):

@@ -48,6 +48,7 @@ WRONG_VALUES = [
     ({"damping": (np.inf,) + (1.0,) * 5}, r"damping\[0\] must be finite, got inf"),
     ({"armature": (-1.0,) + (1.0,) * 5}, "must be at least 0, got -1.0"),
     ({"payload": 0.0}, "payload must be above 0, got 0.0"),
+    ({"payload": 5000.0}, "payload of 5000 kg weighs 49050.0 N, but its gripper's hol"),
     ({"reach": -1.0}, "reach must be above 0, got -1.0"),
     ({"reach": 900.0}, "its reach is 900 m, but .* 1.32 m long; give both in m"),
     ({"reach": float("inf")}, "reach must be finite, got inf"),
@@ -80,6 +81,21 @@ def test_wrong_values_are_refused(own, fields, message):
 
 
 WRONG_FILES = [
+    (
+        (' range="-2.2 2.2"', ' range="-126 126"'),
+        "'joint_2' has the range -126 to 126; give rad, not degrees, and two turns",
+    ),
+    (
+        (
+            '<body name="forearm" pos="0 -0.11 0.42">',
+            '<body name="forearm" pos="0 -110 420">',
+        ),
+        "the way along its joints to the tcp is 435 m long; give m, not mm",
+    ),
+    (
+        ('size="0.012 0.006 0.035"', 'size="12 6 35"'),
+        "a shape of its body 'left_finger' is 75 m wide; give m, not mm; a mesh in mm",
+    ),
     ((' range="-2.2 2.2"', ' range="2.2 -2.2"'), "its range the wrong way round, 2.2"),
     ((' range="-2.2 2.2"', ""), "joint 'joint_2' has no range; give it one in the mod"),
     (
@@ -131,6 +147,15 @@ def test_wrong_model_files_are_refused(edited, edit, message):
         edited(edit, torque_limits=())
 
 
+def test_motors_too_weak_for_the_payload_are_refused(own):
+    # Those of the motors themselves, without their gears, as some files give them.
+    torques = tuple(limit / 100 for limit in own.torque_limits)
+    with pytest.raises(
+        ValueError, match=r"its greatest torque limit 1\.05 N m; correct"
+    ):
+        replace(own, torque_limits=torques, **COMPUTED)
+
+
 def test_a_missing_mesh_is_named(edited):
     asset = ("<asset>", '<asset><mesh name="hand" file="hand.stl"/>')
     geom = ('<site name="tcp"', '<geom type="mesh" mesh="hand"/><site name="tcp"')
@@ -162,6 +187,10 @@ def test_a_missing_model_file_is_named(own, tmp_path):
         ({"open_gap": 78.0}, "open_gap must be at most 1 m, got 78; give m, not mm"),
         ({"closed_gap": -0.1}, "closed_gap must be at least 0 and below its open_gap"),
         ({"force": 0.0}, "force must be above 0, got 0.0"),
+        (
+            {"holding_force": 0.06},
+            "of 5 kg weighs 49.1 N, but .* holding_force is 0.06 N",
+        ),
         ({"force": np.nan}, "force must be finite, got nan"),
         ({"joints": "left_finger"}, "joints must be a sequence of names"),
         (

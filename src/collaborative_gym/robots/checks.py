@@ -13,6 +13,17 @@ _MOUNTING = 0.5
 _STRETCHED = 1.5
 """Greatest reach, as a share of the way from the first joint to the tcp."""
 
+_TURNS = 30.0
+"""Ends of a range beyond this, in rad, are degrees: that is almost five turns."""
+
+_LONGEST = 10.0
+"""Arms longer than this, in m, are given in mm."""
+
+_BULKIEST = 5.0
+"""Shapes with a radius above this, as a share of the reach, are given in mm."""
+
+_GRAVITY = 9.81
+
 _TOUCHING = 0.0005
 """Shapes nearer than this, in m, count as touching at home."""
 
@@ -42,8 +53,9 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     _check_ranges(robot, model)
     _check_chain(robot, model)
     data = at_home(robot, model, robot.gripper.open_position)
-    _check_mounting(robot, model, data)
     _check_reach(robot, model, data)
+    _check_mounting(robot, model, data)
+    _check_shapes(robot, model)
     _check_tcp(robot, model, data)
     if len(robot.gripper.joints) > 1:
         _check_fingers(robot, model)
@@ -120,6 +132,12 @@ def _check_joints(robot: RobotData, model: mujoco.MjModel) -> None:
                 f"joint {name!r} has no range; give it one in the model file, two turns"
                 " (-6.2832 to 6.2832 rad) if it turns freely",
             )
+        if max(-low, high) > _TURNS:
+            raise robot_error(
+                robot,
+                f"joint {name!r} has the range {low:g} to {high:g}; give rad, not"
+                " degrees, and two turns (-6.2832 to 6.2832 rad) if it turns freely",
+            )
 
 
 def _check_ranges(robot: RobotData, model: mujoco.MjModel) -> None:
@@ -165,10 +183,16 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
 
 
 def _check_reach(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise ValueError if the stretched arm is much shorter than its reach."""
+    """Raise ValueError if the arm is in mm, or much shorter than its reach."""
     points = [data.xanchor[model.joint(name).id] for name in robot.joints]
     points.append(data.site(robot.tcp).xpos)
     length = sum(np.linalg.norm(b - a) for a, b in pairwise(points))
+    if length > _LONGEST:
+        raise robot_error(
+            robot,
+            "in the model file the way along its joints to the tcp is"
+            f" {length:.0f} m long; give m, not mm",
+        )
     if robot.reach > _STRETCHED * length:
         raise robot_error(
             robot,
@@ -187,6 +211,37 @@ def _check_mounting(
             f"its first joint is at {np.round(anchor, 3).tolist()} in the model file,"
             f" too far for a reach of {robot.reach} m; move the base to the origin, its"
             " mounting plate at z = 0",
+        )
+
+
+def _check_shapes(robot: RobotData, model: mujoco.MjModel) -> None:
+    """Raise ValueError if a shape is in mm, as meshes of CAD programs often are."""
+    geom = int(model.geom_rbound.argmax()) if model.ngeom else 0
+    if model.ngeom and model.geom_rbound[geom] > _BULKIEST * robot.reach:
+        body = model.body(int(model.geom_bodyid[geom])).name
+        raise robot_error(
+            robot,
+            f"a shape of its body {body!r} is {2 * model.geom_rbound[geom]:.0f} m wide;"
+            ' give m, not mm; a mesh in mm takes scale="0.001 0.001 0.001"',
+        )
+
+
+def check_payload(robot: RobotData, pull: float) -> None:
+    """Raise ValueError if the payload is heavier than the gripper or the arm can hold.
+
+    Args:
+      robot: the arm, its gripper and torques filled in.
+      pull: what its strongest joint pulls with near the base, in N; 10 to 28 times the
+        weight of the payload of Sawyer, Panda and Jaco.
+    """
+    weight = _GRAVITY * robot.payload
+    if min(robot.gripper.holding_force, pull) < weight:
+        raise robot_error(
+            robot,
+            f"its payload of {robot.payload:g} kg weighs {weight:.1f} N, but its"
+            f" gripper's holding_force is {robot.gripper.holding_force:g} N, and its"
+            f" greatest torque limit {max(robot.torque_limits):g} N m; correct the"
+            " one that is wrong",
         )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
-from collaborative_gym.robots.checks import compile_alone, overlaps
+from collaborative_gym.robots.checks import check_payload, compile_alone, overlaps
 from collaborative_gym.robots.data import RobotData, freeze
 from collaborative_gym.robots.model_file import load_model
 from collaborative_gym.robots.servos import armatures, dampings, torque_limits
@@ -68,10 +68,11 @@ class Robot(RobotData):
         spec = self.spec()
         if not self.torque_limits:
             freeze(self, torque_limits=torque_limits(self, spec))
+        pull = _HOLDING * max(self.torque_limits) / self.reach
         if not self.gripper.holding_force:
-            force = _HOLDING * max(self.torque_limits) / self.reach
-            freeze(self, gripper=replace(self.gripper, holding_force=force))
+            freeze(self, gripper=replace(self.gripper, holding_force=pull))
         model = compile_alone(self, spec)
+        check_payload(self, pull)
         freeze(self, _overlaps=overlaps(self, model))
         if not self.armature:
             freeze(self, armature=armatures(self, model))
