@@ -18,6 +18,13 @@ MOST_ENVS = 10**6
 MOST_THREADS = 1024
 """More threads than any machine runs well."""
 
+_REMEDIES = {
+    "mass and inertia of moving bodies": "give it a mass in kg and an inertia in kg m2",
+    "A + B >= C": "no body has this inertia: give it in kg m2, about the mass's centre",
+    "opening file": "put the mesh beside the model file, or where its meshdir says",
+}
+"""What to do about frequent faults of models, by a part of MuJoCo's words."""
+
 _NO_NUMBERS = bool, np.timedelta64
 """Python and NumPy count these as integers."""
 
@@ -95,6 +102,14 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names)}"
+
+
+def told_by_mujoco(error: ValueError) -> str:
+    """Return what MuJoCo says of a model, on one line, and what to do about it."""
+    lines = re.sub("(XML )?Error: ", "", str(error)).splitlines()
+    told = ", ".join(line.strip() for line in lines if line.strip())
+    remedy = next((do for part, do in _REMEDIES.items() if part in told), "")
+    return f"{told}; {remedy}" if remedy else told
 
 
 def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:

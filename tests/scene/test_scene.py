@@ -69,6 +69,27 @@ def test_a_repeated_grip_of_a_site_reads_one_sensor(scene):
     assert not model.eq_active0.any()
 
 
+def test_a_site_may_be_measured_twice_but_a_name_has_one_site(scene):
+    scene.add_pose_sensor("ball/centre", "ball/centre")
+    scene.add_pose_sensor("robot_1/tcp", "robot_1/tcp")
+    with pytest.raises(ValueError, match="'goal' is measured at the site 'goal' alrea"):
+        scene.add_pose_sensor("goal", "ball/centre")
+    model = scene.compile()
+    sensors = [model.sensor(i).name for i in range(model.nsensor)]
+    assert sensors.count("ball/centre.position") == 1
+
+
+def test_an_object_without_mass_is_named(scene):
+    weightless = ball()
+    weightless.geom("shape").mass = 0
+    scene.add("puck", weightless)
+    with pytest.raises(
+        ValueError,
+        match=r"^MuJoCo cannot compile the scene: mass and inertia .*'puck/ball'.*; g",
+    ):
+        scene.compile()
+
+
 def test_physics_leaves_out_what_is_only_seen_and_keeps_every_mass(scene):
     physics, drawn = scene.compile(), scene.compile_to_draw()
     assert physics.ngeom < drawn.ngeom

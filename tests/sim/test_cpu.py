@@ -29,7 +29,10 @@ def controls(env, steps=10):
 
 
 def test_a_place_that_is_not_there_is_told(env):
-    with pytest.raises(KeyError, match=r"no pose 'robot_1/tpc'.*mean 'robot_1/tcp'"):
+    with pytest.raises(
+        KeyError,
+        match=r"no pose 'robot_1/tpc'.*'robot_1/tcp'.*; in build\(\), add_pose",
+    ):
         env.sim.pose("robot_1/tpc")
     with pytest.raises(KeyError, match="no velocity 'robot_1/tcp'; velocities:"):
         env.sim.velocity("robot_1/tcp")

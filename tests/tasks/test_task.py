@@ -2,8 +2,8 @@
 
 import pytest
 
-from collaborative_gym import Randomization, TaskConfig
-from collaborative_gym.tasks.registry import make_task
+from collaborative_gym import Randomization, Task, TaskConfig
+from collaborative_gym.tasks.registry import make_task, register_task
 
 
 @pytest.mark.parametrize(
@@ -28,3 +28,22 @@ def test_randomization_out_of_range_is_refused(noise):
 
 def test_the_default_settings_are_in_range():
     assert TaskConfig().max_episode_steps == 200
+
+
+class Undecorated(TaskConfig):
+    """Its field would be the class's, and no setting."""
+
+    tolerance: float = 0.05
+
+
+class Alone:
+    """It lacks the fields that all tasks have."""
+
+
+@pytest.mark.parametrize("config_class", [Undecorated, Alone, None])
+def test_settings_that_are_no_task_config_are_refused(config_class):
+    task = type("Mine", (Task,), {"config_class": config_class})
+    with pytest.raises(
+        TypeError, match=r"Mine\.config_class must be a dataclass derived"
+    ):
+        register_task("Mine", task)

@@ -1,6 +1,5 @@
 """What a user says about an arm and its gripper, before its model file is read."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from collaborative_gym.errors import (
     check_number,
     check_numbers,
     check_word,
+    told_by_mujoco,
     unknown,
 )
 
@@ -25,17 +25,6 @@ _FASTEST = 30.0
 
 _WIDEST = 1.0
 """Gaps of a gripper above this, in m, are millimetres."""
-
-_NO_MESH = "opening file"
-
-_REMEDIES = {
-    "mass and inertia of moving bodies": "; give it a mass in kg and an inertia in"
-    " kg m2",
-    "A + B >= C": "; no body has this inertia: give it in kg m2, about the centre of"
-    " mass",
-    _NO_MESH: "; put the mesh beside the model file, or where its meshdir says",
-}
-"""What to do about the faults of makers' files, by a part of MuJoCo's words."""
 
 _PER_JOINT = (
     "home",
@@ -162,17 +151,9 @@ def robot_error(robot: RobotData, what: str) -> ValueError:
 
 def compile_error(robot: RobotData, error: ValueError) -> Exception:
     """Return the error that says why MuJoCo cannot compile an arm's model."""
-    told = on_one_line(error)
-    remedy = next((do for part, do in _REMEDIES.items() if part in told), "")
-    kind = FileNotFoundError if _NO_MESH in told else ValueError
-    file = robot.model_file.name
-    return kind(f"robot {robot.name!r}: MuJoCo cannot compile {file}: {told}{remedy}")
-
-
-def on_one_line(error: ValueError) -> str:
-    """Return what MuJoCo says of a model, which it spreads over several lines."""
-    lines = re.sub("(XML )?Error: ", "", str(error)).splitlines()
-    return ", ".join(line.strip() for line in lines if line.strip())
+    file, told = robot.model_file.name, told_by_mujoco(error)
+    kind = FileNotFoundError if "opening file" in told else ValueError
+    return kind(f"robot {robot.name!r}: MuJoCo cannot compile {file}: {told}")
 
 
 def _check_gripper(gripper: Gripper) -> None:

@@ -5,11 +5,10 @@ from collections.abc import Collection, Mapping
 import mujoco
 import numpy as np
 
-from collaborative_gym.errors import naming, unknown
+from collaborative_gym.errors import naming, told_by_mujoco, unknown
 from collaborative_gym.robots.data import (
     RobotData,
     compile_error,
-    on_one_line,
     robot_error,
 )
 from collaborative_gym.robots.urdf import read_urdf
@@ -101,7 +100,7 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
         try:
             return mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
-            raise ValueError(on_one_line(error)) from error
+            raise ValueError(told_by_mujoco(error)) from error
 
 
 def _leave_out(spec: mujoco.MjSpec) -> None:

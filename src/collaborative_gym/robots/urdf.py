@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 
 import mujoco
 
-from collaborative_gym.errors import unknown
-from collaborative_gym.robots.data import on_one_line
+from collaborative_gym.errors import told_by_mujoco, unknown
 
 _MESHES = {".stl", ".obj", ".msh"}
 """Formats that MuJoCo reads."""
@@ -93,7 +92,7 @@ def _read_by_mujoco(root: ElementTree.Element) -> mujoco.MjSpec:
     try:
         return mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     except ValueError as error:
-        told, line = on_one_line(error), re.search(r", line (\d+)", str(error))
+        told, line = told_by_mujoco(error), re.search(r", line (\d+)", str(error))
         if line is None:
             raise ValueError(told) from error
         part = root[int(line[1]) - 2]

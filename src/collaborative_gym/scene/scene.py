@@ -19,6 +19,7 @@ from collaborative_gym.errors import (
     check_number,
     check_numbers,
     shown,
+    told_by_mujoco,
     unknown,
 )
 from collaborative_gym.math import Array
@@ -178,8 +179,7 @@ class Scene:
         threshold = check_number("threshold", threshold, at_least=0.0)
         width = check_number("width", width, at_least=0.0)
         grip = Grip(agent, site, threshold, width)
-        if not any(site == other.site for other in self.grips):
-            self.add_pose_sensor(site, site)
+        self.add_pose_sensor(site, site)
         if not any(agent == other.agent for other in self.grips):
             self._add_palm(grip)
         self.grips.append(grip)
@@ -221,7 +221,11 @@ class Scene:
         self.spec.worldbody.add_camera(name=CAMERA, pos=position, xyaxes=xyaxes)
 
     def add_pose_sensor(self, name: str, site: str) -> None:
-        """Let `Sim.pose(name)` read a site's position and orientation."""
+        """Let `Sim.pose(name)` read a site's position and orientation.
+
+        Tcps, targets and sites that can be gripped have such a sensor already, under
+        their own names.
+        """
         kinds = mujoco.mjtSensor
         self._add_sensor(f"{name}.position", kinds.mjSENS_FRAMEPOS, site)
         self._add_sensor(f"{name}.quat", kinds.mjSENS_FRAMEQUAT, site)
@@ -254,7 +258,11 @@ class Scene:
         for mesh in list(physics.meshes):
             if mesh.name not in shapes:
                 physics.delete(mesh)
-        model = physics.compile()
+        try:
+            model = physics.compile()
+        except ValueError as error:
+            told = told_by_mujoco(error)
+            raise ValueError(f"MuJoCo cannot compile the scene: {told}") from error
         self._resolve(model)
         return model
 
@@ -371,6 +379,14 @@ class Scene:
 
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
         self._check_site(site)
+        for sensor in self.spec.sensors:
+            if sensor.name == name:
+                if sensor.objname != site:
+                    raise ValueError(
+                        f"{name.rpartition('.')[0]!r} is measured at the site"
+                        f" {sensor.objname!r} already; give {site!r} another name"
+                    )
+                return
         self.spec.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )

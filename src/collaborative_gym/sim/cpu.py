@@ -189,7 +189,10 @@ class CpuSim:
         if f"{name}.{first}" not in self._sensors:
             read = [key.rpartition(".") for key in self._sensors]
             names = [own for own, _, part in read if part == first]
-            raise UnknownName(unknown(kind, name, names))
+            raise UnknownName(
+                f"{unknown(kind, name, names)}; in build(), add_{kind}_sensor() lets"
+                " another site be read"
+            )
         pair = self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
         return pair[0].copy(), pair[1].copy()
 

@@ -19,7 +19,7 @@ from collaborative_gym.errors import (
 )
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
-from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task, TaskConfig
 
 
 @dataclass(frozen=True)
@@ -208,6 +208,14 @@ def disturbed(task: Task, **changes: Any) -> Task:
 def _check_task(task: Any) -> None:
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise TypeError(f"task must be a subclass of Task, got {shown(task)}")
+    kind = task.config_class
+    # Without a decorator of its own, it would have the fields of its base alone.
+    is_config = isinstance(kind, type) and issubclass(kind, TaskConfig)
+    if not is_config or "__dataclass_params__" not in vars(kind):
+        raise TypeError(
+            f"{task.__name__}.config_class must be a dataclass derived from TaskConfig,"
+            f" with @dataclass(frozen=True) above it, got {shown(kind)}"
+        )
 
 
 def _configure(task: type[Task], settings: dict[str, Any]):
