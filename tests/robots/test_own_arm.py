@@ -48,6 +48,21 @@ def test_the_arm_pulls_a_bar_and_is_too_short_for_hockey(own):
         cg.make("Hockey", robots=(own, own))
 
 
+def test_an_arm_of_five_joints_is_told_what_it_lacks(edited):
+    joint = '<joint name="joint_6" axis="0 1 0" range="-6.2832 6.2832"\n'
+    drive = '                    actuatorfrcrange="-24 24"/>'
+    arm = edited(
+        (joint + drive, ""),
+        joints=tuple(f"joint_{i}" for i in range(1, 6)),
+        home=(0.0, -0.3, 1.9, 0.0, -1.57),
+        velocity_limits=(1.8, 1.6, 2.2, 3.0, 3.0),
+        torque_limits=(),
+    )
+    message = "reach, or one of 6 joints: 5 do not take every pose"
+    with pytest.raises(ValueError, match=message):
+        cg.make("Pass", robots=(arm, "panda"))
+
+
 def test_arms_of_six_and_of_seven_joints_play_hockey(tmp_path):
     panda = cg.get_robot("panda")
     file, text = tmp_path / "arm.xml", panda.model_file.read_text()

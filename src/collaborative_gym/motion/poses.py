@@ -26,6 +26,9 @@ _DRAWS = 24
 _WAY_TRIES = 10
 """Starts that `quickest_way` tries for each pose."""
 
+_ANY_POSE = 6
+"""An arm of fewer joints cannot take every pose within its reach."""
+
 _EXACT = 1e-4
 """By how much in m and rad the poses of `hold` may be missed."""
 
@@ -62,11 +65,16 @@ def solve_pose(
         if (misses < 1.0).any():
             return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
         best = misses.min(initial=best)
+    remedy = "mount it nearer or choose an arm with a longer reach"
+    if arm.num_joints < _ANY_POSE:
+        remedy += (
+            f", or one of {_ANY_POSE} joints: {arm.num_joints} do not take every pose"
+        )
     raise ValueError(
         f"{arm.robot.name} cannot bring its tcp to {np.round(position, 3).tolist()}"
         f" with orientation {np.round(orientation, 3).tolist()}"
         f" (best try missed by {best:.0f} times the tolerance of 1 mm and 0.01 rad);"
-        " mount it nearer or choose an arm with a longer reach"
+        f" {remedy}"
     )
 
 
