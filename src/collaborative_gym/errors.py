@@ -128,6 +128,21 @@ def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:
     raise UnknownName(unknown(kind, given, table))
 
 
+def look_up_registered(kind: str, given: object, table: Mapping[str, T]) -> T:
+    """Return as `look_up` what users can register, too.
+
+    Raises:
+      KeyError: if nothing has the name; it says how to name the file that registers it.
+    """
+    try:
+        return look_up(kind, given, table)
+    except UnknownName as error:
+        # Whoever resumes the training of an own task easily forgets its file.
+        raise UnknownName(
+            f"{error}; for one of your own, import its file (--module FILE)"
+        ) from None
+
+
 def shown(given: object) -> str:
     """Return what was given as an error shows it, on one line that is not too long."""
     words = " ".join(repr(given).split())

@@ -205,7 +205,8 @@ def test_an_unknown_arm_is_refused_with_the_nearest():
     with pytest.raises(KeyError) as caught:
         cg.get_robot("sawer")
     assert str(caught.value) == (
-        "no robot 'sawer' (did you mean 'sawyer'?); robots: jaco, panda, sawyer"
+        "no robot 'sawer' (did you mean 'sawyer'?); robots: jaco, panda, sawyer; for"
+        " one of your own, import its file (--module FILE)"
     )
 
 

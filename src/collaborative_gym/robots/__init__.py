@@ -1,6 +1,6 @@
 """The arms, by name."""
 
-from collaborative_gym.errors import check_kind, look_up
+from collaborative_gym.errors import check_kind, look_up_registered
 from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
@@ -48,4 +48,4 @@ def get_robot(robot: "str | Robot") -> Robot:
     """
     if isinstance(robot, Robot):
         return robot
-    return look_up("robot", robot, _ROBOTS)
+    return look_up_registered("robot", robot, _ROBOTS)

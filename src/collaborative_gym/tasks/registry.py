@@ -8,12 +8,12 @@ from typing import Any
 import gymnasium
 
 from collaborative_gym.errors import (
-    UnknownName,
     UnknownOption,
     check_kind,
     check_name,
     check_word,
     look_up,
+    look_up_registered,
     shown,
     unknown,
 )
@@ -143,13 +143,7 @@ def make_task(
         name: EnvSpec(name, task, ("panda",) * task.robot_counts[0])
         for name, task in _TASKS.items()
     }
-    try:
-        spec = look_up("environment", name, {**_ENVS, **tasks})
-    except UnknownName as error:
-        # Whoever resumes the training of an own task easily forgets its file.
-        raise UnknownName(
-            f"{error}; for one of your own, import its file (--module FILE)"
-        ) from None
+    spec = look_up_registered("environment", name, {**_ENVS, **tasks})
     chosen = spec.robots if robots is None else robots
     # The order of a set would be chance.
     if isinstance(chosen, str | bytes) or not isinstance(chosen, Sequence):

@@ -43,7 +43,7 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
 .mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
 }</style>"""
-"""Buttons, tabs, boxes and sliders that a thumb can hit; some have sizes of their own."""
+"""What a thumb can hit: buttons, tabs, boxes and sliders; some have other sizes."""
 
 
 class Panel:
