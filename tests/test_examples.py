@@ -75,7 +75,7 @@ RUNS = {
         is_slow=True,
     ),
     "train_cleanrl.py": Run(
-        (r"1,680 steps: return -[\d.]+", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        (r"1,680 steps: return -[\d.]+", r"\| return \| -"),
         "--total-steps 1680 --num-envs 4 --rollout 210 --episodes 2",
         writes=("policy.pt",),
         needs=("torch",),
@@ -85,7 +85,7 @@ RUNS = {
         (
             "4 episodes, 800 steps",
             "replayed to the bit",
-            r"\| PokeTaskSawyers-v0 \| return \| -",
+            r"\| return \| -",
         ),
         "--episodes 4 --updates 20 --tests 2",
         writes=("clone.pt", "datasets/PokeTaskSawyers/expert-v0/data/main_data.hdf5"),
@@ -100,7 +100,7 @@ RUNS = {
         is_slow=True,
     ),
     "train_rllib.py": Run(
-        (r"2,000 steps: return -[\d.]+", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        (r"2,000 steps: return -[\d.]+", r"\| return \| -"),
         "--total-steps 2000 --steps-per-iteration 2000 --episodes 2 --output runs",
         writes=("runs/end.png", "runs/checkpoint"),
         needs=("ray",),
@@ -110,20 +110,20 @@ RUNS = {
         (
             r"one by one: [\d,]+ environment",
             r"ep_rew_mean\W+-\d+",
-            r"\| PokeTaskSawyers-v0 \| return \| -",
+            r"\| return \| -",
         ),
         "--total-steps 2000 --num-envs 4 --episodes 2",
         needs=("stable_baselines3",),
         is_slow=True,
     ),
     "train_supersuit.py": Run(
-        ("4 rows, 2 of each robot", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        ("4 rows, 2 of each robot", r"\| return \| -"),
         "--total-steps 400 --num-envs 2 --episodes 2",
         needs=("supersuit", "stable_baselines3"),
         is_slow=True,
     ),
     "train_tianshou.py": Run(
-        (r"\d s of training", r"\| PokeTaskSawyers-v0 \| return \| -"),
+        (r"\d s of training", r"\| return \| -"),
         "--total-steps 400 --num-envs 4 --episodes 2",
         needs=("tianshou",),
         is_slow=True,
