@@ -168,10 +168,11 @@ def off_screen(session, width, height):
 def test_the_scene_is_drawn_as_off_screen(serve, open_tab, wait_until, env_id):
     session, page = serve(env_id)
     tab = open_tab(page)
-    # The page's own camera steps back until the arms fit.
+    # The page's own camera steps back until the arms fit. A tab that is exactly on the
+    # first camera is put back to its own, so this one stands 2 cm above it.
     camera = next(iter(page._server.get_clients().values())).camera
-    places = overview(page._stage._model, page._stage._data)
-    camera.position, camera.look_at = places
+    eye, target = overview(page._stage._model, page._stage._data)
+    camera.position, camera.look_at = eye + np.array([0.0, 0.0, 0.02]), target
     _, _, *size = canvas(tab)
     at_start = off_screen(session, *size)
     wait_until(lambda: likeness(drawn(tab), at_start) > 0.9, timeout=PATIENCE)
