@@ -8,9 +8,9 @@ from collaborative_gym import math
 from collaborative_gym.control import JointChanges
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.motion import greatest_load, strongest_way
-from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.objects.pot import pot
 from collaborative_gym.robots import get_robot, list_robots
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.tasks.lift import Lift, LiftConfig, LiftFacts
 from collaborative_gym.tasks.registry import make_task

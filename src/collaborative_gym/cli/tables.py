@@ -178,8 +178,7 @@ def _tournament_caption(tournament: Tournament) -> str:
 
 def _measured(measure: str, statistic: Statistic) -> Text:
     """Return a mean, and its interval below."""
-    told = format_estimate(measure.partition(" ")[0], statistic)
-    mean, _, ends = told.rstrip(")").partition(" (")
+    mean, ends = _parted(format_estimate(measure.partition(" ")[0], statistic))
     return Text.assemble(mean, (f"\n{ends}" if ends else "", "dim"))
 
 
@@ -191,10 +190,10 @@ def comparison_tables(comparison: Comparison) -> list[Table]:
             "\n".join(heads[:2]), *(h.replace(" (", "\n(") for h in heads[2:])
         )
         for cells in rows:
-            numbers = (cell.rstrip(")").partition(" (") for cell in cells[2:])
+            numbers = (_parted(cell) for cell in cells[2:])
             table.add_row(
                 "\n".join(cells[:2]),
-                *(Text.assemble(one, "\n", (rest, "dim")) for one, _, rest in numbers),
+                *(Text.assemble(one, "\n", (rest, "dim")) for one, rest in numbers),
             )
         table.title, table.title_justify = title, "left"
         tables.append(table)
@@ -250,10 +249,14 @@ def benchmark_table(benchmark: Benchmark) -> Table:
 
 
 def _two_lines(statistic: Statistic, percent: bool = False, unit: str = "") -> Text:
-    mean, _, interval = format_statistic(
-        statistic, percent=percent, unit=unit
-    ).partition(" (")
-    return Text.assemble(mean, "\n", (interval.rstrip(")"), "dim"))
+    mean, ends = _parted(format_statistic(statistic, percent=percent, unit=unit))
+    return Text.assemble(mean, "\n", (ends, "dim"))
+
+
+def _parted(told: str) -> tuple[str, str]:
+    """Return a mean and its interval, told as "97 % (84 to 100)"; without it, ""."""
+    mean, _, ends = told.rstrip(")").partition(" (")
+    return mean, ends
 
 
 def _ends(rates: Sequence[float]) -> str:

@@ -14,8 +14,8 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import Goal, descend, simulated
-from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.robots import Robot
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 

@@ -5,12 +5,10 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Arm, lost_load
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
-
-GRAVITY = 9.81
-"""m/s2, MuJoCo's default."""
 
 _GAIN, _BRAKE = 0.45, 0.1
 """Shares of a missing change, and of the present motion against it, that `settling`

@@ -5,7 +5,12 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from collaborative_gym.robots.data import RobotData, compile_error, robot_error
+from collaborative_gym.robots.data import (
+    GRAVITY,
+    RobotData,
+    compile_error,
+    robot_error,
+)
 
 _MOUNTING = 0.5
 """Greatest distance of the first joint from the origin, as a share of the reach."""
@@ -21,8 +26,6 @@ _LONGEST = 10.0
 
 _BULKIEST = 5.0
 """Shapes with a radius above this, as a share of the reach, are given in mm."""
-
-_GRAVITY = 9.81
 
 _TOUCHING = 0.0005
 """Shapes nearer than this, in m, count as touching at home."""
@@ -216,12 +219,13 @@ def _check_mounting(
 
 def _check_shapes(robot: RobotData, model: mujoco.MjModel) -> None:
     """Raise ValueError if a shape is in mm, as meshes of CAD programs often are."""
-    geom = int(model.geom_rbound.argmax()) if model.ngeom else 0
-    if model.ngeom and model.geom_rbound[geom] > _BULKIEST * robot.reach:
+    radius = model.geom_rbound.max(initial=0.0)
+    if radius > _BULKIEST * robot.reach:
+        geom = int(model.geom_rbound.argmax())
         body = model.body(int(model.geom_bodyid[geom])).name
         raise robot_error(
             robot,
-            f"a shape of its body {body!r} is {2 * model.geom_rbound[geom]:.0f} m wide;"
+            f"a shape of its body {body!r} is {2 * radius:.0f} m wide;"
             ' give m, not mm; a mesh in mm takes scale="0.001 0.001 0.001"',
         )
 
@@ -234,7 +238,7 @@ def check_payload(robot: RobotData, pull: float) -> None:
       pull: what its strongest joint pulls with near the base, in N; 10 to 28 times the
         weight of the payload of Sawyer, Panda and Jaco.
     """
-    weight = _GRAVITY * robot.payload
+    weight = GRAVITY * robot.payload
     if min(robot.gripper.holding_force, pull) < weight:
         raise robot_error(
             robot,

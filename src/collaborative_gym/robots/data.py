@@ -44,6 +44,9 @@ _GRIPPER_NUMBERS = (
     "holding_force",
 )
 
+GRAVITY = 9.81
+"""m/s2, MuJoCo's default."""
+
 
 @dataclass(frozen=True)
 class Gripper:

@@ -379,14 +379,14 @@ class Scene:
 
     def _add_sensor(self, name: str, kind: mujoco.mjtSensor, site: str) -> None:
         self._check_site(site)
-        for sensor in self.spec.sensors:
-            if sensor.name == name:
-                if sensor.objname != site:
-                    raise ValueError(
-                        f"{name.rpartition('.')[0]!r} is measured at the site"
-                        f" {sensor.objname!r} already; give {site!r} another name"
-                    )
-                return
+        known = self.spec.sensor(name)
+        if known is not None:
+            if known.objname != site:
+                raise ValueError(
+                    f"{name.rpartition('.')[0]!r} is measured at the site"
+                    f" {known.objname!r} already; give {site!r} another name"
+                )
+            return
         self.spec.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )

@@ -58,10 +58,10 @@ from collaborative_gym import math, motion
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion.loads import relief, strong_paths
-from collaborative_gym.motion.steering import GRAVITY
 from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
