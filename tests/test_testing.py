@@ -133,6 +133,12 @@ def test_a_memory_that_is_written_to(faults):
     assert any("measure() writes into the arrays of self.memory" in e for e in found)
 
 
+def test_a_unit_of_nothing(carry):
+    broken = type("Broken", (type(carry()),), {"units": {"hieght": "m"}})
+    with pytest.raises(AssertionError, match=r"units has \['hieght'\], which measure"):
+        check_task(broken([cg.get_robot("panda")] * 2, carry().config), episodes=2)
+
+
 def test_an_observation_that_blows_up(faults):
     def observe(self, own, facts):
         blocks = own(self, facts)

@@ -238,10 +238,16 @@ def check_saving(trial: Trial) -> None:
 
 
 def check_measuring(trial: Trial) -> None:
-    """Measuring twice in one state changes nothing, neither then nor later."""
+    """Measuring twice in one state changes nothing; what has a unit is measured."""
     env = trial.worlds(7)
     play(env, 3)
     task = env.task
+    facts = env.facts
+    named = [*(facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", ()))]
+    unknown = [name for name in task.units if name not in named]
+    assert not unknown, (
+        f"units has {unknown}, which measure() does not return; it returns {named}"
+    )
     memory = {name: array.copy() for name, array in task.memory.items()}
     first = [np.array(leaf) for leaf in leaves(env.facts)]
     second = leaves(task.measure(env.sim))

@@ -132,6 +132,7 @@ WHOLE = [
     ("train Lif", "Lif"),
     ("train Poke --total-steps 1e6", "'1e6' is not a whole number"),
     ("train Poke --seed None", "'None' is not a whole number"),
+    ("train Poke --learning-rate x", "'x' is not a number; write it as 0.001"),
     ("train Poke --mode foo", "('collaborative', 'independent', 'shared', 'centr"),
     ("train Poke --algorithm None", "Expected one of ('ppo', 'sac')"),
     ("train --all --mode shared", "mode"),

@@ -34,6 +34,34 @@ def test_one_environment_beside_another_share_a_panel(write_run, tmp_path):
     assert labels == ["A-v0", "B-v0"]
 
 
+def test_names_too_long_for_a_panel_are_numbered_and_keep_their_lines(
+    write_run, tmp_path, recwarn
+):
+    long = "AnEnvironmentWithQuiteALongName"
+    named = f"{long}-v0", f"{long}-v1 ({'of many settings, ' * 8}and more)", "Short-v0"
+    for i, name in enumerate(named):
+        write_run(f"run{i}", (0.0, 1.0), env=name)
+    figure = comparison_figure(cg.compare(tmp_path))
+    improvement = figure.axes[-1]
+    assert [text.get_text() for text in improvement.texts] == [
+        "1 over 2",
+        "1 over 3",
+        "2 over 3",
+    ]
+    (legend,) = figure.legends
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert [label.replace("\n", " ") for label in labels] == [
+        f"{i + 1}: {name}" for i, name in enumerate(named)
+    ]
+    figure.draw_without_rendering()
+    assert not recwarn.list  # Matplotlib warns where a layout has no room.
+    box = legend.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
+    tops = [axes.get_tightbbox().y1 for axes in figure.axes]
+    assert max(tops) <= box.y0
+    assert {axes.bbox.height > 0.5 * 2.2 * figure.dpi for axes in figure.axes} == {True}
+
+
 def test_pictures_are_the_same_bytes_whenever_they_are_drawn(two_modes, tmp_path):
     compared = cg.compare(two_modes)
     for suffix in ("svg", "pdf"):

@@ -38,6 +38,24 @@ def test_what_differs_between_environments_alone_makes_no_method(write_run, tmp_
     assert grouping.of_environments == {"total_steps": ["200", "400"]}
 
 
+def test_of_many_settings_a_name_has_those_that_tell_the_groups_apart(
+    write_run, tmp_path
+):
+    alike = {"entropy": 0.5, "discount": 0.9, "num_envs": 64}
+    write_run("usual", (1,))
+    write_run("other", (1,), **alike)
+    write_run("third", (1,), **alike, mode="independent")
+    write_run("longer", (1,), **alike, total_steps=500)
+    grouping = group(tmp_path)
+    assert {each.method for each in grouping.groups} == {
+        "collaborative, total_steps 400, num_envs 256, ...",
+        "collaborative, total_steps 400, num_envs 64, ...",
+        "independent, total_steps 400, num_envs 64, ...",
+        "collaborative, total_steps 500, num_envs 64, ...",
+    }
+    assert {*grouping.differences} == {"mode", "total_steps", *alike}
+
+
 def test_environments_of_one_name_are_told_apart_by_what_differs(write_run, tmp_path):
     write_run("one", (1,))
     other = write_run("other", (1,)) / "config.json"

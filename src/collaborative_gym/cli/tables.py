@@ -189,6 +189,7 @@ def comparison_tables(comparison: Comparison) -> list[Table]:
         table = new_table(
             "\n".join(heads[:2]), *(h.replace(" (", "\n(") for h in heads[2:])
         )
+        table.columns[0].no_wrap = False  # Settings can be long.
         for cells in rows:
             numbers = (_parted(cell) for cell in cells[2:])
             table.add_row(

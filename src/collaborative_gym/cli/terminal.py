@@ -115,21 +115,22 @@ class Played(Worlds):
 
 
 PLAIN_WORDS = tyro.constructors.ConstructorRegistry()
-"""Reads whole numbers and names so that errors about them are in plain words."""
+"""Reads numbers and names so that errors about them are in plain words."""
 
 
 @PLAIN_WORDS.primitive_rule
-def _whole_number(
+def _number(
     info: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[int] | None:
+) -> tyro.constructors.PrimitiveConstructorSpec[int | float] | None:
     # An option without a value of its own has None, which nobody types.
-    if info.type not in (int, int | None):
+    kind = next((k for k in (int, float) if info.type in (k, k | None)), None)
+    if kind is None:
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
-        metavar="INT",
-        instance_from_str=lambda words: _read_whole_number(words[0]),
-        is_instance=lambda value: value is None or isinstance(value, int),
+        metavar=kind.__name__.upper(),
+        instance_from_str=lambda words: _read_number(words[0], kind),
+        is_instance=lambda value: value is None or isinstance(value, (int, kind)),
         str_from_instance=lambda value: [str(value)],
     )
 
@@ -153,14 +154,16 @@ def _name_or_none(
     )
 
 
-def _read_whole_number(word: str) -> int:
+def _read_number(word: str, kind: type[int] | type[float]) -> int | float:
     try:
-        return int(word)
+        return kind(word)
     except ValueError:
         # Python speaks of literals and bases. Many write a million as 1e6.
-        raise ValueError(
-            f"{word!r} is not a whole number; write it in digits, such as 1000000"
-        ) from None
+        how = {
+            int: "a whole number; write it in digits, such as 1000000",
+            float: "a number; write it as 0.001 or 1e-3",
+        }
+        raise ValueError(f"{word!r} is not {how[kind]}") from None
 
 
 STANDARD_OUTPUT = Path("-")

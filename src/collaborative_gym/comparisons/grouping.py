@@ -1,7 +1,7 @@
 """Runs put into groups by whatever differs between them but their seeds."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,6 +19,9 @@ from collaborative_gym.comparisons.runs import (
 _TOLD_ALONE = "algorithm", "mode"
 """Settings whose values say what they are."""
 
+_MOST_NAMED = 3
+"""Settings that a name may have if fewer would tell the groups apart."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -28,7 +31,8 @@ class Group:
       environment: the name of their environment, with what tells it apart from others
         of that name.
       method: what tells their settings apart from those of other groups in an
-        environment.
+        environment. Of many settings it has only as many as that takes, and "..." for
+        the others.
       runs: by seed.
     """
 
@@ -101,9 +105,12 @@ def group_runs(runs: Sequence[TrainedRun]) -> Grouping:
             known = differences.setdefault(name, [])
             known += [value for value in values if value not in known]
     members: dict[tuple[str, str], list[TrainedRun]] = {}
+    named = _enough([run.settings for run in runs], differences)
     for environment, own in by_environment.items():
         for run in own:
-            words = _words(run.settings, differences)
+            words = _words(run.settings, named)
+            if len(named) < len(differences):
+                words += ", ..."
             members.setdefault((environment, words), []).append(run)
     groups = tuple(
         _checked(Group(*names, tuple(sorted(own, key=lambda run: run.seed))))
@@ -130,6 +137,24 @@ def _environments(runs: Sequence[TrainedRun]) -> dict[str, str]:
 
 def _key(run: TrainedRun) -> str:
     return json.dumps(run.identity, sort_keys=True)
+
+
+def _enough(contents: Sequence[Mapping[str, Any]], names: Iterable[str]) -> list[str]:
+    """Return the first of the names whose values tell the contents apart as all do.
+
+    Values that say what they are come first, and always.
+    """
+    names = sorted(names, key=lambda name: name not in _TOLD_ALONE)
+
+    def told_apart(by: Sequence[str]) -> int:
+        return len({tuple(told(each.get(name)) for name in by) for each in contents})
+
+    least = sum(name in _TOLD_ALONE for name in names)
+    found: list[str] = []
+    for i, name in enumerate(names):
+        if i < least or told_apart([*found, name]) > told_apart(found):
+            found.append(name)
+    return found if len(names) > _MOST_NAMED else names
 
 
 def _words(settings: Mapping[str, Any], names: Sequence[str] | Mapping) -> str:

@@ -6,6 +6,7 @@ from functools import partial
 from itertools import cycle
 from pathlib import Path
 from string import ascii_lowercase
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,8 +25,12 @@ _WIDTH, _HEIGHT, _COLUMNS = 7.16, 2.2, 3
 """Size of a line of panels, in inches: across both columns of an IEEE paper; and how
 many panels stand in it."""
 
-_LEGEND = 0.3
-"""Height of the names above them, in inches."""
+_LETTER, _MARK, _LEGEND_LINE = 0.065, 0.5, 0.15
+"""Sizes of the names above them, in inches, nearly: how wide a letter is and the mark
+before a name, and how high a line."""
+
+_MOST_LETTERS = 36
+"""Letters that a panel has room for in a line."""
 
 _STYLES = ("solid", "dashed", "dashdot", "dotted")
 """Beside colours, for eyes and printers that have none."""
@@ -73,7 +78,8 @@ def comparison_figure(comparison: Comparison) -> "Figure":
     First come the learning curves, interquartile means of validations with their 95 %
     intervals: a panel for each environment, or one where only environments differ. Then
     come the performance profile, the share of runs that score at least so much; and the
-    probabilities of improvement.
+    probabilities of improvement. Where two names are too long for that panel, all names
+    are numbered.
 
     Args:
       comparison: what came of it.
@@ -97,35 +103,60 @@ def comparison_figure(comparison: Comparison) -> "Figure":
             drawings.append(
                 partial(_draw_profiles, comparison=comparison, styles=styles)
             )
+        numbers = _numbers(names, comparison)
         if comparison.improvements:
-            drawings.append(partial(_draw_improvements, comparison=comparison))
+            drawings.append(
+                partial(_draw_improvements, comparison=comparison, numbers=numbers)
+            )
         columns = min(len(drawings), _COLUMNS)
         lines = math.ceil(len(drawings) / columns)
-        size = _WIDTH * columns / _COLUMNS, _HEIGHT * lines + _LEGEND
-        figure = Figure(figsize=size, layout="constrained")
+        width = _WIDTH * columns / _COLUMNS
+        figure = Figure(figsize=(width, _HEIGHT * lines), layout="constrained")
         FigureCanvasAgg(figure)
         axes = list(figure.subplots(lines, columns, squeeze=False).flat)
         for letter, own, draw in zip(ascii_lowercase, axes, drawings, strict=False):
             draw(own)
-            if len(drawings) > 1:  # A paper's text calls panels by letters.
-                own.set_title(f"({letter}) {own.get_title()}")
+            # A paper's text calls panels by letters.
+            mark = f"({letter}) " if len(drawings) > 1 else ""
+            own.set_title(fill(mark + own.get_title(), _MOST_LETTERS))
         for unused in axes[len(drawings) :]:
             unused.remove()
         if len(names) > 1:
-            _name(figure, styles)
+            labels = [": ".join([*filter(None, [numbers.get(n)]), n]) for n in names]
+            _name(figure, labels, styles)
         return figure
 
 
-def _name(figure: "Figure", styles: Mapping[str, Any]) -> None:
-    """Name the lines above all panels."""
+def _numbers(names: Sequence[str], comparison: Comparison) -> dict[str, str]:
+    """Return a number for each name, or none if a panel has room for the names."""
+    longest = max((len(_over(*both)) for both in comparison.improvements), default=0)
+    if longest <= _MOST_LETTERS:
+        return {}
+    return {name: str(i + 1) for i, name in enumerate(names)}
+
+
+def _over(one: str, other: str) -> str:
+    return f"{one} over {other}"
+
+
+def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) -> None:
+    """Name the lines above all panels, and make the figure as much higher."""
     from matplotlib.lines import Line2D
 
-    widest = 0.5 + 0.07 * max(map(len, styles))  # Inches, nearly.
+    width, height = figure.get_size_inches()
+    labels = [fill(label, int((width - _MARK) / _LETTER)) for label in labels]
+    widest = _MARK + _LETTER * max(
+        len(line) for label in labels for line in label.splitlines()
+    )
+    columns = max(1, int(width / widest))
+    lines = max(len(label.splitlines()) for label in labels)
+    lines *= math.ceil(len(labels) / columns)
+    figure.set_figheight(height + (1 + lines) * _LEGEND_LINE)
     figure.legend(
         [Line2D([], [], **style) for style in styles.values()],
-        list(styles),
+        labels,
         loc="outside upper left",
-        ncols=max(1, int(figure.get_figwidth() / widest)),
+        ncols=columns,
         frameon=False,
     )
 
@@ -165,7 +196,7 @@ def _draw_curves(
     if is_share(measure):
         axes.set_ylim(-2, 102)
     only = comparison.environments[0] if len(comparison.environments) == 1 else ""
-    axes.set_title(place or only)
+    axes.set_title(place or only or "learning curves")
 
 
 def _draw_band(
@@ -198,13 +229,16 @@ def _draw_profiles(
     axes.set_title(_of("profile", comparison))
 
 
-def _draw_improvements(axes: "Axes", comparison: Comparison) -> None:
+def _draw_improvements(
+    axes: "Axes", comparison: Comparison, numbers: Mapping[str, str]
+) -> None:
     """Draw each probability and its interval, with who beats whom above it."""
-    for i, ((one, other), chance) in enumerate(comparison.improvements.items()):
+    for i, (both, chance) in enumerate(comparison.improvements.items()):
         ends = 100 * np.array([chance.low, chance.high])
         axes.plot(ends, [i, i], color=COLOURS[0], linewidth=2.0)
         axes.plot(100 * chance.value, i, "o", color=COLOURS[0], markersize=4)
-        axes.text(0, i - 0.15, f"{one} over {other}", fontsize=7, va="bottom")
+        told = _over(*(numbers.get(name, name) for name in both))
+        axes.text(0, i - 0.15, told, fontsize=7, va="bottom")
     axes.axvline(50, color="#7f7f7f", linewidth=0.8, linestyle="dashed", zorder=1)
     axes.set_yticks([])
     axes.set_ylim(len(comparison.improvements) - 0.6, -0.8)

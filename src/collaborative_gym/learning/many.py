@@ -222,14 +222,13 @@ def finish(
     if jobs > 1:
         # Runs side by side keep the cores busy, so more threads would only wait.
         resources = replace(resources, num_threads=resources.num_threads or 1)
-    with ctrl_c() as pressed:
+    with ctrl_c("the same command continues") as pressed:
         outcomes = _Crew(plans, resources, on_row).work(jobs, pressed)
-    if pressed.is_set():
-        done = sum(each.result is not None for each in outcomes.values())
-        raise KeyboardInterrupt(
-            f"stopped with {done} of {len(plans)} runs finished; the same command"
-            " continues"
-        )
+        if pressed.is_set():
+            done = sum(each.result is not None for each in outcomes.values())
+            raise KeyboardInterrupt(
+                f"stopped with {done} of {len(plans)} runs finished"
+            )
     yield from (outcomes[plan.folder] for plan in plans)
 
 

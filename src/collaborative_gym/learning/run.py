@@ -138,10 +138,7 @@ class Run:
                 on_row(row, self._best)
             if pressed.is_set():
                 self._save(LAST)
-                raise KeyboardInterrupt(
-                    f"stopped after {steps:,} steps; continue with --resume"
-                    f" {self._folder}"
-                )
+                raise KeyboardInterrupt(f"stopped after {steps:,} steps")
         steps, seconds = self._backend.steps, self._seconds
         return Result(self._folder, self._settings, steps, seconds, self._best)
 

@@ -10,10 +10,14 @@ _ANSWER = b"\nstopping after the current update; Ctrl-C again stops at once\n"
 
 
 @contextmanager
-def ctrl_c() -> Iterator[threading.Event]:
+def ctrl_c(then: str) -> Iterator[threading.Event]:
     """Yield what Ctrl-C sets while the context lasts; a second one interrupts.
 
     An answer comes at once, on standard error, because an update may take a while.
+
+    Args:
+      then: how the run is continued. It ends what a `KeyboardInterrupt` says that
+        leaves the context.
     """
     pressed = threading.Event()
 
@@ -26,14 +30,16 @@ def ctrl_c() -> Iterator[threading.Event]:
 
     # Only the main thread may set what a signal does. A signal that is ignored, as in
     # the background, or that the caller handles, stays so.
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
-        yield pressed
-        return
-    signal.signal(signal.SIGINT, press)
+    is_ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if is_ours:
+        signal.signal(signal.SIGINT, press)
     try:
         yield pressed
+    except KeyboardInterrupt as stop:
+        raise KeyboardInterrupt(f"{str(stop) or 'stopped at once'}; {then}") from None
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if is_ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -142,7 +142,7 @@ def train(
         write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
-        pressed = stack.enter_context(ctrl_c())
+        pressed = stack.enter_context(ctrl_c(f"continue with --resume {folder}"))
         if progress:
             total = settings.hyperparameters.total_steps
             display = stack.enter_context(Display(task.name, total))
