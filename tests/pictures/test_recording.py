@@ -166,6 +166,18 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_has_no_room_behind_the_time_stands_below_it():
+    def lines(text, width):
+        frame = recording._labelled(np.zeros((240, width, 3), np.uint8), text)
+        written = (frame > 0).any(axis=(1, 2))
+        return frame.shape, np.diff(written.astype(int)).tolist().count(1)
+
+    assert lines("3.8 s  expert", 320) == ((240, 320, 3), 1)
+    long = "3.8 s  robot_1 baseline 0 : 1 robot_2 expert"
+    assert lines(long, 640)[1] == 1
+    assert lines(long, 320)[1] == 2
+
+
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
     named = []
     labelled = recording._labelled

@@ -337,12 +337,21 @@ def _film(
 
 
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
-    """Return a frame with a text in its corner, as large as its width allows."""
+    """Return a frame with a text in its corner, as large as its width allows.
+
+    What stands behind two spaces comes below, if there is no room for it.
+    """
     picture = _import("PIL.Image").fromarray(frame)
     pen = _import("PIL.ImageDraw").Draw(picture)
     load, size = _import("PIL.ImageFont").load_default, max(9, frame.shape[0] // 14)
-    _, _, width, _ = pen.textbbox((0, 0), text, load(size=size))
-    font = load(size=max(9, min(size, int(size * (frame.shape[1] - size) / width))))
+    room = frame.shape[1] - size
+
+    def width() -> float:
+        return pen.textbbox((0, 0), text, load(size=size))[2]
+
+    if width() > room:
+        text = text.replace("  ", "\n", 1)
+    font = load(size=max(9, min(size, int(size * room / width()))))
     place = size // 2, size // 3
     pen.text(place, text, "white", font, stroke_width=1, stroke_fill="black")
     return np.asarray(picture)
