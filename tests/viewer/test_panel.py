@@ -103,12 +103,14 @@ def test_plots_follow_the_episode(poke, wait_until):
     wait_until(lambda: len(session.film) == 4)
     charts = page._panel._plots._charts
     reward = next(key for key in charts if key[0] == "reward of robot_1")
-    wait_until(lambda: len(charts[reward].data[0]) == 4)
-    np.testing.assert_allclose(charts[reward].data[0], [0.0, 0.1, 0.2, 0.3])
+    wait_until(lambda: len(charts[reward].data[0]) == 3)  # A start has none.
+    np.testing.assert_allclose(charts[reward].data[0], [0.1, 0.2, 0.3])
     for name, curve in zip(reward[1:], charts[reward].data[1:], strict=True):
         terms = [frame.reading.rewards["robot_1"][name] for frame in session.film]
-        np.testing.assert_array_equal(curve, terms)
-    assert next(key for key in charts if key[0] == "measured")[1] == "distance, m"
+        np.testing.assert_array_equal(curve, terms[1:])
+    measured = next(key for key in charts if key[0] == "measured")
+    assert measured[1] == "distance, m"
+    np.testing.assert_allclose(charts[measured].data[0], [0.0, 0.1, 0.2, 0.3])
 
 
 def test_the_time_shows_and_leads(poke, wait_until):

@@ -16,6 +16,9 @@ _COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a6
 _HEIGHT = 200
 """Of a chart, in pixels."""
 
+_MEASURED = "measured"
+"""Title of the chart of measures."""
+
 
 class Plots:
     """Charts over an episode's time, one for each agent's reward and one of measures.
@@ -45,8 +48,10 @@ class Plots:
             self._charts = {key: self._add(*key) for key in titles}
         times = np.array([frame.reading.time for frame in film])
         for key, title in titles.items():
-            curves = np.array([list(row[title].values()) for row in rows])
-            self._charts[key].data = (times, *np.ascontiguousarray(curves.T))
+            # A start has no reward yet.
+            first = int(title != _MEASURED and len(rows) > 1)
+            curves = np.array([list(row[title].values()) for row in rows[first:]])
+            self._charts[key].data = (times[first:], *np.ascontiguousarray(curves.T))
 
     def _add(self, title: str, *names: str) -> viser.GuiUplotHandle:
         colors = [_COLORS[i % len(_COLORS)] for i in range(len(names))]
@@ -71,7 +76,7 @@ def _curves(frame: Frame) -> Mapping[str, Mapping[str, float]]:
     reading = frame.reading
     charts = {f"reward of {agent}": own for agent, own in reading.rewards.items()}
     units = {name: f", {unit}" for name, unit in reading.units.items()}
-    charts["measured"] = {
+    charts[_MEASURED] = {
         f"{name}{units.get(name, '')}": value
         for name, value in reading.measures.items()
         if not isinstance(value, bool)
