@@ -279,6 +279,11 @@ class Resources:
         if self.ray_address is not None:
             check_kind("ray_address", self.ray_address, str, "a text, or None")
 
+    @property
+    def of_ray(self) -> list[str]:
+        """The settings that are given and mean something to the backend ray alone."""
+        return [n for n in ("num_collectors", "ray_address") if getattr(self, n)]
+
 
 _GENTLE: Mapping[str, Any] = {
     "torque_penalty": 0.1,

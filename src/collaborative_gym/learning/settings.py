@@ -19,6 +19,7 @@ from collaborative_gym.learning.config import (
     Algorithm,
     Hyperparameters,
     Mode,
+    changed,
     check_algorithm,
     recipe,
 )
@@ -220,7 +221,9 @@ def settle(
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
-    elif settings.start_from:
+    else:
+        _check_company(settings)
+    if started is None and settings.start_from:
         first = first_policy(settings, task)
         start = {
             "digest": first.digest,
@@ -339,6 +342,19 @@ def _check_seats(settings: Settings, task: Task) -> None:
         )
     casting.check(settings.hyperparameters.num_envs)
     read_guests(task, casting, settings.opponents or settings.partners)
+
+
+def _check_company(settings: Settings) -> None:
+    """Raise if numbers of a league or of a population are given without one."""
+    company = settings.opponents + settings.partners
+    given = changed(settings.hyperparameters)
+    for option, word in (("opponent", LEAGUE), ("partner", POPULATION)):
+        own = [name for name in given if name.startswith(word)]
+        if own and word not in company:
+            raise ValueError(
+                f"{' and '.join(own)} would mean nothing without --{option} {word};"
+                " give that too, or leave out these numbers"
+            )
 
 
 def _check_same(settings: Settings, started: Settings) -> None:
