@@ -272,7 +272,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
         raise ValueError(
             f"this run cannot start from {settings.start_from}:"
             f" {'; '.join(differences)}. Choose the mode, hidden_sizes and activation"
-            " with which that policy was trained"
+            " with which that policy was trained, and spaces of the same sizes"
         )
     return policy
 
