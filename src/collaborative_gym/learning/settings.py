@@ -380,7 +380,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
     if found:
         raise ValueError(
             f"this run cannot continue with other settings: {'; '.join(found)}; leave"
-            " out what differs, or start another run"
+            " out what differs, or start another run with another output"
         )
 
 
