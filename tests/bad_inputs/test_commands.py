@@ -133,6 +133,7 @@ WHOLE = [
     ("train Poke --total-steps 1e6", "'1e6' is not a whole number"),
     ("train Poke --seed None", "'None' is not a whole number"),
     ("train Poke --learning-rate x", "'x' is not a number; write it as 0.001"),
+    ("train Poke --hidden-sizes 64,64", "'64,64' is not a whole number"),
     ("train Poke --mode foo", "('collaborative', 'independent', 'shared', 'centr"),
     ("train Poke --algorithm None", "Expected one of ('ppo', 'sac')"),
     ("train --all --mode shared", "mode"),

@@ -189,7 +189,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
     [
         ("", "name environments to train, or pass --all"),
         ("--seeds 0 1", "name environments to train, or pass --all"),
-        ("Carry --seeds 0-x", "numbers and ranges, as 0-9; got '0-x'"),
+        ("Carry --seeds 0-x", "numbers and ranges, such as 0 1 2 or 0-9; got '0-x'"),
         ("Carry --seeds 3-1", "--seeds 3-1 must go up"),
         ("Carry --seeds 0-1 1", "seed1 is asked for twice"),
         ("Carry --seeds 0 --seed 1", "--seed is for one run; give --seeds instead"),

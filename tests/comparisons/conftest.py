@@ -32,11 +32,18 @@ def write_run(contents, tmp_path):
     """Return a function that writes a run's folder, by its validated completions."""
 
     def write_run(
-        name, completions, seed=0, env="CarryPandas-v0", mode=None, **numbers
+        name,
+        completions,
+        seed=0,
+        env="CarryPandas-v0",
+        mode=None,
+        algorithm="ppo",
+        **numbers,
     ):
         content = deepcopy(contents)
         content["identity"]["name"] = env
         content["seed"], content["mode"] = seed, mode or content["mode"]
+        content["algorithm"] = algorithm
         content["hyperparameters"] |= numbers
         folder = tmp_path / name
         folder.mkdir(parents=True)

@@ -79,6 +79,16 @@ def test_a_setting_that_older_runs_lack_is_no_difference(write_run, tmp_path):
     assert len(group(tmp_path).groups) == 1
 
 
+def test_what_means_nothing_to_an_algorithm_is_no_difference(write_run, tmp_path):
+    write_run("ppo", (1,), clip=0.1)
+    write_run("wide", (1,), clip=0.3, polyak=0.01)
+    write_run("sac", (1,), algorithm="sac", final_noise=0.5)
+    grouping = group(tmp_path)
+    methods = ["ppo, clip 0.1", "sac", "ppo, clip 0.3"]
+    assert [each.method for each in grouping.groups] == methods
+    assert set(grouping.differences) == {"algorithm", "clip"}
+
+
 def test_only_validations_that_all_runs_have_are_compared(write_run, tmp_path):
     write_run("whole", (0.25, 0.5, 0.75, 1.0))
     write_run("cut", (0.5, 0.25), seed=1)

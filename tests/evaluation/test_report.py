@@ -11,6 +11,7 @@ from collaborative_gym.evaluation.report import (
     Statistic,
     format_statistic,
     reports_to_csv,
+    told_episodes,
 )
 
 
@@ -56,6 +57,7 @@ def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
 def test_markdown_is_a_table_of_all_statistics(report):
     title, table, strain = report.to_markdown().split("\n\n")
     assert title == "Carry, 5 episodes of seed 0:"
+    assert told_episodes(1) == "1 episode"
     head, rule, *rows = table.splitlines()
     lines = [head, rule, *rows, *strain.splitlines()]
     assert {line.count("|") for line in lines} == {5}

@@ -283,6 +283,23 @@ def test_bad_input_shows_before_the_work(
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resources": Resources(num_collectors=2)}, "--backend ray too"),
+        ({"resources": Resources(ray_address="a:1")}, "ray_address would mean nothing"),
+        ({"hyperparameters": Hyperparameters(population=5)}, "--partner population"),
+        ({"hyperparameters": Hyperparameters(league_fresh=0.5)}, "--opponent league"),
+    ],
+)
+def test_numbers_of_what_is_not_asked_for_are_refused(
+    train_tiny, tmp_path, options, message
+):
+    with pytest.raises(ValueError, match=message):
+        train_tiny(**options)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_missing_device_is_named(train_tiny, tmp_path):
     with pytest.raises(ValueError, match="torch finds no CUDA device here"):
         train_tiny(resources=Resources(device="cuda"))

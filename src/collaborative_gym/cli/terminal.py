@@ -136,6 +136,24 @@ def _number(
 
 
 @PLAIN_WORDS.primitive_rule
+def _numbers(
+    info: tyro.constructors.PrimitiveTypeInfo,
+) -> tyro.constructors.PrimitiveConstructorSpec[tuple[int | float, ...]] | None:
+    # Of the ways to write tuple[int, ...], tyro takes one of its own.
+    kind = next((k for k in (int, float) if get_args(info.type) == (k, ...)), None)
+    if kind is None:
+        return None
+    name = kind.__name__.upper()
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs="*",
+        metavar=f"[{name} [{name} ...]]",
+        instance_from_str=lambda words: tuple(_read_number(w, kind) for w in words),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [str(each) for each in value],
+    )
+
+
+@PLAIN_WORDS.primitive_rule
 def _name_or_none(
     info: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[str] | None:

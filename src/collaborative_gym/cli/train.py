@@ -65,8 +65,8 @@ class Train(Command):
         critic that sees all observations; independent: a policy and a critic each;
         shared: one policy and critic for robots with equal spaces (default for such
         robots against given policies and in a league); centralized: one policy for all
-        robots.
-      seed: seed of the run (default: 0).
+        robots. For several modes see --modes.
+      seed: seed of the run (default: 0); for several seeds see --seeds.
       seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
         environment and mode; with --all for each baseline (default: 0 1 2).
       output: folder of a new run (default: runs/ENV-MODE-seedS, before the mode also
@@ -271,7 +271,9 @@ def read_seeds(words: Sequence[str]) -> tuple[int, ...]:
         first, dash, last = word.partition("-")
         ends = [first, last if dash else first]
         if not all(end.isdecimal() and end.isascii() and len(end) < 20 for end in ends):
-            raise ValueError(f"--seeds takes numbers and ranges, as 0-9; got {word!r}")
+            raise ValueError(
+                f"--seeds takes numbers and ranges, such as 0 1 2 or 0-9; got {word!r}"
+            )
         low, high = map(int, ends)
         if not low <= high < low + _MOST_SEEDS:
             raise ValueError(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_kind
+from collaborative_gym.learning.config import foreign
 from collaborative_gym.learning.folder import CONFIG, PROGRESS
 
 VALIDATION = "validation/"
@@ -25,7 +26,8 @@ class TrainedRun:
     Attributes:
       folder: where it is.
       identity: its environment's, as plain dictionaries.
-      settings: all else that it was started with but its seed, by dotted name.
+      settings: all else that it was started with but its seed, by dotted name, without
+        what means nothing to its algorithm.
       seed: of the run.
       total_steps: environment steps that it was to take.
       rows: of the updates after which there was a validation, with `steps`,
@@ -59,10 +61,12 @@ class TrainedRun:
             raise ValueError(
                 f"{path} is not from a training run, or is damaged: {error!r}"
             ) from None
+        algorithm = content.get("algorithm", "ppo")
+        unused = {f"hyperparameters.{name}" for name in foreign(algorithm)}
         settings = {
             name.removeprefix("hyperparameters."): value
             for name, value in flat(content).items()
-            if not name.startswith(_NO_SETTINGS)
+            if not (name in unused or name.startswith(_NO_SETTINGS))
         }
         return cls(folder, identity, settings, seed, total, rows)
 

@@ -208,7 +208,7 @@ class Report:
     def to_markdown(self) -> str:
         """Return the statistics as Markdown: what was played, and tables."""
         count, seed = (self.settings[name] for name in ("episodes", "seed"))
-        told = f"{self.environment}, {count} episodes of seed {seed}"
+        told = f"{self.environment}, {told_episodes(count)} of seed {seed}"
         return f"{told}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
@@ -219,6 +219,11 @@ class Report:
 def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
     """Return whether rows differ by the episode's number alone."""
     return len({repr({**row, "episode": 0}) for row in rows}) == 1
+
+
+def told_episodes(count: object) -> str:
+    """Return a number of episodes for people."""
+    return f"{count} episode" if str(count) == "1" else f"{count} episodes"
 
 
 def reports_to_json(reports: Sequence[Report]) -> str:

@@ -279,6 +279,11 @@ class Resources:
         if self.ray_address is not None:
             check_kind("ray_address", self.ray_address, str, "a text, or None")
 
+    @property
+    def of_ray(self) -> list[str]:
+        """The settings that are given and mean something to the backend ray alone."""
+        return [n for n in ("num_collectors", "ray_address") if getattr(self, n)]
+
 
 _GENTLE: Mapping[str, Any] = {
     "torque_penalty": 0.1,
@@ -373,7 +378,7 @@ def recipe(env: str, algorithm: str = "ppo") -> Hyperparameters:
     own = {
         name: value
         for name, value in RECIPES.get(env, {}).items()
-        if name not in _foreign(algorithm)
+        if name not in foreign(algorithm)
     }
     return Hyperparameters(**{**own, **usual})
 
@@ -384,15 +389,15 @@ def check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
     Raises:
       ValueError: names what does not.
     """
-    foreign = [n for n in changed(hyperparameters) if n in _foreign(algorithm)]
-    if foreign:
+    unknown = [n for n in changed(hyperparameters) if n in foreign(algorithm)]
+    if unknown:
         raise ValueError(
-            f"{algorithm} knows no {' or '.join(foreign)}; leave out what another"
+            f"{algorithm} knows no {' or '.join(unknown)}; leave out what another"
             " algorithm alone uses"
         )
 
 
-def _foreign(algorithm: str) -> set[str]:
+def foreign(algorithm: str) -> set[str]:
     """Return the hyperparameters that mean nothing to an algorithm."""
     return {n for other, own in _OWN.items() if other != algorithm for n in own}
 

@@ -19,6 +19,7 @@ from collaborative_gym.learning.config import (
     Algorithm,
     Hyperparameters,
     Mode,
+    changed,
     check_algorithm,
     recipe,
 )
@@ -220,7 +221,9 @@ def settle(
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
-    elif settings.start_from:
+    else:
+        _check_company(settings)
+    if started is None and settings.start_from:
         first = first_policy(settings, task)
         start = {
             "digest": first.digest,
@@ -269,7 +272,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
         raise ValueError(
             f"this run cannot start from {settings.start_from}:"
             f" {'; '.join(differences)}. Choose the mode, hidden_sizes and activation"
-            " with which that policy was trained"
+            " with which that policy was trained, and spaces of the same sizes"
         )
     return policy
 
@@ -341,6 +344,19 @@ def _check_seats(settings: Settings, task: Task) -> None:
     read_guests(task, casting, settings.opponents or settings.partners)
 
 
+def _check_company(settings: Settings) -> None:
+    """Raise if numbers of a league or of a population are given without one."""
+    company = settings.opponents + settings.partners
+    given = changed(settings.hyperparameters)
+    for option, word in (("opponent", LEAGUE), ("partner", POPULATION)):
+        own = [name for name in given if name.startswith(word)]
+        if own and word not in company:
+            raise ValueError(
+                f"{' and '.join(own)} would mean nothing without --{option} {word};"
+                " give that too, or leave out these numbers"
+            )
+
+
 def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
@@ -364,7 +380,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
     if found:
         raise ValueError(
             f"this run cannot continue with other settings: {'; '.join(found)}; leave"
-            " out what differs, or start another run"
+            " out what differs, or start another run with another output"
         )
 
 

@@ -137,6 +137,11 @@ def train(
             partner=partner,
             start_from=start_from,
         )
+        if settings.backend != "ray" and resources.of_ray:
+            raise ValueError(
+                f"{' and '.join(resources.of_ray)} would mean nothing without Ray; give"
+                " --backend ray too, or leave them out"
+            )
         folder = folder or _begin(settings, output, stack)
         # Also of a run that goes on, whose total_steps may have grown.
         write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")

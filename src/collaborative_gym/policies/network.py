@@ -98,7 +98,8 @@ class NetworkPolicy:
       activation: between their layers.
 
     Raises:
-      ValueError: if the parts do not fit the weights or the sizes.
+      ValueError: if the parts do not fit the weights or the sizes; when it is called,
+        if an observation has another shape than (num_envs, n).
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class NetworkPolicy:
         for part in self._parts:
             weights = self.weights[part.weights]
             rows = np.concatenate(
-                [np.asarray(observations[agent], np.float32) for agent in part.agents],
+                [self._rows(agent, observations[agent]) for agent in part.agents],
                 axis=1,
             )
             if part.index is not None:
@@ -145,6 +146,16 @@ class NetworkPolicy:
             blocks = np.split(out, np.cumsum(sizes)[:-1], axis=1)
             actions |= dict(zip(part.agents, blocks, strict=True))
         return actions
+
+    def _rows(self, agent: str, observation: Array) -> np.ndarray:
+        """Return an agent's observations, (num_envs, n)."""
+        rows, size = np.asarray(observation, np.float32), self.observation_sizes[agent]
+        if rows.ndim != 2 or rows.shape[1] != size:
+            raise ValueError(
+                f"the observation of {agent} has shape {rows.shape}, not (num_envs,"
+                f" {size}); for one world alone, load the policy with its environment"
+            )
+        return rows
 
     def _forward(self, rows: np.ndarray, weights: Weights) -> np.ndarray:
         limit = np.float32(OBSERVATION_LIMIT)
@@ -206,6 +217,7 @@ class NetworkPolicy:
         here = Identity.of(env.task)
         differences = here.differences(self.identity, ignore=ON_PLAYING)
         title = f"this policy is for {self.identity.title}"
+        or_else = ", or evaluate this one here with any_env=True (--any-env)"
         for kind, all_sizes, spaces in (
             ("observation", self.observation_sizes, env.single_observation_spaces),
             ("action", self.action_sizes, env.single_action_spaces),
@@ -216,7 +228,10 @@ class NetworkPolicy:
                 for agent, space in spaces.items()
                 if agent in self.agents
             }
-            if own != sizes and (any_env or not differences):
+            if own == sizes:
+                continue
+            or_else = ""
+            if any_env or not differences:
                 raise ValueError(
                     f"{title}: its {kind} sizes are {_listed(own)}, the environment's"
                     f" {_listed(sizes)}"
@@ -224,7 +239,7 @@ class NetworkPolicy:
         if differences and not any_env:
             raise ValueError(
                 f"{title}; here {'; '.join(differences)}. Train one for this"
-                " environment, or play this one here with any_env=True (--any-env)"
+                f" environment{or_else}"
             )
 
     @property
