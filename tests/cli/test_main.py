@@ -99,6 +99,7 @@ def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
     arguments = ["evaluate", carry_id, "--episodes", "3", "--num-threads", "1"]
     assert main([*arguments, "--json", str(files[0]), "--csv", str(files[1])]) == 0
     lines = capsys.readouterr().out.splitlines()
+    assert lines[0].rstrip() == "expert on default"
     assert "100 %" in "".join(lines) and max(map(len, lines)) <= 80
     assert "3 episodes and their 95 % intervals" in " ".join(" ".join(lines).split())
     content = json.loads(files[0].read_text())

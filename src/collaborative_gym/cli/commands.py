@@ -174,7 +174,11 @@ class Evaluate(Played, _Policy):
                         on_progress=progress(env_id),
                     )
                 )
-        tell(reports_table(reports), besides=(self.json, self.csv))
+        table = reports_table(reports)
+        delay = f", delay {self.delay}" if self.delay else ""
+        table.title = f"{' '.join(self.policy)} on {self.randomization}{delay}"
+        table.title_justify = "left"
+        tell(table, besides=(self.json, self.csv))
         tell(strain_table(reports), besides=(self.json, self.csv))
         put(self.json, report.reports_to_json(reports))
         put(self.csv, report.reports_to_csv(reports))

@@ -223,17 +223,20 @@ def settle(
         _check_same(settings, started)
     else:
         _check_company(settings)
-    if started is None and settings.start_from:
-        first = first_policy(settings, task)
-        start = {
-            "digest": first.digest,
-            "environment": first.identity.name,
-            "randomization": first.identity.config["randomization"],
-            "metadata": first.metadata,
-        }
-        settings = replace(settings, start=start)
+        if settings.start_from:
+            settings = replace(settings, start=_start(first_policy(settings, task)))
     check_algorithm(algorithm, settings.hyperparameters)
     return settings
+
+
+def _start(first: NetworkPolicy) -> dict[str, Any]:
+    """Return what a run remembers of the policy that it begins with."""
+    return {
+        "digest": first.digest,
+        "environment": first.identity.name,
+        "randomization": first.identity.config["randomization"],
+        "metadata": first.metadata,
+    }
 
 
 def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
