@@ -112,6 +112,11 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     assert commands[1].endswith(f"--start-from {start} --randomization wide`")
 
 
+def test_a_card_says_with_whom_its_run_learned(train_both):
+    text = train_both(partner=["expert"]).read_text()
+    assert " --partner expert`" in text
+
+
 def test_what_is_changed_is_laid_over_the_recipe(
     train_both, carry_id, tiny, tmp_path, monkeypatch
 ):

@@ -122,7 +122,7 @@ def comparison_figure(comparison: Comparison) -> "Figure":
         for unused in axes[len(drawings) :]:
             unused.remove()
         if len(names) > 1:
-            labels = [": ".join([*filter(None, [numbers.get(n)]), n]) for n in names]
+            labels = [f"{numbers[n]}: {n}" if n in numbers else n for n in names]
             _name(figure, labels, styles)
         return figure
 

@@ -253,8 +253,9 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     ]
     if (preset := _preset(starts)) != "default":
         options.append(f"--randomization {preset}")
-    if own["opponents"]:
-        options.append(f"--opponent {' '.join(own['opponents'])}")
+    for option in ("opponent", "partner"):
+        if guests := own.get(f"{option}s"):
+            options.append(f"--{option} {' '.join(guests)}")
     return " ".join(
         [f"collaborative-gym train {env_id} --seed {own['seed']}", *options]
     )
