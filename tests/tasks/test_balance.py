@@ -201,3 +201,17 @@ def test_arms_out_of_reach_are_refused():
     placements = (Placement((0, -2.5, 1.0), np.pi / 2), Placement((0, 1.8, 1.0)))
     with pytest.raises(ValueError, match="sawyer cannot bring its tcp"):
         make(PUSHED, 1, placements=placements)
+
+
+def test_a_world_that_rests_does_not_stop_the_pushes_of_others():
+    task = make_task("BalanceTaskSawyers-v0", max_episode_steps=2)
+    env = VectorEnv(task, num_envs=2, auto_reset=False, num_threads=1)
+    env.reset(seed=0)
+    begun = env.get_state([1])
+    for _ in range(2):
+        env.step(env.idle())
+    ended = env.get_state([0])
+    env.set_state(begun, [1])
+    *_, infos = env.step(env.idle())
+    assert infos["step"].tolist() == [2, 1]
+    np.testing.assert_array_equal(env.get_state([0]).physics, ended.physics)

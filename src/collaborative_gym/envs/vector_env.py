@@ -435,7 +435,9 @@ class VectorEnv:
         sim, idle = self.sim, _where(resting, self.sim.xp)
         kept = sim.get_state(idle) if len(idle) else None
         controls = self._controller.command(actions)
-        self.task.disturb(sim, self._progress.rows["step"])
+        # What rests has done all of its steps, and is put back whatever pushes it.
+        last = self.task.config.max_episode_steps - 1
+        self.task.disturb(sim, sim.xp.minimum(self._progress.rows["step"], last))
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
         length, strain = self.substeps // self._shots, self.strain
         for start in range(0, self.substeps, length):

@@ -296,7 +296,8 @@ class Task(Generic[ConfigT, FactsT]):
 
         Args:
           sim: the worlds.
-          steps: (num_envs,) control steps that each episode has done.
+          steps: (num_envs,) control steps that each episode has done, less than
+            `max_episode_steps`.
         """
 
     def measure(self, sim: Sim) -> FactsT:
