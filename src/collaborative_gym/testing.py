@@ -11,7 +11,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import Task, named_facts
 
 _DEEPEST = 1e-4  # m; what rests on a table is in it by less than that
 
@@ -242,8 +242,7 @@ def check_measuring(trial: Trial) -> None:
     env = trial.worlds(7)
     play(env, 3)
     task = env.task
-    facts = env.facts
-    named = [*(facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", ()))]
+    named = [*named_facts(env.facts)]
     unknown = [name for name in task.units if name not in named]
     assert not unknown, (
         f"units has {unknown}, which measure() does not return; it returns {named}"

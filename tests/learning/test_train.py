@@ -282,7 +282,6 @@ def test_bad_input_shows_before_the_work(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -300,6 +299,7 @@ def test_numbers_of_what_is_not_asked_for_are_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_missing_device_is_named(train_tiny, tmp_path):
     with pytest.raises(ValueError, match="torch finds no CUDA device here"):
         train_tiny(resources=Resources(device="cuda"))

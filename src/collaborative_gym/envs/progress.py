@@ -79,6 +79,12 @@ class Progress:
         """Whether each episode is at its end, (num_envs,)."""
         return self.rows["terminated"] | self.rows["truncated"]
 
+    @property
+    def next_step(self) -> Array:
+        """The control step that each episode does next; the last one if it is over."""
+        last = self._task.config.max_episode_steps - 1
+        return self._xp.minimum(self.rows["step"], last)
+
     def where(self) -> dict[str, Array]:
         """Return copies of `seed`, `episode` and `step`."""
         return {name: self.rows[name] + 0 for name in ("seed", "episode", "step")}

@@ -435,9 +435,7 @@ class VectorEnv:
         sim, idle = self.sim, _where(resting, self.sim.xp)
         kept = sim.get_state(idle) if len(idle) else None
         controls = self._controller.command(actions)
-        # What rests has done all of its steps, and is put back whatever pushes it.
-        last = self.task.config.max_episode_steps - 1
-        self.task.disturb(sim, sim.xp.minimum(self._progress.rows["step"], last))
+        self.task.disturb(sim, self._progress.next_step)
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
         length, strain = self.substeps // self._shots, self.strain
         for start in range(0, self.substeps, length):

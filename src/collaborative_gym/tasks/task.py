@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -126,6 +126,11 @@ class TaskConfig:
 def name_agents(count: int) -> tuple[str, ...]:
     """Return the names of that many agents, "robot_1" and so on."""
     return tuple(f"robot_{i + 1}" for i in range(count))
+
+
+def named_facts(facts: Any) -> Mapping[str, Any]:
+    """Return a task's facts by their names, or none if they have no names."""
+    return facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
 
 
 def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:

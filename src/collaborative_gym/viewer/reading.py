@@ -8,6 +8,7 @@ import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies.match import result
+from collaborative_gym.tasks.task import named_facts
 from collaborative_gym.timing import CONTROL_DT
 
 
@@ -128,8 +129,7 @@ def _measures(
     facts: Any, units: Mapping[str, str]
 ) -> Iterator[tuple[str, str, float | bool]]:
     """Yield name, unit and value of the facts that are one number or truth a world."""
-    named = facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
-    for fact, value in named.items():
+    for fact, value in named_facts(facts).items():
         parts = value.items() if isinstance(value, Mapping) else [("", value)]
         for agent, part in parts:
             if getattr(part, "ndim", None) == 1:
