@@ -150,7 +150,7 @@ class StrictSim(CpuSim):
             setattr(self, name, Strict(getattr(self, name)))
 
     def step(self, controls, records=None, breaks=None):
-        judge = breaks and (lambda found: own(breaks(Strict(found))))
+        judge = breaks and (lambda *found: own(breaks(*map(Strict, found))))
         super().step(np.ascontiguousarray(own(controls)), records, judge)
 
     def forward(self, env_ids=None):

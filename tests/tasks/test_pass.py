@@ -213,6 +213,27 @@ def test_both_hold_still_during_the_hand_over(variant):
     assert seen.all()
 
 
+def test_neither_pulls_the_cube_out_of_a_hand_that_holds_on(variant):
+    for puller, holder in (AGENTS, AGENTS[::-1]):
+        variant.reset(seed=2)
+        rng = np.random.default_rng(0)
+        pulls = np.sign(rng.uniform(-1.0, 1.0, (8, 8)))
+        pulls[:, -1] = 1.0
+        pulling, torn = np.zeros(8, bool), np.zeros(8, bool)
+        for _ in range(60):
+            actions = variant.expert()
+            pulling |= variant.facts.holds[puller] & variant.facts.holds[holder]
+            actions[puller][pulling] = pulls[pulling]
+            still = variant.idle({puller: False, holder: True})
+            actions[holder][pulling] = still[holder][pulling]
+            held = variant.facts.holds[holder] & pulling
+            variant.step(actions)
+            tears = held & ~variant.facts.holds[holder]
+            assert not variant.facts.holds[puller][tears].any()
+            torn |= tears
+        assert pulling.all() and torn.sum() >= 4
+
+
 def test_robots_that_both_go_on_holding_come_to_rest(variant):
     variant.reset(seed=2)
     both = np.zeros(8, bool)

@@ -74,9 +74,10 @@ class Grips:
     A grip starts at the beginning of a control step if the agent asks for it and the
     site is near. It lasts while the agent asks for it, unless it tears. It tears before
     a physics step that would load it above what the gripper holds, or at whose start
-    the two are more than twice the starting distance apart. After a tear the hand opens
-    for one control step and cannot grip; otherwise a grip that is too weak would start
-    and tear in every step.
+    the two are more than twice the starting distance apart. What is torn out of one hand
+    also slips out of another hand that holds it at the same site; otherwise that hand
+    could win a thing by force. After a tear the hand opens for one control step and
+    cannot grip; otherwise a grip that is too weak would start and tear in every step.
 
     Args:
       scene: the compiled scene.
@@ -104,6 +105,8 @@ class Grips:
         self._equalities = xp.asarray(np.array(equalities, int))
         self._thresholds = xp.asarray([grip.threshold for grip in scene.grips])
         self._strengths = xp.asarray([gripper.holding_force for gripper in grippers])
+        sites = np.array([grip.site for grip in scene.grips])
+        self._same_site = xp.asarray(sites == sites[:, None])
 
     def command(self, controls: Array, asked: dict[str, Array]) -> None:
         """Take and leave grips for a control step; close the fingers where one holds.
@@ -127,15 +130,16 @@ class Grips:
             opened = controls[:, :, fingers]
             controls[:, :, fingers] = xp.where(is_closed, closed, opened)
 
-    def tears(self, sensordata: Array) -> Array:
+    def tears(self, sensordata: Array, active: Array) -> Array:
         """Return which grips tear; see `Breaks` of the simulation."""
         xp, shape = self._sim.xp, (*sensordata.shape[:-1], self._sim.model.neq)
         force = math.norm(sensordata[..., self._forces])
         gap = math.norm(sensordata[..., self._tcps] - sensordata[..., self._sites])
+        holds = active[..., self._equalities]
+        torn = (force > self._strengths) | (gap > _TEARING * self._thresholds)
+        torn = xp.any((torn & holds)[..., None, :] & self._same_site, axis=-1)
         tears = xp.zeros(shape, dtype=xp.bool)
-        tears[..., self._equalities] = (force > self._strengths) | (
-            gap > _TEARING * self._thresholds
-        )
+        tears[..., self._equalities] = torn & holds
         return tears
 
 

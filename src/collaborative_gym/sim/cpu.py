@@ -76,7 +76,7 @@ class CpuSim:
             records = {"sensordata": np.zeros(shape)} | records
             state = self._batch.state.copy()
             self._advance(controls, records, failed)
-            wrong = breaks(records["sensordata"]) & active[:, None]
+            wrong = breaks(records["sensordata"], active[:, None])
             rows = np.flatnonzero(wrong.any(axis=(1, 2)))
             self._batch.state[rows] = state[rows]
             before[rows], failed[rows] = self._warnings()[rows], False
@@ -110,7 +110,7 @@ class CpuSim:
             self._advance(control[rows], found, failed, rows)
             for name, array in found.items():
                 records[name][rows] = array
-            broken = breaks(found["sensordata"][:, 0]) & (switches[rows] > 0)
+            broken = breaks(found["sensordata"][:, 0], switches[rows] > 0)
             again = broken.any(axis=1)
             rows = rows[again]
             state[rows] = kept[again]

@@ -10,10 +10,10 @@ from collaborative_gym.math import Array
 EnvIds = Any
 """Sorted integer ids of worlds, a boolean mask over them, or None for all."""
 
-Breaks = Callable[[Array], Array]
+Breaks = Callable[[Array, Array], Array]
 """A function that takes the `sensordata` (..., nsensordata) of physics steps, as it was
-when they began and with the forces in them. It returns which equality constraints they
-break, (..., neq) booleans."""
+when they began and with the forces in them, and which equality constraints were active,
+(..., neq) booleans. It returns which of these break."""
 
 
 class Sim(Protocol):
