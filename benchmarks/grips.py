@@ -53,10 +53,10 @@ class Recorder:
     def step(self, controls, records=None, breaks=None):
         """Do what `Sim.step` does, and measure."""
 
-        def judge(found):
+        def judge(found, active):
             if found.ndim == 3:
                 self.found = found[:, 0].copy()
-            return breaks(found)
+            return breaks(found, active)
 
         for i in range(controls.shape[1]):
             held = self.sim.eq_active[:, self.ids] > 0

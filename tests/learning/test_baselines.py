@@ -108,8 +108,8 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
         "- command 2 of 2",
     ]
     assert "--start-from" not in commands[0] and "wide" not in commands[0]
-    assert commands[0].endswith(f" --output {start}`")
-    assert commands[1].endswith(f"--start-from {start} --randomization wide`")
+    assert commands[0].endswith(" --output runs/part_1`")
+    assert commands[1].endswith("--start-from runs/part_1 --randomization wide`")
 
 
 def test_a_card_says_with_whom_its_run_learned(train_both):

@@ -221,17 +221,22 @@ def _commands(settings: Settings, resources: Resources) -> list[str]:
     if resources.torch_threads != Resources.torch_threads:
         # Another number may change the last bits.
         options = f" --torch-threads {resources.torch_threads}"
-    own, starts = asdict(settings), identity.config["randomization"]
-    commands = [_command(identity.name, own, starts) + options]
+    runs = [(identity.name, asdict(settings), identity.config["randomization"])]
     while "randomization" in start:
-        later, own = own, start["metadata"]
-        command = _command(start["environment"], own, start["randomization"])
-        commands.append(f"{command} --output {later['start_from']}")
-        start = own["start"]
+        runs.append((start["environment"], start["metadata"], start["randomization"]))
+        start = start["metadata"]["start"]
+    runs.reverse()
+    commands = []
+    for i, (env_id, own, starts) in enumerate(runs):
+        # A run may have begun with a baseline of then, which is no folder to write to.
+        before = f"runs/part_{i}" if i else own["start_from"]
+        command = _command(env_id, own | {"start_from": before}, starts) + options
+        is_last = i + 1 == len(runs)
+        commands.append(command + ("" if is_last else f" --output runs/part_{i + 1}"))
     count = len(commands)
     return [
         f"- command{f' {i + 1} of {count}' if count > 1 else ''}: `{command}`"
-        for i, command in enumerate(reversed(commands))
+        for i, command in enumerate(commands)
     ]
 
 

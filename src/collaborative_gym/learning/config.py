@@ -293,6 +293,9 @@ _GENTLE: Mapping[str, Any] = {
 }
 """Prices that make robots gentle, and late actions that make them sturdy."""
 
+_LETTING_GO: Mapping[str, Any] = {"grip_limit": 0.6}
+"""Once both hold the cube, a robot_1 whose grip noise cannot open never lets go."""
+
 _BALANCE: Mapping[str, Any] = {
     "initial_std": 0.1,
     "torque_penalty": 0.05,
@@ -319,13 +322,13 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "LiftTaskSawyers-v0": {"total_steps": 5_000_000, **_LIFT},
     "LiftTaskJacos-v0": {"total_steps": 2_500_000, **_LIFT, "range_penalty": 0.2},
     "PassTaskSawyers-v0": {
-        "total_steps": 2_500_000,
+        "total_steps": 1_500_000,
         **_GENTLE,
         "contact_penalty": 0.2,
         "lost_grips": 0.003,
+        **_LETTING_GO,
     },
-    # Once both hold the cube, a robot_1 whose grip noise cannot open never lets go.
-    "PassTaskJacoSawyer-v0": {"total_steps": 5_000_000, "grip_limit": 0.6},
+    "PassTaskJacoSawyer-v0": {"total_steps": 5_000_000, **_LETTING_GO},
 }
 """The hyperparameters with which an environment is best learned, if they differ from
 the defaults."""

@@ -4,7 +4,8 @@ Two robots stand side by side. Each has a table: an arm that stands on a pedesta
 the table in front of it, any other arm stands on its near end. The cube (0.04 m, 0.05
 kg) lies on robot_1's table. The target hangs in the air in front of robot_2. A grip
 holds the cube's centre at the tool centre point and lets the cube turn. For a moment
-both robots may hold it.
+both robots may hold it. Then robot_1 must let go: if robot_2 tears the cube out of its
+hand, robot_2 loses it, too.
 
 Agents: `robot_1` picks and hands over, `robot_2` takes over and carries.
 
