@@ -8,14 +8,12 @@ beside it. With an output the tournament can be stopped and goes on.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.tournaments.result import format_measure
-
-TABLES = Path(__file__).parents[1] / "docs" / "tables"
+from kept import keep
 
 
 def numbers(result: cg.Tournament) -> dict:
@@ -96,10 +94,11 @@ def main() -> None:
         num_threads=1,
         output=options.output,
     )
-    path = TABLES / f"{options.table}.json"
-    kept = json.loads(path.read_text()) if path.exists() else {}
-    kept[options.env] = numbers(result)
-    path.write_text(json.dumps(kept, indent=1) + "\n")
+    keep(options.table, [options.env], numbers(result), page)
+
+
+def page(kept: dict[str, dict]) -> str:
+    """Return the page, in the order of the environments."""
     order = sorted(kept, key=cg.list_envs().index)
     fewest = min(found["episodes"] for found in kept.values())
     head = (
@@ -108,7 +107,7 @@ def main() -> None:
         f" is {100 * wilson(1.0, fewest)[0]:.0f} to 100 % (Wilson)."
     )
     lines = [line for env in order for line in section(env, kept[env])]
-    path.with_suffix(".md").write_text("\n".join([head, "", *lines]).rstrip() + "\n")
+    return "\n".join([head, "", *lines]).rstrip() + "\n"
 
 
 if __name__ == "__main__":

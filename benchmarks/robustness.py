@@ -7,15 +7,13 @@ which is written anew after each; the numbers are in robustness.json beside it.
 """
 
 import argparse
-import json
-from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.policies.policy import has_baseline
+from kept import keep
 
-TABLE = Path(__file__).parents[1] / "docs" / "tables" / "robustness"
 ENVS = [each for each in cg.list_envs() if has_baseline(each)]
 
 
@@ -27,7 +25,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    numbers, episodes = TABLE.with_suffix(".json"), options.episodes
+    episodes = options.episodes
     for env_id in options.envs or ENVS:
         for policy in options.policies:
             reports = measure_robustness(
@@ -37,10 +35,8 @@ def main() -> None:
                 name: [report.completion.mean, report.performance.mean]
                 for name, report in reports.items()
             }
-            rows = json.loads(numbers.read_text()) if numbers.exists() else {}
-            rows[f"{env_id} {policy}"] = {"episodes": episodes, **row}
-            numbers.write_text(json.dumps(rows, indent=1, sort_keys=True) + "\n")
-            TABLE.with_suffix(".md").write_text(table(rows))
+            row = {"episodes": episodes, **row}
+            keep("robustness", [f"{env_id} {policy}"], row, table)
 
 
 def table(rows: dict[str, dict]) -> str:

@@ -10,15 +10,14 @@ actions one control step late.
 """
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.policies.network import NetworkPolicy
+from kept import keep
 
-TABLE = Path(__file__).parents[1] / "docs" / "tables" / "seeds"
 COMPLETION, PERFORMANCE = 0.98, 0.95
 """What a seed has to reach."""
 
@@ -30,15 +29,11 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--late-episodes", type=int, default=200)
     options = parser.parse_args()
-    numbers = TABLE.with_suffix(".json")
     for run in options.runs:
         policy = cg.load_policy(run)
         env, seed = policy.identity.name, policy.metadata["seed"]
         row = measured(env, policy, options.episodes, options.late_episodes)
-        rows = json.loads(numbers.read_text()) if numbers.exists() else {}
-        rows.setdefault(env, {})[str(seed)] = row
-        numbers.write_text(json.dumps(rows, indent=1, sort_keys=True) + "\n")
-        TABLE.with_suffix(".md").write_text("\n".join(table(rows)) + "\n")
+        keep("seeds", (env, str(seed)), row, table)
 
 
 def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
@@ -65,7 +60,12 @@ def steps(metadata: dict) -> Iterator[int]:
         yield from steps(metadata["start"]["metadata"])
 
 
-def table(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
+def table(rows: dict[str, dict[str, dict]]) -> str:
+    """Return the page."""
+    return "\n".join(lines(rows)) + "\n"
+
+
+def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     """Yield the lines of the page, in the order of the environments."""
     yield (
         "| environment | seed | steps of its runs, M | completion | performance |"
