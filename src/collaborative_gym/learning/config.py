@@ -322,7 +322,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "LiftTaskSawyers-v0": {"total_steps": 5_000_000, **_LIFT},
     "LiftTaskJacos-v0": {"total_steps": 2_500_000, **_LIFT, "range_penalty": 0.2},
     "PassTaskSawyers-v0": {
-        "total_steps": 1_500_000,
+        "total_steps": 2_500_000,
         **_GENTLE,
         "contact_penalty": 0.2,
         "lost_grips": 0.003,
