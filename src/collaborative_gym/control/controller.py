@@ -74,10 +74,11 @@ class Grips:
     A grip starts at the beginning of a control step if the agent asks for it and the
     site is near. It lasts while the agent asks for it, unless it tears. It tears before
     a physics step that would load it above what the gripper holds, or at whose start
-    the two are more than twice the starting distance apart. What is torn out of one hand
-    also slips out of another hand that holds it at the same site; otherwise that hand
-    could win a thing by force. After a tear the hand opens for one control step and
-    cannot grip; otherwise a grip that is too weak would start and tear in every step.
+    the two are more than twice the starting distance apart. What is torn out of one
+    hand also slips out of another hand that holds it at the same site; otherwise that
+    hand could win a thing by force. After a tear the hand opens for one control step
+    and cannot grip; otherwise a grip that is too weak would start and tear in every
+    step.
 
     Args:
       scene: the compiled scene.
