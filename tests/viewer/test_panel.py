@@ -110,6 +110,7 @@ def test_plots_follow_the_episode(poke, wait_until):
         np.testing.assert_array_equal(curve, terms[1:])
     measured = next(key for key in charts if key[0] == "measured")
     assert measured[1] == "distance, m"
+    wait_until(lambda: len(charts[measured].data[0]) == 4)
     np.testing.assert_allclose(charts[measured].data[0], [0.0, 0.1, 0.2, 0.3])
 
 
