@@ -25,17 +25,18 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    episodes = options.episodes
     for env_id in options.envs or ENVS:
         for policy in options.policies:
             reports = measure_robustness(
-                env_id, policy, episodes=episodes, seed=options.seed, num_threads=1
+                env_id,
+                policy,
+                episodes=options.episodes,
+                seed=options.seed,
+                num_threads=1,
             )
-            row = {
-                name: [report.completion.mean, report.performance.mean]
-                for name, report in reports.items()
-            }
-            row = {"episodes": episodes, **row}
+            row: dict[str, object] = {"episodes": options.episodes}
+            for name, report in reports.items():
+                row[name] = [report.completion.mean, report.performance.mean]
             keep("robustness", [f"{env_id} {policy}"], row, table)
 
 
