@@ -336,6 +336,18 @@ def test_a_grips_mean_has_a_limit_and_the_same_sign_without_torch(make, mode):
         assert 0.01 < against.mean() < 0.1
 
 
+@pytest.mark.parametrize(("loss", "gradient"), [(1.0, 4.0), (-1.0, 0.0)])
+def test_a_grip_at_its_limit_can_still_learn_to_let_go(make, loss, gradient):
+    (learner,) = make("shared", sizes=replace(SIZES, gripping=True), grip_limit=0.5)
+    actor = learner._policy.actor
+    with torch.no_grad():
+        actor.nets[0][-1].bias[-1] = 20.0
+    grips = actor(torch.zeros(4, 5))[:, -1]
+    assert grips.tolist() == [0.5] * 4
+    (loss * grips).sum().backward()
+    assert float(actor.nets[0][-1].bias.grad[-1]) == gradient
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_learner_goes_on_where_its_state_was_taken(make, same, mode):
     learners, others = make(mode), make(mode)

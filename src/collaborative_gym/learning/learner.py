@@ -19,6 +19,7 @@ from collaborative_gym.learning.networks import (
     LOG_STD_LIMITS,
     MEMORY,
     Actor,
+    Bounded,
     perceptron,
 )
 from collaborative_gym.learning.team import Learner, Sizes
@@ -167,26 +168,6 @@ class SkrlLearner(ABC):
             return float(nn.utils.get_total_norm(weights))
 
 
-class _Bounded(torch.autograd.Function):
-    """Actions as the worlds do them: from -1 to 1.
-
-    One that is further out can still learn to come back (after the inverted gradients
-    of Hausknecht and Stone 2016, arXiv 1511.04143).
-    """
-
-    @staticmethod
-    def forward(ctx, actions: torch.Tensor):
-        ctx.save_for_backward(actions)
-        return actions.clamp(-1.0, 1.0)
-
-    @staticmethod
-    def backward(ctx, *gradients: torch.Tensor):
-        (actions,), (gradient,) = ctx.saved_tensors, gradients
-        # A step goes against the gradient.
-        is_outwards = (actions.abs() > 1.0) & (actions * gradient < 0.0)
-        return gradient.masked_fill(is_outwards, 0.0)
-
-
 class Policy(GaussianMixin, Model):
     """The learner's actor, as skrl knows policies."""
 
@@ -207,7 +188,7 @@ class Policy(GaussianMixin, Model):
     def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
         """Return sampled actions, and what else skrl asks for."""
         actions, outputs = super().act(dict(inputs), role=role)
-        return _Bounded.apply(actions), outputs
+        return Bounded.apply(actions), outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         """Return mean actions, and the logarithm of their standard deviation."""

@@ -22,6 +22,28 @@ LOG_STD_LIMITS = (-20.0, 2.0)
 _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 
 
+class Bounded(torch.autograd.Function):
+    """What is kept from -1 to 1, such as actions as the worlds do them.
+
+    What is further out can still learn to come back (after the inverted gradients of
+    Hausknecht and Stone 2016, arXiv 1511.04143).
+    """
+
+    @staticmethod
+    def forward(ctx, unbounded: Tensor):
+        """Return what is kept within the bounds."""
+        ctx.save_for_backward(unbounded)
+        return unbounded.clamp(-1.0, 1.0)
+
+    @staticmethod
+    def backward(ctx, *gradients: Tensor):
+        """Return the gradient, without what leads further out."""
+        (unbounded,), (gradient,) = ctx.saved_tensors, gradients
+        # A step goes against the gradient.
+        is_outwards = (unbounded.abs() > 1.0) & (unbounded * gradient < 0.0)
+        return gradient.masked_fill(is_outwards, 0.0)
+
+
 class Actor(nn.Module):
     """Gaussian actions on a learner's rows of normalized observations.
 
@@ -63,7 +85,7 @@ class Actor(nn.Module):
         mean = torch.cat(means, dim=1)
         if not self._grip_limit:
             return mean
-        limited = self._grip_limit * torch.tanh(mean / self._grip_limit)
+        limited = self._grip_limit * Bounded.apply(mean / self._grip_limit)
         return torch.where(self.is_grip, limited, mean)
 
     def load(self, weights: Mapping[str, Weights]) -> tuple[Tensor, Tensor]:
