@@ -298,9 +298,9 @@ _LETTING_GO: Mapping[str, Any] = {"grip_limit": 0.6}
 """Once both hold the cube, a robot_1 whose grip noise cannot open never lets go."""
 
 _OFTEN: Mapping[str, Any] = {"num_envs": 128}
-"""An update may move the policy only as far as `target_kl` says. With half of the worlds
-there are twice as many updates, and it takes half of the steps to learn. 64 are no
-better."""
+"""An update may move the policy only as far as `target_kl` says. With half of the
+worlds there are twice as many updates, and it takes half of the steps to learn. 64 are
+no better."""
 
 _BALANCE: Mapping[str, Any] = {
     "initial_std": 0.1,
