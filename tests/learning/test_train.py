@@ -117,6 +117,24 @@ def test_the_robots_learn(read_progress, train_tiny, tiny):
     assert np.mean(returns[-3:]) > np.mean(returns[:3]) + 3.0 * max(spread, 0.2)
 
 
+def test_noise_shrinks_over_the_last_steps(read_progress, train_tiny, tiny):
+    numbers = tiny(
+        learning_rate=0.0,
+        target_kl=0.0,
+        min_learning_rate=0.0,
+        validation_interval=0,
+        final_noise=0.25,
+        quiet_share=0.5,
+    )
+    folder = train_tiny(hyperparameters=numbers).folder
+    first, *_ = spread = [row["team/std"] for row in read_progress(folder)]
+    # Each update is told before the noise shrinks after it.
+    assert np.allclose(spread, np.array([1.0, 1.0, 1.0, 0.5]) * first)
+    actor = Checkpoint.load(folder / LAST).backend["learners"]["team"]["policy"]
+    last = actor["actor.log_std"].exp().mean()
+    assert float(last) == pytest.approx(0.25 * first, rel=1e-5)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_resumed_run_equals_the_uninterrupted_one(
     read_progress, trained, train_tiny, tmp_path, mode, same

@@ -9,6 +9,7 @@ import torch
 
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collected, Collectors
+from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.policies.network import NetworkPolicy, Weights
@@ -42,8 +43,7 @@ class Backend:
     Args:
       learners: a learner for each group of robots that the mode has.
       collectors: who has the worlds.
-      assistance: share of the weight that is carried at first.
-      final_noise: share of the actions' noise that is left at full demand.
+      hyperparameters: how it is learned; None for the defaults.
 
     Attributes:
       steps: environment steps done so far, over all worlds.
@@ -53,17 +53,15 @@ class Backend:
         self,
         learners: Sequence[SkrlLearner],
         collectors: Collectors,
-        *,
-        assistance: float = 0.0,
-        final_noise: float = 1.0,
+        hyperparameters: Hyperparameters | None = None,
     ):
         self.steps = 0
         self._iteration = 0
         self._learners = {each.learner.name: each for each in learners}
         self._first = self._members()
         self._collectors = collectors
-        self._assistance = Assistance(assistance)
-        self._final_noise = final_noise
+        self._hyperparameters = hyperparameters or Hyperparameters()
+        self._assistance = Assistance(self._hyperparameters.assistance)
         self._has_policy = False
 
     def start(self, policy: NetworkPolicy) -> None:
@@ -90,9 +88,8 @@ class Backend:
         """
         collected = self.collect(invitation)
         episodes = [row for each in collected for row in each.episodes]
-        before = self._assistance.demand
+        before = self._quietness()
         self._assistance.adapt(episodes)
-        quieter = self._final_noise ** (self._assistance.demand - before)
         critic_alone = self._has_policy and self._iteration < _CRITIC_ALONE
         updates = {
             name: learner.learn(
@@ -100,10 +97,12 @@ class Backend:
             )
             for name, learner in self._learners.items()
         }
-        for learner in self._learners.values():
-            learner.quieten(quieter)
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
+        quieter = self._hyperparameters.final_noise ** (self._quietness() - before)
+        for learner in self._learners.values():
+            learner.quieten(quieter)
+            learner.average()
         seated = [names for each in collected for names in each.seated]
         return Iteration(episodes, updates, seated)
 
@@ -127,6 +126,14 @@ class Backend:
             states = [each.state_dict() for each in self._of(like)]
         for learner, state in zip(self._of(member), states, strict=True):
             learner.load_state_dict(deepcopy(state))
+
+    def _quietness(self) -> float:
+        """Return how far the noise has shrunk by now, from 0 to 1."""
+        numbers = self._hyperparameters
+        if not numbers.quiet_share:
+            return self._assistance.demand
+        left = (numbers.total_steps - self.steps) / numbers.total_steps
+        return 1.0 - min(max(left / numbers.quiet_share, 0.0), 1.0)
 
     def _members(self) -> dict[str, Any]:
         """Return what the learners of members know, by name."""

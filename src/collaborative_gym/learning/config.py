@@ -79,6 +79,11 @@ class Hyperparameters:
       initial_grip_std: standard deviation of their grip component.
       final_noise: PPO: share of this noise that is left at the end. The noise shrinks
         after each rollout after which penalties grow; with 1 it stays as it is learned.
+      quiet_share: PPO: share of the total steps, the last ones, over which the noise
+        shrinks instead; 0 for none.
+      averaging: share of a policy's average that stays after each update. This average
+        is what is validated and kept, because the policy itself goes on swaying around
+        it; 0 for the policy as it is (after Polyak and Juditsky 1992).
       grip_limit: greatest mean of a grip's command, 0 for no limit. The noise can then
         change the sign of the command while it is about half as large as this limit. So
         a robot that holds a thing can still find out what it gains by letting go.
@@ -172,6 +177,8 @@ class Hyperparameters:
     initial_std: float = bounded(0.2, 1e-3, 7.0)
     initial_grip_std: float = bounded(0.3, 1e-3, 7.0)
     final_noise: float = bounded(1.0, 0.01, 1.0)
+    quiet_share: float = bounded(0.0, 0.0, 1.0)
+    averaging: float = bounded(0.0, 0.0, 0.9999)
     grip_limit: float = bounded(0.0, 0.0, 100.0)
     grip_persistence: float = bounded(0.9, 0.0, 0.999)
     assistance: float = bounded(0.0, 0.0, 1.0)
@@ -352,6 +359,7 @@ _OWN: Mapping[str, Sequence[str]] = {
         "min_learning_rate",
         "max_learning_rate",
         "final_noise",
+        "quiet_share",
         "action_penalty",
     ),
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),

@@ -312,8 +312,7 @@ def _make_backend(
             for each in learners
         ],
         collectors,
-        assistance=hyperparameters.assistance,
-        final_noise=hyperparameters.final_noise,
+        hyperparameters,
     )
 
 
