@@ -18,7 +18,6 @@ TINY = Hyperparameters(
     minibatch_size=16,
     entropy=0.01,
     grip_persistence=0.5,
-    averaging=0.5,
     torque_penalty=0.1,
     change_penalty=0.1,
     range_penalty=0.1,

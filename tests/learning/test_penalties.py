@@ -1,5 +1,7 @@
 """What training charges for beside the task's reward."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ FREE = dict.fromkeys(
         "contact_penalty",
         "internal_penalty",
         "range_penalty",
+        "miss_penalty",
     ),
     0.0,
 )
@@ -37,9 +40,11 @@ def moving(env, size):
     return actions
 
 
-def charged(env, numbers, actions, previous):
+def charged(env, numbers, actions, previous, success=None):
     rewards = {agent: np.full(env.num_envs, 2.0) for agent in env.agents}
-    return Penalties(env, numbers).charge(rewards, actions, previous=previous)
+    return Penalties(env, numbers).charge(
+        rewards, actions, previous=previous, success=success
+    )
 
 
 def test_torque_costs_its_mean_square_over_the_limits(env, tiny):
@@ -88,8 +93,22 @@ def test_joints_cost_in_the_outer_tenth_of_their_ranges_from_the_beginning(env, 
     env.sim.qpos[2, arm.qpos.start] = low[0] + 0.025 * (high[0] - low[0])
     penalties = Penalties(env, tiny(range_penalty=1.4))
     rewards = {agent: np.full(env.num_envs, 2.0) for agent in env.agents}
-    found = penalties.charge(rewards, {}, previous={}, share=0.0)["robot_1"]
+    found = penalties.charge(rewards, {}, previous={}, success=None, share=0.0)[
+        "robot_1"
+    ]
     assert 2.0 - found == pytest.approx([0.0, 0.2, 0.05])
+
+
+def test_a_missed_goal_costs_those_who_share_it(env, duel, tiny):
+    numbers = tiny(**{**FREE, "miss_penalty": 0.5})
+    met = np.array([True, False, False])
+    for found in charged(env, numbers, {}, {}, success=met).values():
+        assert found.tolist() == [2.0, 1.5, 1.5]
+    with closing(VectorEnv(duel, 3, num_threads=1)) as opponents:
+        success = {"side_1": met, "side_2": ~met}
+        found = charged(opponents, numbers, {}, {}, success=success)
+    assert found["robot_1"].tolist() == [2.0, 1.5, 1.5]
+    assert found["robot_2"].tolist() == [1.5, 2.0, 2.0]
 
 
 @pytest.fixture

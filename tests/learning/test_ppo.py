@@ -123,26 +123,10 @@ def as_policy(learners, activation):
     )
 
 
-def test_what_is_kept_is_the_average_of_the_policies(make):
-    (learner,) = make("centralized", averaging=0.5)
-    latest = []
-    for _ in range(3):
-        practise([learner], updates=1)
-        learner.average()
-        actor = learner._policy.actor
-        weights = actor.weights(*learner._normalization())["team"]
-        latest.append([layer.copy() for layer, _ in weights.layers])
-    expected = [0.25 * a + 0.25 * b + 0.5 * c for a, b, c in zip(*latest, strict=True)]
-    kept = [layer for layer, _ in learner.weights()["team"].layers]
-    for own, each, last in zip(kept, expected, latest[-1], strict=True):
-        assert not np.allclose(own, last, atol=1e-5)
-        np.testing.assert_allclose(own, each, rtol=0, atol=1e-6)
-
-
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("mode", MODES)
 def test_numpy_agrees_with_torch_and_rows_with_themselves(make, mode, activation):
-    learners = make(mode, activation=activation, averaging=0.0)
+    learners = make(mode, activation=activation)
     practise(learners)
     observations = drawn(np.random.default_rng(1), 40)
     policy = as_policy(learners, activation)

@@ -102,7 +102,6 @@ class Backend:
         quieter = self._hyperparameters.final_noise ** (self._quietness() - before)
         for learner in self._learners.values():
             learner.quieten(quieter)
-            learner.average()
         seated = [names for each in collected for names in each.seated]
         return Iteration(episodes, updates, seated)
 

@@ -372,7 +372,11 @@ class Collector:
             action[rng.random(count) < lost, -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
         rewards = self._penalties.charge(
-            rewards, chosen, previous=self._previous, share=demand
+            rewards,
+            chosen,
+            previous=self._previous,
+            success=infos["success"],
+            share=demand,
         )
         fresh, idle = infos["ended"][:, None], self.env.idle()
         self._previous = {a: np.where(fresh, idle[a], chosen[a]) for a in chosen}

@@ -81,9 +81,6 @@ class Hyperparameters:
         after each rollout after which penalties grow; with 1 it stays as it is learned.
       quiet_share: PPO: share of the total steps, the last ones, over which the noise
         shrinks instead; 0 for none.
-      averaging: share of a policy's average that stays after each update. This average
-        is what is validated and kept, because the policy itself goes on swaying around
-        it; 0 for the policy as it is (after Polyak and Juditsky 1992).
       grip_limit: greatest mean of a grip's command, 0 for no limit. The noise can then
         change the sign of the command while it is about half as large as this limit. So
         a robot that holds a thing can still find out what it gains by letting go.
@@ -99,9 +96,9 @@ class Hyperparameters:
         beyond a limit the price grows linearly.
       change_penalty: price of jerky actions. In each control step a robot pays this
         times the mean square of the change of its action. No reported return contains
-        penalties. These two, those of contacts and internal force, late actions and
-        lost grips begin at zero. They grow by 2 % after each rollout in which half of
-        the episodes are completed.
+        penalties. These two, those of contacts, internal force and missed goals, late
+        actions and lost grips begin at zero. They grow by 2 % after each rollout in
+        which half of the episodes are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
         arm or with fixed things count, and contacts of loose things above 1 mm.
@@ -110,6 +107,8 @@ class Hyperparameters:
         this for every 10 N that arms spend against each other on what they hold (see
         `internal_force` among the measures of strain), the mean of the step, at most
         100 N. It is measured as contacts are.
+      miss_penalty: price of a goal that is not met, paid in each control step in which
+        it is not. A task's reward may hardly tell the goal from what is near it.
       range_penalty: price of joints at the ends of their ranges. In each control step a
         robot pays this times the mean square of how far its joints are in the outer
         tenth of their ranges. It holds from the beginning.
@@ -178,7 +177,6 @@ class Hyperparameters:
     initial_grip_std: float = bounded(0.3, 1e-3, 7.0)
     final_noise: float = bounded(1.0, 0.01, 1.0)
     quiet_share: float = bounded(0.0, 0.0, 1.0)
-    averaging: float = bounded(0.0, 0.0, 0.9999)
     grip_limit: float = bounded(0.0, 0.0, 100.0)
     grip_persistence: float = bounded(0.9, 0.0, 0.999)
     assistance: float = bounded(0.0, 0.0, 1.0)
@@ -186,6 +184,7 @@ class Hyperparameters:
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
     internal_penalty: float = bounded(0.0, 0.0, 1e3)
+    miss_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
@@ -248,6 +247,7 @@ class Hyperparameters:
             self.change_penalty,
             self.contact_penalty,
             self.internal_penalty,
+            self.miss_penalty,
             self.range_penalty,
             self.action_penalty,
         )

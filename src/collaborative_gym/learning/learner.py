@@ -11,7 +11,6 @@ from gymnasium.spaces import Box
 from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from torch import nn
-from torch.optim.swa_utils import AveragedModel
 
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import ActorState, Rollout
@@ -64,13 +63,10 @@ class SkrlLearner(ABC):
         }
         actor = Actor(learner, sizes, hyperparameters)
         self._policy = Policy(actor, hyperparameters, device, self._spaces)
-        self._averaged = AveragedModel(actor, avg_fn=self._averaging)
         self._agent = self._make_agent()
         self._agent.init()
         modules: Mapping[str, Any] = self._agent.checkpoint_modules
         self._modules = {**modules, **self._left_out()}
-        if hyperparameters.averaging:
-            self._modules["averaged"] = self._averaged
 
     @abstractmethod
     def _make_agent(self) -> Any:
@@ -104,7 +100,6 @@ class SkrlLearner(ABC):
         scaler = self._scaler
         scaler.running_mean.copy_(mean)
         scaler.running_variance.copy_((std - scaler.epsilon).square())
-        self.average()
         self.hold_statistics()
 
     def hold_statistics(self) -> None:
@@ -119,17 +114,9 @@ class SkrlLearner(ABC):
         """Multiply the standard deviation of the actions."""
         self._policy.actor.log_std.data += math.log(factor)
 
-    def average(self) -> None:
-        """Take the policy as it is now into the average of those after each update."""
-        if self._hyperparameters.averaging:
-            self._averaged.update_parameters(self._policy.actor)
-
     def weights(self) -> dict[str, Weights]:
-        """Return the policy's networks as arrays, by name, averaged if it is asked."""
-        actor = self._policy.actor
-        if self._hyperparameters.averaging:
-            actor = self._averaged.module
-        return actor.weights(*self._normalization())
+        """Return the policy's networks as arrays, by name."""
+        return self._policy.actor.weights(*self._normalization())
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything that an update changes."""
@@ -139,16 +126,6 @@ class SkrlLearner(ABC):
         """Continue from what `state_dict` returned."""
         for name, module in self._modules.items():
             module.load_state_dict(state[name])
-
-    def _averaging(
-        self, average: torch.Tensor, latest: torch.Tensor, count: torch.Tensor | int
-    ) -> torch.Tensor:
-        """Return the average of parameters with one more, after `count` of them.
-
-        At first it is the mean of all, so that it does not hang on to the first ones.
-        """
-        stays = min(self._hyperparameters.averaging, float(count) / (float(count) + 1))
-        return stays * average + (1.0 - stays) * latest
 
     def _critic(self, *names: str) -> "Critic":
         """Return a critic of what skrl calls so."""

@@ -1,6 +1,7 @@
 """What training charges beside the task's reward, so that robots act gently."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,7 @@ class Penalties:
         self._contact = hyperparameters.contact_penalty
         self._internal = hyperparameters.internal_penalty
         self._range = hyperparameters.range_penalty
+        self._miss = hyperparameters.miss_penalty
 
     def charge(
         self,
@@ -44,6 +46,7 @@ class Penalties:
         actions: Mapping[str, np.ndarray],
         *,
         previous: Mapping[str, np.ndarray],
+        success: Any,
         share: float = 1.0,
     ) -> dict[str, np.ndarray]:
         """Return rewards less what the control step that was just done costs.
@@ -52,6 +55,7 @@ class Penalties:
           rewards: of the task, (num_envs,) by agent.
           actions: what each robot chose, (num_envs, k) in [-1, 1] by agent.
           previous: what it chose one control step earlier, in the same form.
+          success: where the goal was met, as the worlds' infos tell it.
           share: of the costs that is charged. That of joints is always charged whole:
             arms that come to the ends of their ranges while they learn stay there.
         """
@@ -69,8 +73,18 @@ class Penalties:
                 change = actions[agent] - previous[agent]
                 cost = share * self._change * _mean_square(change)
                 charged[agent] = charged[agent] - cost
+            if self._miss:
+                missed = ~self._met(agent, success)
+                charged[agent] = charged[agent] - share * self._miss * missed
             charged[agent] = charged[agent] - together
         return charged
+
+    def _met(self, agent: str, success: Any) -> np.ndarray:
+        """Return where an agent's side met its goal."""
+        sides = self._env.sides
+        if len(sides) == 1:
+            return success
+        return next(success[side] for side, own in sides.items() if agent in own)
 
     def _ends(self, agent: str) -> np.ndarray:
         """Return how near joints are to the ends of their ranges, from 0 to 1."""
