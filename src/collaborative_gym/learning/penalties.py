@@ -20,7 +20,7 @@ _INNER = 0.9
 
 
 class Penalties:
-    """What each robot pays for its own acts, and all for contacts and internal force.
+    """What each robot pays for its acts, and all for contacts, force and missed goals.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
