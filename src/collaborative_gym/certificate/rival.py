@@ -84,6 +84,7 @@ def train_rival(
         change_penalty=0.0,
         contact_penalty=0.0,
         internal_penalty=0.0,
+        miss_penalty=0.0,
         range_penalty=0.0,
         action_penalty=0.0,
         delayed=0.0,
