@@ -38,6 +38,18 @@ Activation = Literal["relu", "elu", "tanh"]
 """The function between a network's layers."""
 
 
+PRICES = (
+    "torque_penalty",
+    "change_penalty",
+    "contact_penalty",
+    "internal_penalty",
+    "miss_penalty",
+    "range_penalty",
+    "action_penalty",
+)
+"""Hyperparameters that charge for more than the reward; with 0 they charge nothing."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
     """How it is learned, by PPO or SAC.
@@ -242,16 +254,7 @@ class Hyperparameters:
     @property
     def has_prices(self) -> bool:
         """Whether training charges for more than the reward."""
-        prices = (
-            self.torque_penalty,
-            self.change_penalty,
-            self.contact_penalty,
-            self.internal_penalty,
-            self.miss_penalty,
-            self.range_penalty,
-            self.action_penalty,
-        )
-        return any(prices)
+        return any(getattr(self, name) for name in PRICES)
 
     @property
     def steps_per_update(self) -> int:
