@@ -48,3 +48,8 @@ def test_grips_have_noise_of_their_own():
 def test_a_number_out_of_range_is_refused(name, value):
     with pytest.raises(ValueError, match=f"^{name} must be"):
         Hyperparameters(**{name: value})
+
+
+def test_noise_that_stays_does_not_shrink_over_the_last_steps():
+    with pytest.raises(ValueError, match=r"^quiet_share 0\.5 needs a final_noise below"):
+        Hyperparameters(quiet_share=0.5)

@@ -135,6 +135,19 @@ def test_noise_shrinks_over_the_last_steps(read_progress, train_tiny, tiny):
     assert float(last) == pytest.approx(0.25 * first, rel=1e-5)
 
 
+def test_noise_of_a_longer_run_ends_where_it_says(read_progress, train_tiny, tiny):
+    given = {"validation_interval": 0, "final_noise": 0.25, "quiet_share": 1.0}
+    still = {"learning_rate": 0.0, "target_kl": 0.0, "min_learning_rate": 0.0}
+    folder = train_tiny(hyperparameters=tiny(**given, **still)).folder
+    longer = tiny(**given, **still, total_steps=2 * tiny().total_steps)
+    train_tiny(resume=folder, hyperparameters=longer)
+    spread = np.array([row["team/std"] for row in read_progress(folder)])
+    half = len(spread) // 2
+    # It waits where the short run left it, because a long one would be louder there.
+    assert np.allclose(spread[half:], 0.25 * spread[0])
+    assert np.all(np.diff(spread[:half]) < 0.0)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_resumed_run_equals_the_uninterrupted_one(
     read_progress, trained, train_tiny, tmp_path, mode, same

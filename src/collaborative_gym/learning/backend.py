@@ -63,6 +63,7 @@ class Backend:
         self._hyperparameters = hyperparameters or Hyperparameters()
         self._assistance = Assistance(self._hyperparameters.assistance)
         self._has_policy = False
+        self._quietness = 0.0  # How far the noise has shrunk, from 0 to 1.
 
     def start(self, policy: NetworkPolicy) -> None:
         """Let all learners begin with what a policy has learned."""
@@ -88,7 +89,6 @@ class Backend:
         """
         collected = self.collect(invitation)
         episodes = [row for each in collected for row in each.episodes]
-        before = self._quietness()
         self._assistance.adapt(episodes)
         critic_alone = self._has_policy and self._iteration < _CRITIC_ALONE
         updates = {
@@ -99,9 +99,7 @@ class Backend:
         }
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
-        quieter = self._hyperparameters.final_noise ** (self._quietness() - before)
-        for learner in self._learners.values():
-            learner.quieten(quieter)
+        self._quieten()
         seated = [names for each in collected for names in each.seated]
         return Iteration(episodes, updates, seated)
 
@@ -126,13 +124,18 @@ class Backend:
         for learner, state in zip(self._of(member), states, strict=True):
             learner.load_state_dict(deepcopy(state))
 
-    def _quietness(self) -> float:
-        """Return how far the noise has shrunk by now, from 0 to 1."""
+    def _quieten(self) -> None:
+        """Let the noise shrink as far as it should have by now, and never grow."""
         numbers = self._hyperparameters
-        if not numbers.quiet_share:
-            return self._assistance.demand
-        left = (numbers.total_steps - self.steps) / numbers.total_steps
-        return 1.0 - min(max(left / numbers.quiet_share, 0.0), 1.0)
+        due = self._assistance.demand
+        if numbers.quiet_share:
+            left = (numbers.total_steps - self.steps) / numbers.total_steps
+            due = 1.0 - min(max(left / numbers.quiet_share, 0.0), 1.0)
+        # A run that was made longer may have shrunk it further than is due.
+        further = max(due - self._quietness, 0.0)
+        self._quietness = max(due, self._quietness)
+        for learner in self._learners.values():
+            learner.quieten(numbers.final_noise**further)
 
     def _members(self) -> dict[str, Any]:
         """Return what the learners of members know, by name."""
@@ -159,6 +162,7 @@ class Backend:
             "iteration": self._iteration,
             "assistance": self._assistance.state_dict(),
             "has_policy": self._has_policy,
+            "quietness": self._quietness,
             "learners": {name: each.state_dict() for name, each in learners},
             "first": self._first,
             "generator": torch.get_rng_state(),
@@ -177,7 +181,7 @@ class Backend:
         self._collectors.load_state_dict(state["worlds"])
         self.steps, self._iteration = state["steps"], state["iteration"]
         self._assistance.load_state_dict(state["assistance"])
-        self._has_policy = state["has_policy"]
+        self._has_policy, self._quietness = state["has_policy"], state["quietness"]
         if self._has_policy:
             for learner in self._learners.values():
                 learner.hold_statistics()

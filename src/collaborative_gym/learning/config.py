@@ -235,6 +235,11 @@ class Hyperparameters:
                 f"min_learning_rate {self.min_learning_rate:g} is above"
                 f" max_learning_rate {self.max_learning_rate:g}"
             )
+        if self.quiet_share and self.final_noise == 1.0:
+            raise ValueError(
+                f"quiet_share {self.quiet_share:g} needs a final_noise below 1, which"
+                " says how far the noise shrinks"
+            )
         if self.warmup > self.replay_size:
             raise ValueError(
                 f"warmup {self.warmup} is above replay_size {self.replay_size}, so that"
