@@ -26,6 +26,7 @@ TINY = Hyperparameters(
     action_penalty=0.1,
     delayed=0.5,
     lost_grips=0.1,
+    missed_grips=0.2,
     hidden_sizes=(16, 16),
     validation_interval=64,
     validation_episodes=4,

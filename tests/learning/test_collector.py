@@ -150,7 +150,7 @@ def test_what_rollouts_say_is_learned_beside_one_another(make):
 
 @pytest.mark.parametrize("delayed", [0.0, 0.5, 1.0])
 def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
-    free = dict.fromkeys((*PENALTIES, "lost_grips"), 0.0)
+    free = dict.fromkeys((*PENALTIES, "lost_grips", "missed_grips"), 0.0)
     collector, learners = make(delayed=delayed, rollout_steps=2 * LENGTH, **free)
     done = []
     step = collector.env.step
@@ -182,18 +182,29 @@ def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
     assert earned[0] == earned[1] != []
 
 
-@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 0, 0), (0.2, 0.1, 0.3)])
-def test_grips_are_lost_now_and_then(make, monkeypatch, share, least, most):
-    collector, learners = make(lost_grips=share, delayed=0.0, rollout_steps=100)
-    done = []
-    step = collector.env.step
-    monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+@pytest.mark.parametrize("missed", [0.0, 0.6])
+def test_grips_are_lost_and_missed_now_and_then(make, monkeypatch, lost, missed):
+    numbers = {"lost_grips": lost, "missed_grips": missed, "delayed": 0.0}
+    collector, learners = make(rollout_steps=400, **numbers)
+    env, done, held = collector.env, [], []
+    step = env.step
+
+    def watched(actions):
+        held.append(np.stack([env.scene.holds(env.sim, a) for a in env.agents], axis=1))
+        done.append(actions)
+        return step(actions)
+
+    monkeypatch.setattr(env, "step", watched)
     chosen = collector.collect(acting(learners), 0, ALL).rollouts["team"].actions
     asked = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
-    is_lost = asked != np.clip(chosen, -1.0, 1.0)
-    grips = learners[0].learner.is_grip(Sizes.of(collector.env.task))
-    assert not is_lost[:, :, ~grips].any() and (asked[is_lost] == -1.0).all()
-    assert least <= is_lost[:, :, grips].mean() <= most
+    fails = asked != np.clip(chosen, -1.0, 1.0)
+    grips = learners[0].learner.is_grip(Sizes.of(env.task))
+    assert not fails[:, :, ~grips].any() and (asked[fails] == -1.0).all()
+    fails, held = fails[:, :, grips], np.stack(held)
+    for of_these, share in ((held, lost), (~held, missed)):
+        assert of_these.sum() > 100
+        assert fails[of_these].mean() == pytest.approx(share, abs=0.5 * share)
 
 
 def test_shaping_fades_out_of_what_is_learned_and_of_no_episode(make, monkeypatch):

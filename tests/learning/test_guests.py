@@ -35,9 +35,8 @@ def collect(duel, tiny):
     made = []
 
     def make(words, mode="shared", seed=0):
-        numbers = tiny(
-            num_envs=WORLDS, rollout_steps=STEPS, delayed=0.0, lost_grips=0.0
-        )
+        exact = dict.fromkeys(("delayed", "lost_grips", "missed_grips"), 0.0)
+        numbers = tiny(num_envs=WORLDS, rollout_steps=STEPS, **exact)
         casting = make_casting(duel, words, (), hyperparameters=numbers)
         sizes = Sizes.of(duel)
         learners = make_learners(

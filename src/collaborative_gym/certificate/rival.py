@@ -83,6 +83,7 @@ def train_rival(
         assistance=0.0,
         delayed=0.0,
         lost_grips=0.0,
+        missed_grips=0.0,
         validation_interval=max(1, steps // 8),
     )
     is_begun = (folder / LAST).exists()

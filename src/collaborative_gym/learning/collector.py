@@ -268,6 +268,8 @@ class Collector:
         ]
         self._guests = Guests(self.env, job.casting)
         self._penalties = Penalties(self.env, job.hyperparameters)
+        grips = {grip.agent for grip in self.env.scene.grips}
+        self._gripping = [agent for agent in self.env.agents if agent in grips]
         self._observations: Observations | None = None
 
     def collect(
@@ -361,15 +363,18 @@ class Collector:
         rng: np.random.Generator,
         demand: float,
     ) -> tuple[Any, ...]:
-        """Do what robots chose, late or with a grip lost, and charge them for it."""
+        """Do what robots chose, late or with grips that fail, and charge them for it."""
         hyperparameters, count = self._job.hyperparameters, self.env.num_envs
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
         late = np.arange(count) < round(count * hyperparameters.delayed * demand)
         late = late[:, None]
         done = {a: np.where(late, self._previous[a], chosen[a]) for a in chosen}
         lost = hyperparameters.lost_grips * demand
-        for action in done.values() if self.env.task.gripping and lost else ():
-            action[rng.random(count) < lost, -1] = -1.0
+        missed = hyperparameters.missed_grips * demand
+        for agent in self._gripping if lost or missed else ():
+            holds = self.env.scene.holds(self.env.sim, agent)
+            fails = rng.random(count) < np.where(holds, lost, missed)
+            done[agent][fails, -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
         rewards = self._penalties.charge(
             rewards,

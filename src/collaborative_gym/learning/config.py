@@ -109,8 +109,8 @@ class Hyperparameters:
       change_penalty: price of jerky actions. In each control step a robot pays this
         times the mean square of the change of its action. No reported return contains
         penalties. These two, those of contacts, internal force and missed goals, late
-        actions and lost grips begin at zero. They grow by 2 % after each rollout in
-        which half of the episodes are completed.
+        actions and grips that fail begin at zero. They grow by 2 % after each rollout
+        in which half of the episodes are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
         arm or with fixed things count, and contacts of loose things above 1 mm.
@@ -130,9 +130,12 @@ class Hyperparameters:
         rewards nor noise tell that it asks for too much; this does.
       delayed: share of the worlds in which each action is done one control step late.
         In validations no action is late.
-      lost_grips: how likely a robot loses its grip in a control step, whatever it asks
-        for; 0.005 means about once in an episode. So it learns to grip again. In
-        validations no grip is lost.
+      lost_grips: how likely a robot that holds something loses it in a control step,
+        whatever it asks for; 0.005 means about once in an episode. So it learns to grip
+        again. In validations no grip is lost.
+      missed_grips: how likely a robot that holds nothing fails to grip in a control
+        step, whatever it asks for. So it learns to bring its hand well within reach and
+        to keep it there. In validations no grip is missed.
       dense_share: share of the total steps over which the task's shaping terms fade out
         linearly; 0 keeps them. (Bansal et al. 2017, arXiv 1710.03748, fade the other
         terms in meanwhile; here these count from the first step.)
@@ -201,6 +204,7 @@ class Hyperparameters:
     action_penalty: float = bounded(0.0, 0.0, 1e3)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
+    missed_grips: float = bounded(0.0, 0.0, 1.0)
     dense_share: float = bounded(0.0, 0.0, 1.0)
     population: int = bounded(3, 2, 64)
     league_main_share: float = bounded(0.5, 0.1, 0.9)
