@@ -51,5 +51,5 @@ def test_a_number_out_of_range_is_refused(name, value):
 
 
 def test_noise_that_stays_does_not_shrink_over_the_last_steps():
-    with pytest.raises(ValueError, match=r"^quiet_share 0\.5 needs a final_noise below"):
+    with pytest.raises(ValueError, match=r"^quiet_share 0\.5 needs a final_noise"):
         Hyperparameters(quiet_share=0.5)

@@ -363,7 +363,7 @@ class Collector:
         rng: np.random.Generator,
         demand: float,
     ) -> tuple[Any, ...]:
-        """Do what robots chose, late or with grips that fail, and charge them for it."""
+        """Do what robots chose, late or with failing grips, and charge them for it."""
         hyperparameters, count = self._job.hyperparameters, self.env.num_envs
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
         late = np.arange(count) < round(count * hyperparameters.delayed * demand)
