@@ -359,9 +359,11 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PassTaskSawyers-v0": {
         "total_steps": 2_500_000,
         **_OFTEN,
+        "target_kl": 0.02,
         **_GENTLE,
-        "contact_penalty": 0.2,
+        "contact_penalty": 0.1,
         "lost_grips": 0.003,
+        "missed_grips": 0.7,
         **_LETTING_GO,
     },
     "PassTaskJacoSawyer-v0": {"total_steps": 5_000_000, **_LETTING_GO},
