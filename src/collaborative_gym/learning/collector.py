@@ -268,8 +268,8 @@ class Collector:
         ]
         self._guests = Guests(self.env, job.casting)
         self._penalties = Penalties(self.env, job.hyperparameters)
-        grips = {grip.agent for grip in self.env.scene.grips}
-        self._gripping = [agent for agent in self.env.agents if agent in grips]
+        grips = self.env.scene.grips if self.env.task.gripping else ()
+        self._gripping = sorted({grip.agent for grip in grips})
         self._observations: Observations | None = None
 
     def collect(
