@@ -6,7 +6,7 @@ import torch
 
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collector, Job
-from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.config import FAULTS, MODES
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
 
@@ -150,8 +150,8 @@ def test_what_rollouts_say_is_learned_beside_one_another(make):
 
 @pytest.mark.parametrize("delayed", [0.0, 0.5, 1.0])
 def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
-    free = dict.fromkeys((*PENALTIES, "lost_grips", "missed_grips"), 0.0)
-    collector, learners = make(delayed=delayed, rollout_steps=2 * LENGTH, **free)
+    numbers = dict.fromkeys((*PENALTIES, *FAULTS), 0.0) | {"delayed": delayed}
+    collector, learners = make(rollout_steps=2 * LENGTH, **numbers)
     done = []
     step = collector.env.step
     monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
@@ -185,7 +185,8 @@ def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
 @pytest.mark.parametrize("lost", [0.0, 0.2])
 @pytest.mark.parametrize("missed", [0.0, 0.6])
 def test_grips_are_lost_and_missed_now_and_then(make, monkeypatch, lost, missed):
-    numbers = {"lost_grips": lost, "missed_grips": missed, "delayed": 0.0}
+    faults = {"lost_grips": lost, "missed_grips": missed}
+    numbers = dict.fromkeys(FAULTS, 0.0) | faults
     collector, learners = make(rollout_steps=400, **numbers)
     env, done, held = collector.env, [], []
     step = env.step

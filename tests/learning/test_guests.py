@@ -10,7 +10,7 @@ import collaborative_gym as cg
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import Casting, make_casting
 from collaborative_gym.learning.collector import Collector, Job
-from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.learning.config import FAULTS, Hyperparameters
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
@@ -35,7 +35,7 @@ def collect(duel, tiny):
     made = []
 
     def make(words, mode="shared", seed=0):
-        exact = dict.fromkeys(("delayed", "lost_grips", "missed_grips"), 0.0)
+        exact = dict.fromkeys(FAULTS, 0.0)
         numbers = tiny(num_envs=WORLDS, rollout_steps=STEPS, **exact)
         casting = make_casting(duel, words, (), hyperparameters=numbers)
         sizes = Sizes.of(duel)

@@ -9,7 +9,7 @@ from array_api_compat import array_namespace
 
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.envs.state import EnvState
-from collaborative_gym.learning.config import PRICES, Resources, recipe
+from collaborative_gym.learning.config import FAULTS, PRICES, Resources, recipe
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.tasks.task import Task
@@ -78,12 +78,9 @@ def train_rival(
     steps = budget.ppo_steps
     hyperparameters = replace(
         recipe(task.name),
-        **dict.fromkeys(PRICES, 0.0),
+        **dict.fromkeys((*PRICES, *FAULTS), 0.0),
         total_steps=steps,
         assistance=0.0,
-        delayed=0.0,
-        lost_grips=0.0,
-        missed_grips=0.0,
         validation_interval=max(1, steps // 8),
     )
     is_begun = (folder / LAST).exists()

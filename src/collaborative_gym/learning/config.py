@@ -49,6 +49,10 @@ PRICES = (
 )
 """Hyperparameters that charge for more than the reward; with 0 they charge nothing."""
 
+FAULTS = ("delayed", "lost_grips", "missed_grips")
+"""Hyperparameters by which robots do something else than they ask for; with 0 they
+do not."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
