@@ -23,6 +23,7 @@ TINY = Hyperparameters(
     range_penalty=0.1,
     contact_penalty=0.1,
     internal_penalty=0.1,
+    energy_penalty=0.1,
     action_penalty=0.1,
     delayed=0.5,
     lost_grips=0.1,

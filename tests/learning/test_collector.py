@@ -18,6 +18,7 @@ PENALTIES = (
     "change_penalty",
     "contact_penalty",
     "internal_penalty",
+    "energy_penalty",
 )
 
 

@@ -14,6 +14,7 @@ FREE = dict.fromkeys(
         "change_penalty",
         "contact_penalty",
         "internal_penalty",
+        "energy_penalty",
         "range_penalty",
         "miss_penalty",
     ),
@@ -131,3 +132,14 @@ def test_internal_force_costs_all_who_hold_by_ten_newton(measured, tiny):
     measured.strain.internal_force = np.array([0.0, 5.0, 40.0, 300.0])
     for earned in charged(measured, numbers, {}, {}).values():
         np.testing.assert_allclose(earned, 2.0 - 0.5 * np.array([0.0, 0.5, 4.0, 10.0]))
+
+
+def test_energy_costs_all_by_what_an_episode_tells_of_it(measured, tiny):
+    numbers = tiny(**{**FREE, "energy_penalty": 0.5})
+    measured.reset()
+    actions = moving(measured, 0.2)
+    first, last = (measured.step(actions)[-1]["metrics"]["strain"] for _ in range(2))
+    spent = last["energy"] - first["energy"]
+    assert (spent > 0.01).all()
+    for earned in charged(measured, numbers, actions, actions).values():
+        np.testing.assert_allclose(earned, 2.0 - 0.5 * spent)

@@ -188,6 +188,7 @@ class Strain:
       depths: by kind of contact, how deep the deepest was in the physics steps that
         were counted last, (num_envs,) in m.
       internal_force: the mean over those steps, (num_envs,) in N.
+      energy: what they took, (num_envs,) in J.
     """
 
     def __init__(self, scene: Scene, sim: CpuSim):
@@ -207,6 +208,7 @@ class Strain:
         self._records: dict[str, np.ndarray] = {}
         self.depths = dict.fromkeys(_KINDS, np.zeros(sim.num_envs))
         self.internal_force = np.zeros(sim.num_envs)
+        self.energy = np.zeros(sim.num_envs)
 
     def records(self, substeps: int) -> dict[str, np.ndarray]:
         """Return the arrays that so many physics steps are to be recorded in."""
@@ -240,8 +242,10 @@ class Strain:
                 greatest[f"contact_force_{kind}"] = force
         limit = self._sim.limits(self._servos)[:, None]
         at_limit = np.abs(torque) >= _AT_LIMIT * limit
+        spent = self._power(torque, speed) * SIM_DT
+        self.energy = spent.sum(axis=1)
         sums = {
-            "energy": self._power(torque, speed) * SIM_DT,
+            "energy": spent,
             "torque_limit_share": at_limit.mean(axis=2),
         }
         if self._held:

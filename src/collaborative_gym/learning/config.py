@@ -43,6 +43,7 @@ PRICES = (
     "change_penalty",
     "contact_penalty",
     "internal_penalty",
+    "energy_penalty",
     "miss_penalty",
     "range_penalty",
     "action_penalty",
@@ -112,9 +113,9 @@ class Hyperparameters:
         beyond a limit the price grows linearly.
       change_penalty: price of jerky actions. In each control step a robot pays this
         times the mean square of the change of its action. No reported return contains
-        penalties. These two, those of contacts, internal force and missed goals, late
-        actions and grips that fail begin at zero. They grow by 2 % after each rollout
-        in which half of the episodes are completed.
+        penalties. These two, those of contacts, internal force, energy and missed
+        goals, late actions and grips that fail begin at zero. They grow by 2 % after
+        each rollout in which half of the episodes are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
         arm or with fixed things count, and contacts of loose things above 1 mm.
@@ -123,6 +124,9 @@ class Hyperparameters:
         this for every 10 N that arms spend against each other on what they hold (see
         `internal_force` among the measures of strain), the mean of the step, at most
         100 N. It is measured as contacts are.
+      energy_penalty: price of energy. In each control step all robots pay this for
+        every J that their joints spend together (see `energy` among the measures of
+        strain). It is measured as contacts are.
       miss_penalty: price of a goal that is not met, paid in each control step in which
         it is not. A task's reward may hardly tell the goal from what is near it.
       range_penalty: price of joints at the ends of their ranges. In each control step a
@@ -203,6 +207,7 @@ class Hyperparameters:
     change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
     internal_penalty: float = bounded(0.0, 0.0, 1e3)
+    energy_penalty: float = bounded(0.0, 0.0, 1e3)
     miss_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)

@@ -20,11 +20,12 @@ _INNER = 0.9
 
 
 class Penalties:
-    """What each robot pays for its acts, and all for contacts, force and missed goals.
+    """What each robot pays for its acts, and all for contacts, force and energy.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
-    Contacts and internal force are looked at in every physics step, whoever is in them.
+    Contacts, internal force and energy are looked at in every physics step, whoever is
+    in them or spends it.
 
     Args:
       env: the worlds, which measure strain if `needs_strain` says so.
@@ -37,6 +38,7 @@ class Penalties:
         self._change = hyperparameters.change_penalty
         self._contact = hyperparameters.contact_penalty
         self._internal = hyperparameters.internal_penalty
+        self._energy = hyperparameters.energy_penalty
         self._range = hyperparameters.range_penalty
         self._miss = hyperparameters.miss_penalty
 
@@ -103,6 +105,9 @@ class Penalties:
             assert self._env.strain is not None
             force = np.minimum(self._env.strain.internal_force, _MOST_FORCE)
             cost = cost + self._internal * force / _UNIT_FORCE
+        if self._energy:
+            assert self._env.strain is not None
+            cost = cost + self._energy * self._env.strain.energy
         return cost
 
     def _depth(self) -> np.ndarray:
@@ -126,7 +131,8 @@ class Penalties:
 
 def needs_strain(hyperparameters: Hyperparameters) -> bool:
     """Return whether prices need worlds that measure strain."""
-    return bool(hyperparameters.contact_penalty or hyperparameters.internal_penalty)
+    measured = ("contact_penalty", "internal_penalty", "energy_penalty")
+    return any(getattr(hyperparameters, name) for name in measured)
 
 
 def _mean_square(columns: np.ndarray) -> np.ndarray:
