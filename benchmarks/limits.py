@@ -5,6 +5,7 @@
 Names are environment ids; none means all. Policies are random actions, full commands at
 random ("bang-bang"), full commands that are mostly kept ("held"), the expert and the
 baseline. Numbers are the greatest of all episodes of seed 0, from every physics step.
+The share that is deep is that of the time in which there is a contact of that kind.
 """
 
 import argparse
@@ -18,6 +19,9 @@ from collaborative_gym.envs.vector_env import VectorEnv
 
 KEPT = {"bang-bang": 0.5, "held": 0.9}
 """How often a component of full commands stays as it is from step to step."""
+
+DEEP = 3e-3
+"""Depth beyond which a contact counts as deep, in m."""
 
 
 def full_commands(env: VectorEnv, kept: float):
@@ -34,14 +38,20 @@ def full_commands(env: VectorEnv, kept: float):
     return act
 
 
+def deep(depths: np.ndarray) -> float:
+    """Return the share of the time with contact in which it is deep."""
+    return np.count_nonzero(depths > DEEP) / max(1, np.count_nonzero(depths > 0.0))
+
+
 def measure(name: str, policy: str, episodes: int) -> dict[str, float]:
     """Return the greatest of each limit's excess, by column."""
     env = cg.make_vec(name, episodes, seed=0, strain=True)
     act = full_commands(env, KEPT[policy]) if policy in KEPT else None
     act = act or cg.load_policy(policy, env)
-    speeds, beyond = [], []
+    speeds, beyond, depths = [], [], []
 
     def look() -> None:
+        depths.append(list(env.strain.depths.values()))
         for arm in env.scene.arms.values():
             angle, limit = env.sim.qpos[:, arm.qpos], arm.robot.velocity_limits
             speeds.append(np.max(np.abs(env.sim.qvel[:, arm.dof]) / limit, axis=1))
@@ -54,9 +64,12 @@ def measure(name: str, policy: str, episodes: int) -> dict[str, float]:
         observations, _, _, _, infos = env.step(act(observations))
         if infos["ended"].any():
             break
-    strain = infos["metrics"]["strain"]
+    strain, kinds = infos["metrics"]["strain"], list(env.strain.depths)
     env.close()
     row = {key: float(np.nanmax(strain[key])) for key in strain if "contact" in key}
+    deepest = dict(zip(kinds, np.moveaxis(depths, 1, 0), strict=True))
+    deepest["any"] = np.max(depths, axis=1)
+    row |= {f"share deep, {kind}": deep(each) for kind, each in deepest.items()}
     row |= {
         "speed over limit": float(np.max(speeds)),
         "share above 1.1": float(np.mean(np.array(speeds) > 1.1)),
