@@ -1,6 +1,6 @@
 """How well limits are kept: contacts' depths and forces, speeds, and joint ranges.
 
-    python benchmarks/limits.py [--episodes N] [NAME ...]
+    python benchmarks/limits.py [--episodes N] [--policies POLICY ...] [NAME ...]
 
 Names are environment ids; none means all. Policies are random actions, full commands at
 random ("bang-bang"), full commands that are mostly kept ("held"), the expert and the
@@ -84,10 +84,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", default=cg.list_envs())
     parser.add_argument("--episodes", type=int, default=32)
+    every = ["random", *KEPT, "expert", "baseline"]
+    parser.add_argument("--policies", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     for name in options.names:
         rows = {}
-        for policy in ("random", *KEPT, "expert", "baseline"):
+        for policy in options.policies:
             try:
                 rows[policy] = measure(name, policy, options.episodes)
             except FileNotFoundError:
@@ -95,7 +97,7 @@ def main() -> None:
         table = Table(title=name)
         for head in ("", *rows):
             table.add_column(head, justify="right" if head else "left")
-        for key in rows["random"]:
+        for key in next(iter(rows.values()), ()):
             table.add_row(key, *(f"{row[key]:.4g}" for row in rows.values()))
         Console(width=100).print(table)
 
