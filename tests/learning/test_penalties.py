@@ -6,20 +6,10 @@ import numpy as np
 import pytest
 
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.learning.config import PRICES
 from collaborative_gym.learning.penalties import Penalties
 
-FREE = dict.fromkeys(
-    (
-        "torque_penalty",
-        "change_penalty",
-        "contact_penalty",
-        "internal_penalty",
-        "energy_penalty",
-        "range_penalty",
-        "miss_penalty",
-    ),
-    0.0,
-)
+FREE = dict.fromkeys(PRICES, 0.0)
 
 
 @pytest.fixture
