@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.learning.backend import Backend
+from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import make_casting
-from collaborative_gym.learning.collector import Job, OwnCollector
-from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.collector import Collector, Job
+from collaborative_gym.learning.config import FAULTS, MODES
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
@@ -26,17 +26,17 @@ def test_only_the_others_learn(train_tiny, mode, carry):
     assert len(report.episodes) == 2
 
 
-def test_partners_play_their_policies(carry, tiny):
-    task = carry()
-    sizes, given = Sizes.of(task), ["robot_2=idle"]
-    casting = make_casting(task, (), given, hyperparameters=tiny())
+def test_partners_play_their_policies_without_faults(carry, tiny):
+    task, numbers = carry(), tiny(**dict.fromkeys(FAULTS, 1.0))
+    sizes, given = Sizes.of(task), ["robot_2=gripping"]
+    casting = make_casting(task, (), given, hyperparameters=numbers)
     seats = casting.learned("")
     learners = make_learners("independent", sizes, task.sides, seats=seats)
     assert [learner.agents for learner in learners] == [("robot_1",)]
-    collector = OwnCollector(Job(task, learners, sizes, 0, tiny(), 1, casting))
-    learner = PPOLearner(learners[0], sizes, tiny(), "cpu", casting)
+    collector = Collector(Job(task, learners, sizes, 0, numbers, 1, casting))
+    learner = PPOLearner(learners[0], sizes, numbers, "cpu", casting)
     pool = Pool(casting, read_guests(task, casting, given))
-    env, played = collector._collector.env, []
+    env, played = collector.env, []
     step = env.step
 
     def spied(actions):
@@ -44,11 +44,17 @@ def test_partners_play_their_policies(carry, tiny):
         return step(actions)
 
     env.step = spied
-    Backend([learner], collector).advance(pool.invitation(learner.weights))
-    assert len(played) == tiny().rollout_steps
+    actors, everything = {learner.learner.name: learner.acting()}, Assistance(0.0)
+    everything.demand = 1.0
+    invitation = pool.invitation(learner.weights)
+    collector.collect(actors, 0, everything, invitation)
+    assert len(played) == numbers.rollout_steps
+    gripping = env.idle()["robot_2"]
+    gripping[:, -1] = 1.0
     for actions in played:
-        assert np.array_equal(actions["robot_2"], env.idle()["robot_2"])
-        assert actions["robot_1"].any()
+        assert np.array_equal(actions["robot_2"], gripping)
+        assert (actions["robot_1"][:, -1] == -1.0).all()
+    assert played[-1]["robot_1"][:, :-1].any()
 
 
 def test_a_run_goes_on_with_its_partners(train_tiny, tiny):

@@ -266,6 +266,10 @@ class Collector:
             Player(learner, job, job.casting.worlds(learner, share))
             for learner in job.learners
         ]
+        self._learns = {a: np.zeros(share, bool) for a in self.env.agents}
+        for player in self._players:
+            for agent, rows in player.worlds.items():
+                self._learns[agent][rows] = True
         self._guests = Guests(self.env, job.casting)
         self._penalties = Penalties(self.env, job.hyperparameters)
         grips = self.env.scene.grips if self.env.task.gripping else ()
@@ -363,18 +367,25 @@ class Collector:
         rng: np.random.Generator,
         demand: float,
     ) -> tuple[Any, ...]:
-        """Do what robots chose, late or with failing grips, and charge them for it."""
+        """Do what robots chose, and charge them for it.
+
+        What learners chose may come late, and their grips may fail. Guests may not have
+        been trained for that.
+        """
         hyperparameters, count = self._job.hyperparameters, self.env.num_envs
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
         late = np.arange(count) < round(count * hyperparameters.delayed * demand)
-        late = late[:, None]
-        done = {a: np.where(late, self._previous[a], chosen[a]) for a in chosen}
+        done = {
+            agent: np.where((late & learns)[:, None], self._previous[agent], each)
+            for agent, each in chosen.items()
+            for learns in [self._learns[agent]]
+        }
         lost = hyperparameters.lost_grips * demand
         missed = hyperparameters.missed_grips * demand
         for agent in self._gripping if lost or missed else ():
             holds = self.env.scene.holds(self.env.sim, agent)
             fails = rng.random(count) < np.where(holds, lost, missed)
-            done[agent][fails, -1] = -1.0
+            done[agent][fails & self._learns[agent], -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
         rewards = self._penalties.charge(
             rewards,

@@ -137,7 +137,8 @@ class Hyperparameters:
         motor is at its limit moves no less if the policy asks for less, so neither
         rewards nor noise tell that it asks for too much; this does.
       delayed: share of the worlds in which each action is done one control step late.
-        In validations no action is late.
+        In validations no action is late. Guests are never late, and no grip of theirs
+        fails: opponents and partners may not have been trained for that.
       lost_grips: how likely a robot that holds something loses it in a control step,
         whatever it asks for; 0.005 means about once in an episode. So it learns to grip
         again. In validations no grip is lost.
