@@ -36,6 +36,7 @@ OPTIONS = [
     (EVALUATE, "--colour", ("red",)),
     (RECORD, "--seconds", (*NO_NUMBERS, "0")),
     (RECORD, "--seed", NO_INTEGERS),
+    (RECORD, "--only-episodes", NO_INTEGERS),
     (RECORD, "--size", ("1", "a b", "-2 2", "3 2", "100000 2", "2 2 2")),
     (RECORD, "--beside", ("nobody",)),
     (RECORD, "--robots", ("panda", "panda x")),

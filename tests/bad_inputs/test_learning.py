@@ -276,6 +276,12 @@ RECORD = [
     *table("record", "policy", _record("policy"), [None, 3, [], "no such", [3], ["x"]]),
     *table("record", "seconds", _record("seconds"), NO_NUMBER, [0, -1]),
     *table("record", "seed", _record("seed"), NO_COUNT, [-1]),
+    *table(
+        "record",
+        "episodes",
+        _record("only_episodes"),
+        [3, "", [], [-1], [1.5], ["a"], [None], [[1]], [True], THING],
+    ),
     *table("record", "robots", _record("robots"), NO_ROBOTS),
     *table("record", "randomization", _record("randomization"), NO_RANDOMIZATION),
     *table(

@@ -219,6 +219,28 @@ def test_the_next_start_comes_a_second_after_the_first_policys_success(
         assert end - first == 11
 
 
+def test_a_film_shows_the_episodes_that_are_named(carry, tmp_path):
+    seen, shares = [], []
+
+    def policy(observations):
+        seen.append(observations["robot_1"][0])
+        return {agent: np.zeros((1, 8)) for agent in observations}
+
+    recording.record(
+        carry(max_episode_steps=2),
+        tmp_path / "a.gif",
+        policy=policy,
+        seed=4,
+        only_episodes=[7, 3],
+        size=SIZE,
+        on_progress=shares.append,
+    )
+    env = VectorEnv(carry(), 2, num_threads=1)
+    observations, _ = env.reset(seed=4, episodes=[7, 3])
+    assert np.array_equal(seen[::2], observations["robot_1"])
+    assert shares == sorted(shares) and shares.count(1.0) == 1
+
+
 def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     told, shares = [], []
     monkeypatch.setattr(
@@ -274,6 +296,8 @@ def test_bad_input_says_what_is_allowed(carry, tmp_path):
         recording.picture(carry(), size=64)
     with pytest.raises(ValueError, match="seconds must be above 0, got 0"):
         recording.record(carry(), tmp_path / "a.mp4", seconds=0)
+    with pytest.raises(ValueError, match="give seconds or only_episodes, not both"):
+        recording.record(carry(), tmp_path / "a.mp4", seconds=3, only_episodes=[1])
     assert list(tmp_path.iterdir()) == []
 
 

@@ -83,6 +83,8 @@ class Record(Played, _Policy):
         for --policy.
       seconds: how long the film lasts at least. A second after a success, or after the
         end of an episode, it shows the next start; the last one is shown to its end.
+      only_episodes: episodes to show instead of the first ones, such as the worst ones
+        that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
     """
 
@@ -91,7 +93,13 @@ class Record(Played, _Policy):
     beside: Annotated[
         Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
-    seconds: float = 10.0
+    seconds: Annotated[
+        float | None, tyro.conf.arg(help_behavior_hint="(default: 10)")
+    ] = None
+    only_episodes: Annotated[
+        tuple[int, ...],
+        tyro.conf.arg(metavar="INDEX ...", help_behavior_hint="(default: none)"),
+    ] = ()
     size: Size = OWN_SIZE
 
     def run(self) -> None:
@@ -106,6 +114,7 @@ class Record(Played, _Policy):
                 any_env=self.any_env,
                 seconds=self.seconds,
                 seed=self.seed,
+                only_episodes=self.only_episodes or None,
                 robots=self.robots or None,
                 randomization=self.randomization,
                 size=None if self.size == OWN_SIZE else self.size,

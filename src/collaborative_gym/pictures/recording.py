@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs.arguments import check_episodes
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import (
     check_callback,
@@ -70,14 +71,15 @@ def record(
     *,
     policy: AnyPolicy | Sequence[AnyPolicy] = "expert",
     any_env: bool = False,
-    seconds: float = 10.0,
+    seconds: float | None = None,
     seed: int = 0,
+    only_episodes: Sequence[int] | None = None,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
     size: tuple[int, int] | None = None,
     on_progress: Callable[[float], object] | None = None,
 ) -> Path:
-    """Write a video of a seed's first episodes, in real time, and return its path.
+    """Write a video of a seed's episodes, in real time, and return its path.
 
     The episodes are those that `evaluate` plays. One second after a success, or after
     the end of the episode, the film shows the next start. After an error or Ctrl-C
@@ -91,9 +93,11 @@ def record(
         episodes; the first one decides when the next start comes. Each picture says
         the time, who plays, and whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
-      seconds: how long the film lasts at least, up to 36,000. An episode that has
-        begun by then is shown to its end.
+      seconds: how long the film of the first episodes lasts at least, up to 36,000;
+        None for 10. An episode that has begun by then is shown to its end.
       seed: which episodes.
+      only_episodes: indices of the seed's episodes to show instead of the first ones,
+        such as the worst ones that a report names.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
       size: width and height in pixels, of each policy's picture; None for 640 x 480, of
@@ -106,8 +110,17 @@ def record(
       OSError: if the file cannot be written; says why, before the work.
       RuntimeError: if no off-screen renderer can start; says what to install.
       TypeError: if the policy or a number is of another kind.
-      ValueError: if a number is out of range or the file has another suffix.
+      ValueError: if a number is out of range, if seconds and episodes are both given,
+        or if the file has another suffix.
     """
+    if only_episodes is not None:
+        if seconds is not None:
+            raise ValueError("give seconds or only_episodes, not both")
+        check_kind("only_episodes", only_episodes, Sequence, "indices of episodes")
+        only_episodes = check_episodes(only_episodes, len(only_episodes)).tolist()
+        if not only_episodes:
+            raise ValueError("only_episodes must name at least one")
+    seconds = 10.0 if seconds is None else seconds
     seconds = check_number("seconds", seconds, above=0.0, at_most=_LONGEST)
     check_kind("output", output, (str, Path), "path")
     output = Path(output)
@@ -128,7 +141,7 @@ def record(
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
             cast.append(_Player(world, act, players, kind.shots, (width, height)))
-        frames = _film(cast, seconds, on_progress)
+        frames = _film(cast, seconds, seed, only_episodes, on_progress)
         kind.write(output, frames, round(kind.shots / CONTROL_DT))
     return output
 
@@ -295,9 +308,9 @@ class _Player:
             return bool(self._infos["ended"][0])
         return not np.isnan(self._infos["metrics"]["time_to_success"][0])
 
-    def start(self) -> list[np.ndarray]:
-        """Start the next episode and return its first picture."""
-        self._observations, self._infos = self._env.reset()
+    def start(self, seed: int, episode: int) -> list[np.ndarray]:
+        """Start an episode and return its first picture."""
+        self._observations, self._infos = self._env.reset(seed, [episode])
         return [_labelled(self._draw(), self._caption())]
 
     def step(self) -> list[np.ndarray]:
@@ -317,19 +330,33 @@ class _Player:
 def _film(
     cast: Sequence[_Player],
     seconds: float,
+    seed: int,
+    episodes: Sequence[int] | None,
     on_progress: Callable[[float], object] | None,
 ) -> Frames:
-    """Yield the players' pictures side by side, one start after the other."""
+    """Yield the players' pictures side by side, one start after the other.
+
+    Args:
+      cast: who plays.
+      seconds: how long the film of the first episodes lasts at least.
+      seed: which episodes.
+      episodes: those that are shown, to the last; None for the first ones.
+      on_progress: called after each step with the share that is done.
+    """
     played = 0.0
-    while played < seconds:
-        rows, left = [player.start() for player in cast], round(_HOLD / CONTROL_DT)
+    for i, episode in enumerate(count() if episodes is None else episodes):
+        if episodes is None and played >= seconds:
+            break
+        rows = [player.start(seed, episode) for player in cast]
+        left = round(_HOLD / CONTROL_DT)
         while rows:
             for frames in zip(*rows, strict=True):
                 yield np.concatenate(frames, axis=1)
             played += CONTROL_DT
             if on_progress is not None:
                 # The last start is shown to its end, whenever that comes.
-                on_progress(min(0.99, played / seconds))
+                done = played / seconds if episodes is None else i / len(episodes)
+                on_progress(min(0.99, done))
             left -= cast[0].is_done
             rows = [player.step() for player in cast] if left >= 0 else []
     if on_progress is not None:
