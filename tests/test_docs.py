@@ -40,7 +40,7 @@ collaborative-gym() {
     train) set -- "$@" --total-steps 8 --num-envs 2 --rollout-steps 4 \
         --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
     evaluate | tournament) set -- "$@" --episodes 2 ;;
-    record) set -- "$@" --seconds 0.1 ;;
+    record) [[ "$*" = *--only-episodes* ]] || set -- "$@" --seconds 0.1 ;;
     report) set -- "$@" --episodes 2 --disturbed 1 --paired 1 ;;
     benchmark) set -- "$@" --num-envs 2; [ $# -gt 3 ] || set -- "$@" Poke ;;
     view | --env) view "$@"; return ;;

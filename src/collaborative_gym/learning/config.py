@@ -374,12 +374,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
     "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
     "BalanceTaskSawyers-v0": {"total_steps": 2_000_000, **_OFTEN, **_BALANCE, **_EXACT},
-    "BalanceTaskJacoSawyer-v0": {
-        "total_steps": 3_000_000,
-        **_OFTEN,
-        **_BALANCE,
-        **_EXACT,
-    },
+    "BalanceTaskJacoSawyer-v0": {**_OFTEN, **_BALANCE, **_EXACT},
     "LiftTaskSawyers-v0": {"total_steps": 5_000_000, **_LIFT},
     "LiftTaskJacos-v0": {"total_steps": 2_500_000, **_LIFT, "range_penalty": 0.2},
     "PassTaskSawyers-v0": _PASS,
