@@ -376,9 +376,8 @@ class Collector:
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
         late = np.arange(count) < round(count * hyperparameters.delayed * demand)
         done = {
-            agent: np.where((late & learns)[:, None], self._previous[agent], each)
-            for agent, each in chosen.items()
-            for learns in [self._learns[agent]]
+            a: np.where((late & self._learns[a])[:, None], self._previous[a], each)
+            for a, each in chosen.items()
         }
         lost = hyperparameters.lost_grips * demand
         missed = hyperparameters.missed_grips * demand
