@@ -5,6 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import PRICES
 from collaborative_gym.learning.penalties import Penalties
@@ -96,10 +97,26 @@ def test_a_missed_goal_costs_those_who_share_it(env, duel, tiny):
     for found in charged(env, numbers, {}, {}, success=met).values():
         assert found.tolist() == [2.0, 1.5, 1.5]
     with closing(VectorEnv(duel, 3, num_threads=1)) as opponents:
+        opponents.reset()
+        opponents.task.performance_from_start = True
         success = {"side_1": met, "side_2": ~met}
         found = charged(opponents, numbers, {}, {}, success=success)
     assert found["robot_1"].tolist() == [2.0, 1.5, 1.5]
     assert found["robot_2"].tolist() == [1.5, 2.0, 2.0]
+
+
+def test_a_goal_to_be_kept_for_a_time_is_met_while_it_is_kept(tiny):
+    numbers = tiny(**{**FREE, "miss_penalty": 0.5})
+    unmet, costs = np.zeros(4, dtype=bool), []
+    with closing(cg.make_vec("BalancePathSawyers-v0", 4, num_threads=1)) as env:
+        env.reset(seed=0)
+        for _ in range(12):
+            near = env.facts.distance < env.task.config.success_distance
+            found = charged(env, numbers, {}, {}, success=unmet)["robot_2"]
+            assert found.tolist() == np.where(near, 2.0, 1.5).tolist()
+            costs.extend(found)
+            env.step(env.expert())
+    assert {1.5, 2.0} == set(costs)
 
 
 @pytest.fixture

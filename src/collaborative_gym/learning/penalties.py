@@ -27,6 +27,11 @@ class Penalties:
     Contacts, internal force and energy are looked at in every physics step, whoever is
     in them or spends it.
 
+    A goal that counts only once it has been kept for a time, as BalancePath's, would
+    cost the same whatever robots do until then. So a goal counts as met wherever a step
+    counts towards performance, if that does not count from the start anyway; where that
+    ended an episode, the next one's start counts.
+
     Args:
       env: the worlds, which measure strain if `needs_strain` says so.
       hyperparameters: what is charged.
@@ -82,11 +87,13 @@ class Penalties:
         return charged
 
     def _met(self, agent: str, success: Any) -> np.ndarray:
-        """Return where an agent's side met its goal."""
-        sides = self._env.sides
-        if len(sides) == 1:
-            return success
-        return next(success[side] for side, own in sides.items() if agent in own)
+        """Return where an agent's side met its goal, or performs what it asks for."""
+        task, sides = self._env.task, self._env.sides
+        performing: Any = task.performing(self._env.facts)
+        if len(sides) > 1:
+            own = next(side for side, agents in sides.items() if agent in agents)
+            success, performing = success[own], performing[list(sides).index(own)]
+        return success if task.performance_from_start else success | performing
 
     def _ends(self, agent: str) -> np.ndarray:
         """Return how near joints are to the ends of their ranges, from 0 to 1."""
