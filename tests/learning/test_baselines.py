@@ -90,6 +90,16 @@ def test_of_equal_runs_the_one_whose_arms_keep_apart_is_better(alone, monkeypatc
     assert idle[2] == pytest.approx(random[2], abs=1.0) and idle[3] > random[3]
 
 
+def test_a_card_says_if_the_expert_was_a_guide():
+    first = {"seed": 0, "steps": 2e6, "hyperparameters": {"imitation": 2.0}}
+    guide = "with the scripted expert's actions as a guide"
+    assert baselines._beginning(first) == f"from scratch, {guide}"
+    start = {"start_from": "runs/a", "start": {"digest": "1f", "metadata": first}}
+    text = baselines._beginning({"hyperparameters": {}, **start})
+    assert text.endswith(f"2.00 M steps from scratch, {guide})")
+    assert baselines._beginning(first | start).endswith(f"{guide}), {guide}")
+
+
 def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     card = train_both()
     assert ", from scratch, without demonstrations; mode" in card.read_text()

@@ -89,6 +89,23 @@ def test_actions_are_as_probable_as_the_learner_finds_them(make, mode):
             learner.learn([rollout])
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_the_experts_advice_stands_beside_what_was_done(make, mode, weight):
+    collector, learners = make(mode, imitation=weight)
+    given, ask = [], collector.env.expert
+    collector.env.expert = lambda: given.append(ask()) or given[-1]
+    collected = collector.collect(acting(learners), 0, NOTHING)
+    assert len(given) == (STEPS if weight else 0)
+    for learner in learners:
+        rollout = collected.rollouts[learner.learner.name]
+        assert rollout.advice.shape[2] == (rollout.actions.shape[2] if weight else 0)
+        for advised, actions in zip(rollout.advice, given, strict=False):
+            by_agent = learner.learner.actions(advised, collector._job.sizes)
+            for agent, rows in by_agent.items():
+                np.testing.assert_allclose(rows, actions[agent], atol=1e-6)
+
+
 def test_worlds_end_at_different_times_and_only_full_episodes_count(make):
     collector, learners = make()
     collected = [collector.collect(acting(learners), i, NOTHING) for i in range(3)]

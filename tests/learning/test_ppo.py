@@ -37,9 +37,9 @@ class Pupil(PPOLearner):
         self.player.start(self.rng)
         self.record = self.player.record
 
-    def act(self, observations):
+    def act(self, observations, advice=None):
         self.player.load(self.acting())
-        return self.player.act(observations, self.rng)
+        return self.player.act(observations, self.rng, advice)
 
     def update(self, following):
         return self.learn([self.player.finish(following)])
@@ -265,6 +265,28 @@ def test_actions_that_gain_nothing_shrink_if_they_cost_something(make, price):
         means = actor(torch.zeros(1, 6))[0]
     assert (means[~actor.is_grip].abs() < 0.5).all() == (price > 0.0)
     assert (means[actor.is_grip] > 0.5).all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("weight", [0.0, 30.0])
+def test_the_experts_advice_is_learned_as_far_as_it_counts(make, mode, weight):
+    learning = {"learning_rate": 3e-3, "target_kl": 0.0, "imitation": 30.0}
+    learners, rng = make(mode, num_envs=64, **learning), np.random.default_rng(0)
+    for _ in range(30):
+        observations = drawn(rng, 64)
+        advice = {
+            agent: np.where(rows[:, :1] > 3.0, [[0.5, -0.3]], [[-0.5, 0.3]])
+            for agent, rows in observations.items()
+        }
+        noise = {agent: np.float32(rng.normal(size=64)) for agent in AGENTS}
+        for learner in learners:
+            learner.imitate(weight)
+            learner.act(observations, advice)
+            learner.record(noise, observations, never(64), never(64))
+            learner.update(observations)
+    found = means(learners, observations)
+    missed = [np.square(found[agent] - advice[agent]).mean() for agent in AGENTS]
+    assert (np.sqrt(missed) < 0.25).all() == (weight > 0.0)
 
 
 @pytest.mark.parametrize("entropy", [0.0, 0.01])

@@ -79,7 +79,7 @@ def drawn(rng, steps=8, rows=4, observation=6, action=4):
     finals = np.float32(rng.normal(size=(truncated.sum(), observation)))
     log_prob, terminated = np.zeros_like(rewards), ends > 0.9
     kept = actions, log_prob, rewards, terminated, truncated, finals
-    return Rollout(observations, *kept)
+    return Rollout(observations, *kept, advice=actions[..., :0])
 
 
 def test_it_remembers_what_followed_and_not_the_next_episode(make):

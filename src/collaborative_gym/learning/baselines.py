@@ -137,7 +137,7 @@ def write_card(
         f"# {env_id}: baseline",
         "",
         f"A policy for each robot ({robots}), trained by PPO on the thesis's reward,"
-        f" {_beginning(settings.start_from, settings.start)}; mode collaborative, no"
+        f" {_beginning(settings.to_dict())}; mode collaborative, no"
         f" shaping, {_curriculum(hyperparameters)}.",
         "",
         f"- environment: `{env_id}`, randomization `{_preset(starts)}`",
@@ -198,16 +198,21 @@ def _curriculum(hyperparameters: Hyperparameters) -> str:
     )
 
 
-def _beginning(start_from: str, start: Mapping[str, Any]) -> str:
-    """Return with what a run began, and that in turn, back to random networks."""
-    if not start_from:
-        return "from scratch, without demonstrations"
-    own = start["metadata"]
-    before = _beginning(own.get("start_from", ""), own.get("start", {}))
+def _beginning(own: Mapping[str, Any]) -> str:
+    """Return with what a run began, and that in turn, back to random networks.
+
+    Args:
+      own: what its policy, or its settings, say of it.
+    """
+    is_guided = bool(own["hyperparameters"].get("imitation"))
+    guide = "with the scripted expert's actions as a guide"
+    if not own.get("start_from"):
+        return f"from scratch, {guide if is_guided else 'without demonstrations'}"
+    start, before = own["start"], own["start"]["metadata"]
     return (
-        f"beginning with the policy `{start_from}` as it was then (digest"
-        f" {start['digest'][:12]}, seed {own['seed']}, {own['steps'] / 1e6:.2f} M"
-        f" steps {before})"
+        f"beginning with the policy `{own['start_from']}` as it was then (digest"
+        f" {start['digest'][:12]}, seed {before['seed']}, {before['steps'] / 1e6:.2f} M"
+        f" steps {_beginning(before)})" + f", {guide}" * is_guided
     )
 
 

@@ -70,6 +70,8 @@ class Rollout:
       terminated: where an episode ended and nothing more could follow, (steps, rows).
       truncated: where only its time was up, (steps, rows).
       final_observations: where it was, (ends, k) float32 in the order of `truncated`.
+      advice: what the expert would have done, as `actions`; of width 0 where nobody
+        asks for it.
     """
 
     observations: np.ndarray
@@ -79,6 +81,7 @@ class Rollout:
     terminated: np.ndarray
     truncated: np.ndarray
     final_observations: np.ndarray
+    advice: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -168,9 +171,18 @@ class Player:
         self._density = -log_std.numpy() - 0.5 * math.log(2.0 * math.pi)
 
     def act(
-        self, observations: Observations, rng: np.random.Generator
+        self,
+        observations: Observations,
+        rng: np.random.Generator,
+        advice: Mapping[str, np.ndarray] | None = None,
     ) -> dict[str, np.ndarray]:
-        """Return sampled actions by agent, for its worlds alone."""
+        """Return sampled actions by agent, for its worlds alone.
+
+        Args:
+          observations: of all worlds, by agent.
+          rng: draws the noise.
+          advice: what the expert would do in all worlds, by agent.
+        """
         rows = self._seen(observations)
         with torch.no_grad():
             seen = (torch.from_numpy(rows) - self._mean) / self._std
@@ -180,7 +192,11 @@ class Player:
         self.noise = self._stays * self.noise + self._fresh * fresh
         actions = mean + self._spread * self.noise
         log_prob = (self._density - 0.5 * self.noise**2).sum(axis=1)
-        self._steps.append((rows, actions, log_prob))
+        advised = actions[:, :0]
+        if advice is not None:
+            own = {agent: advice[agent][rows] for agent, rows in self.worlds.items()}
+            advised = self.learner.action_rows(own).astype(np.float32)
+        self._steps.append((rows, actions, log_prob, advised))
         return self.learner.actions(actions, self._sizes, self._ends)
 
     def record(
@@ -211,7 +227,7 @@ class Player:
 
     def finish(self, observations: Observations) -> Rollout:
         """Return all that was recorded, and begin anew; `observations` come next."""
-        rows, actions, log_prob = zip(*self._steps, strict=True)
+        rows, actions, log_prob, advice = zip(*self._steps, strict=True)
         last = self._seen(observations)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))
         finals = np.concatenate([last[:0], *self._finals])
@@ -224,6 +240,7 @@ class Player:
             over,
             late,
             finals,
+            np.stack(advice),
         )
 
     def _seen(self, observations: Observations) -> np.ndarray:
@@ -355,8 +372,9 @@ class Collector:
     ) -> dict[str, np.ndarray]:
         """Return what all robots choose."""
         actions = {a: np.empty_like(still) for a, still in self.env.idle().items()}
+        advice = self.env.expert() if self._job.hyperparameters.imitation else None
         for player in self._players:
-            for agent, rows in player.act(observations, rng).items():
+            for agent, rows in player.act(observations, rng, advice).items():
                 actions[agent][player.worlds[agent]] = rows
         self._guests.act(observations, actions)
         return actions

@@ -136,6 +136,12 @@ class Hyperparameters:
         of the policy's mean actions, without grips, from the beginning. A joint whose
         motor is at its limit moves no less if the policy asks for less, so neither
         rewards nor noise tell that it asks for too much; this does.
+      imitation: PPO: weight of what the task's scripted expert would do. The loss has
+        this times the mean square of the difference between the policy's mean actions
+        and what the expert would do in these worlds (as in Kickstarting, Schmitt et al.
+        2018, arXiv 1803.03835). So a policy learns what it would not find by chance.
+      imitation_share: PPO: share of the total steps over which this weight fades
+        linearly; 0 keeps it.
       delayed: share of the worlds in which each action is done one control step late.
         In validations no action is late. Guests are never late, and no grip of theirs
         fails: opponents and partners may not have been trained for that.
@@ -212,6 +218,8 @@ class Hyperparameters:
     miss_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
+    imitation: float = bounded(0.0, 0.0, 1e3)
+    imitation_share: float = bounded(0.0, 0.0, 1.0)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     missed_grips: float = bounded(0.0, 0.0, 1.0)
@@ -397,6 +405,8 @@ _OWN: Mapping[str, Sequence[str]] = {
         "final_noise",
         "quiet_share",
         "action_penalty",
+        "imitation",
+        "imitation_share",
     ),
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
 }

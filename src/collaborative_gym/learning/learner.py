@@ -114,6 +114,10 @@ class SkrlLearner(ABC):
         """Multiply the standard deviation of the actions."""
         self._policy.actor.log_std.data += math.log(factor)
 
+    def imitate(self, weight: float) -> None:
+        """Let the expert's advice count this much from now on."""
+        self._policy.imitation = weight
+
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
         return self._policy.actor.weights(*self._normalization())
@@ -169,7 +173,12 @@ class SkrlLearner(ABC):
 
 
 class Policy(GaussianMixin, Model):
-    """The learner's actor, as skrl knows policies."""
+    """The learner's actor, as skrl knows policies.
+
+    Attributes:
+      imitation: weight of the expert's advice, which stands beside the actions that PPO
+        learns from.
+    """
 
     def __init__(
         self,
@@ -184,10 +193,21 @@ class Policy(GaussianMixin, Model):
         self.actor = actor
         self._entropy = hyperparameters.entropy
         self._action_penalty = hyperparameters.action_penalty
+        self.imitation = hyperparameters.imitation
+        self._advice = torch.empty(0)
 
     def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
         """Return sampled actions, and what else skrl asks for."""
-        actions, outputs = super().act(dict(inputs), role=role)
+        given = dict(inputs)
+        if "taken_actions" in given:
+            sizes = [
+                self.num_actions,
+                given["taken_actions"].shape[1] - self.num_actions,
+            ]
+            given["taken_actions"], self._advice = given["taken_actions"].split(
+                sizes, 1
+            )
+        actions, outputs = super().act(given, role=role)
         return Bounded.apply(actions), outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
@@ -196,8 +216,12 @@ class Policy(GaussianMixin, Model):
 
     def get_entropy(self, *, role: str = "") -> torch.Tensor:
         """Return what PPO's loss rewards, whatever the last actions gained."""
-        means = self.distribution(role=role).mean[:, ~self.actor.is_grip]
-        price = self._action_penalty * means.square().mean(dim=1, keepdim=True)
+        means = self.distribution(role=role).mean
+        arms = means[:, ~self.actor.is_grip]
+        price = self._action_penalty * arms.square().mean(dim=1, keepdim=True)
+        if self.imitation:
+            missed = (means - self._advice).square().mean(dim=1, keepdim=True)
+            price = price + self.imitation * missed
         return self._entropy * super().get_entropy(role=role) - price
 
 

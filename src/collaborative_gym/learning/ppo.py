@@ -86,6 +86,7 @@ class PPOLearner(SkrlLearner):
         discount = self._hyperparameters.discount
         kept["rewards"][late] += discount * self._values(finals)[:, 0]
         observations = kept.pop("observations")
+        kept["actions"] = torch.cat([kept["actions"], kept.pop("advice")], dim=-1)
         # Step by step, so that little memory is used at once.
         values = torch.stack([self._values(rows) for rows in observations])
         kept = {n: x if x.ndim == 3 else x[..., None] for n, x in kept.items()}
@@ -127,7 +128,9 @@ class PPOLearner(SkrlLearner):
             # steps.
             value_clip=0.0,
             # The policy itself weighs what skrl takes for its entropy.
-            entropy_loss_scale=float(numbers.entropy > 0 or numbers.action_penalty > 0),
+            entropy_loss_scale=float(
+                max(numbers.entropy, numbers.action_penalty, numbers.imitation) > 0
+            ),
             value_loss_scale=numbers.value_weight,
             # Where time is up, the last value counts on: it is part of the reward
             # already, and what follows is of another episode.

@@ -111,6 +111,11 @@ class Learner:
             ]
         )
 
+    def action_rows(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the rows in which these actions stand."""
+        by_order = [by_agent[agent] for agent in self.agents]
+        return np.concatenate(by_order, axis=0 if self.stacked else 1)
+
     def rewards(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the reward of each row."""
         if self.stacked:
