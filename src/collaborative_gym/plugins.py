@@ -56,6 +56,9 @@ def load_module(name: str) -> ModuleType:
         raise ValueError(
             f"{name}: there is another module named {path.stem!r}; rename the file"
         )
+    # Before 3.11.4, Python raises a ValueError that names no file.
+    if b"\0" in path.read_bytes():
+        raise ValueError(f"module {name} is not Python: it contains null bytes")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
