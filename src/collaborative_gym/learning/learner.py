@@ -200,13 +200,8 @@ class Policy(GaussianMixin, Model):
         """Return sampled actions, and what else skrl asks for."""
         given = dict(inputs)
         if "taken_actions" in given:
-            sizes = [
-                self.num_actions,
-                given["taken_actions"].shape[1] - self.num_actions,
-            ]
-            given["taken_actions"], self._advice = given["taken_actions"].split(
-                sizes, 1
-            )
+            both = given["taken_actions"].tensor_split([self.num_actions], dim=1)
+            given["taken_actions"], self._advice = both
         actions, outputs = super().act(given, role=role)
         return Bounded.apply(actions), outputs
 
