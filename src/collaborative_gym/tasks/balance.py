@@ -354,7 +354,6 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         angle = np.asarray(sim.qpos[:, arm.qpos])
         low, high = arm.joint_range
         lean = 0.3 * (self._posture[agent] - angle)
-        lean = np.clip(lean, -arm.max_change, arm.max_change)
         room = low - angle, high - angle
         change = motion.joint_change(jacobian, error, lean=lean, room=room)
         return motion.settling(sim, arm, change=change)
