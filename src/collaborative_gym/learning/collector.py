@@ -194,8 +194,7 @@ class Player:
         log_prob = (self._density - 0.5 * self.noise**2).sum(axis=1)
         advised = actions[:, :0]
         if advice is not None:
-            own = {agent: advice[agent][rows] for agent, rows in self.worlds.items()}
-            advised = self.learner.action_rows(own).astype(np.float32)
+            advised = self.learner.action_rows(self._own(advice)).astype(np.float32)
         self._steps.append((rows, actions, log_prob, advised))
         return self.learner.actions(actions, self._sizes, self._ends)
 
@@ -245,14 +244,16 @@ class Player:
 
     def _seen(self, observations: Observations) -> np.ndarray:
         """Return the rows of its worlds."""
-        return self.learner.observations(
-            {agent: observations[agent][rows] for agent, rows in self.worlds.items()}
-        )
+        return self.learner.observations(self._own(observations))
 
     def _per_row(self, ends: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return for each row what is given by agent and world."""
-        own = [ends[agent][rows] for agent, rows in self.worlds.items()]
+        own = list(self._own(ends).values())
         return np.concatenate(own) if self.learner.stacked else own[0]
+
+    def _own(self, by_agent: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return of what is given by agent and world what is of its worlds."""
+        return {agent: by_agent[agent][rows] for agent, rows in self.worlds.items()}
 
 
 class Collector:

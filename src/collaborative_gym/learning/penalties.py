@@ -89,11 +89,14 @@ class Penalties:
     def _met(self, agent: str, success: Any) -> np.ndarray:
         """Return where an agent's side met its goal, or performs what it asks for."""
         task, sides = self._env.task, self._env.sides
+        own = next(side for side, agents in sides.items() if agent in agents)
+        met = success if len(sides) == 1 else success[own]
+        if task.performance_from_start:
+            return met
         performing: Any = task.performing(self._env.facts)
         if len(sides) > 1:
-            own = next(side for side, agents in sides.items() if agent in agents)
-            success, performing = success[own], performing[list(sides).index(own)]
-        return success if task.performance_from_start else success | performing
+            performing = performing[list(sides).index(own)]
+        return met | performing
 
     def _ends(self, agent: str) -> np.ndarray:
         """Return how near joints are to the ends of their ranges, from 0 to 1."""
