@@ -4,7 +4,8 @@
 
 RUN is a training run's folder, or a policy file. Its row replaces that of the same
 environment and seed in docs/tables/seeds.md, which is written anew after each; the
-numbers are in seeds.json beside it. All policies of an environment play the same 1,000
+numbers are in seeds.json beside it. Seeds that learned with the expert's advice have
+rows of their own. All policies of an environment play the same 1,000
 starts of `default`, which no run was trained on or chosen by, and 200 of them with all
 actions one control step late.
 """
@@ -21,6 +22,9 @@ from kept import keep
 COMPLETION, PERFORMANCE = 0.98, 0.95
 """What a seed has to reach."""
 
+ADVISED = ", advised"
+"""What follows a seed that learned with the expert's advice."""
+
 
 def main() -> None:
     """Measure, and bring the table up to that."""
@@ -31,19 +35,21 @@ def main() -> None:
     options = parser.parse_args()
     for run in options.runs:
         policy = cg.load_policy(run)
-        env, seed = policy.identity.name, policy.metadata["seed"]
+        env, seed = policy.identity.name, str(policy.metadata["seed"])
+        runs = list(runs_of(policy.metadata))
+        if any(run["hyperparameters"].get("imitation") for run in runs):
+            seed += ADVISED
         row = measured(env, policy, options.episodes, options.late_episodes)
-        keep("seeds", (env, str(seed)), row, table)
+        row["steps"] = [run["steps"] for run in runs[::-1]]
+        keep("seeds", (env, seed), row, table)
 
 
 def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
     """Return a row's numbers."""
     report = cg.evaluate(env, policy, episodes=episodes, num_threads=1)
     delayed = cg.evaluate(env, policy, episodes=late, delay=1, num_threads=1)
-    lengths = list(steps(policy.metadata))
     return {
         "episodes": [episodes, late],
-        "steps": lengths[::-1],
         "completion": report.completion.mean,
         "performance": report.performance.mean,
         "mean_reward": report.mean_reward.mean,
@@ -53,11 +59,11 @@ def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
     }
 
 
-def steps(metadata: dict) -> Iterator[int]:
-    """Yield the steps of a run up to its policy, and of those that it began with."""
-    yield metadata["steps"]
+def runs_of(metadata: dict) -> Iterator[dict]:
+    """Yield what a policy's file says of its run, and of those that it began with."""
+    yield metadata
     if "metadata" in metadata.get("start", {}):
-        yield from steps(metadata["start"]["metadata"])
+        yield from runs_of(metadata["start"]["metadata"])
 
 
 def table(rows: dict[str, dict[str, dict]]) -> str:
@@ -74,7 +80,9 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     yield "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
     counts = []
     for env in sorted(rows, key=cg.list_envs().index):
-        for seed in sorted(rows[env], key=int):
+        for seed in sorted(
+            rows[env], key=lambda s: (ADVISED in s, int(s.split(",")[0]))
+        ):
             yield line(env, seed, rows[env][seed])
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
