@@ -63,7 +63,7 @@ _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
-_CLOSE = {"robot_1": 0.018, "robot_2": 0.03}  # m at which the expert grips
+_CLOSE = {"robot_1": 0.024, "robot_2": 0.03}  # m at which the expert grips
 _ABOVE, _ASIDE = 0.06, 0.1  # m from the cube at which a hand comes before it
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
 _ELSEWHERE = np.array([-0.2, 0.0, 0.0])  # m from there, nearer to the arms
