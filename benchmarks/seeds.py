@@ -5,9 +5,9 @@
 RUN is a training run's folder, or a policy file. Its row replaces that of the same
 environment and seed in docs/tables/seeds.md, which is written anew after each; the
 numbers are in seeds.json beside it. Seeds that learned with the expert's advice have
-rows of their own. All policies of an environment play the same 1,000
-starts of `default`, which no run was trained on or chosen by, and 200 of them with all
-actions one control step late.
+rows of their own. All policies of an environment play the same 1,000 starts of
+`default`, which no run was trained on or chosen by, and 200 of them with all actions
+one control step late.
 """
 
 import argparse
@@ -80,9 +80,7 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     yield "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
     counts = []
     for env in sorted(rows, key=cg.list_envs().index):
-        for seed in sorted(
-            rows[env], key=lambda s: (ADVISED in s, int(s.split(",")[0]))
-        ):
+        for seed in sorted(rows[env], key=order):
             yield line(env, seed, rows[env][seed])
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
@@ -94,6 +92,11 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
         f" more (Wilson, 95 %). Seeds that reach {100 * COMPLETION:.0f} % completion"
         f" and {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
     )
+
+
+def order(seed: str) -> tuple[bool, int]:
+    """Return where a seed stands: those with advice come last."""
+    return seed.endswith(ADVISED), int(seed.removesuffix(ADVISED))
 
 
 def is_enough(row: dict) -> bool:
