@@ -1,5 +1,7 @@
 """The whole control step runs on arrays that refuse to become NumPy's."""
 
+from dataclasses import replace
+
 import array_api_compat.numpy as numpy_api
 import numpy as np
 import pytest
@@ -148,6 +150,12 @@ class StrictSim(CpuSim):
         self.xp = XP
         for name in ARRAYS:
             setattr(self, name, Strict(getattr(self, name)))
+        asks, stop = self._refinement.asks, self._refinement.stop
+        self._refinement = replace(
+            self._refinement,
+            asks=lambda *found: own(asks(*map(Strict, found))),
+            stop=lambda *found: stop(*map(Strict, found)),
+        )
 
     def step(self, controls, records=None, breaks=None):
         judge = breaks and (lambda *found: own(breaks(*map(Strict, found))))

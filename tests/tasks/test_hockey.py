@@ -1,5 +1,7 @@
 """Hockey: bounces, walls, goals, serves, fouls, seats that are alike, the player."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,12 +45,17 @@ def watched(env, steps, actions=None):
     return np.moveaxis(np.array(seen), 1, 0)
 
 
+@pytest.mark.parametrize("is_refined", [False, True])
 @pytest.mark.parametrize("restitution", [0.5, 0.8, 1.0])
-def test_a_cushion_returns_the_share_of_the_speed_that_was_set(restitution):
+def test_a_cushion_returns_the_share_of_the_speed_that_was_set(restitution, is_refined):
     env = make(8, restitution=restitution)
+    if is_refined:
+        env.sim._refinement = replace(
+            env.sim._refinement, asks=lambda qpos, *_: np.ones(qpos.shape[:-1], bool)
+        )
     phase = np.arange(8) / 8
     for speed in (0.3, 1.0, 2.5):
-        y = 0.32 - RADIUS - 0.02 - speed * SIM_DT * phase
+        y = 0.32 - RADIUS - 0.03 - speed * SIM_DT * phase
         place = np.stack([np.zeros(8), y], axis=1)
         put(env, place, (0.4 * speed, speed))
         places, speeds = watched(env, 2)

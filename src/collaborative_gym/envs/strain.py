@@ -33,9 +33,9 @@ Khatib, "The virtual linkage", 1993) divide forces along lines between the grasp
 arms that grip at one point do not have.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -43,15 +43,19 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
-from collaborative_gym.scene.collisions import has_joints
+from collaborative_gym.scene.contacts import (
+    DEPTHS,
+    add_force_sensor,
+    contact_pairs,
+    depth_sensors,
+)
 from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.timing import SIM_DT, SUBSTEPS
 
-_KINDS = ("arms", "objects", "furniture")
-
 _BLANK = {
-    **{f"contact_depth_{kind}": 0.0 for kind in _KINDS},
-    **{f"contact_force_{kind}": 0.0 for kind in _KINDS},
+    **{f"contact_depth_{kind}": 0.0 for kind in DEPTHS},
+    **{f"contact_force_{kind}": 0.0 for kind in DEPTHS},
     "torque_limit_share": 0.0,
     "speed_over_limit": 0.0,
     "energy": 0.0,
@@ -83,31 +87,25 @@ _RECORDS = (
 )
 """MuJoCo's fields that are read of every physics step."""
 
-_TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
-_DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
-_NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
-"""What a contact sensor tells, and how it sums up many contacts: the distance of the
-deepest (`mindist`), or the force of all (`netforce`)."""
 
-_Place = tuple[mujoco.mjtObj, str]
+_TOGETHER: dict[str, Callable[..., np.ndarray]] = dict.fromkeys(STRAIN, np.max) | {
+    "torque_limit_share": np.mean,
+    "energy": np.sum,
+    "internal_force_mean": np.mean,
+    _HELD_STEPS: np.any,
+}
+"""What many steps come to. In an episode, a mean is the sum over its steps first."""
 
 
 def add_strain_sensors(scene: Scene) -> None:
     """Add to a scene that is not compiled yet what `Strain` reads."""
     spec = scene.spec
-    arms, loose, fixed = _places(scene)
-    between = {
-        "arms": list(combinations(arms, 2)),
-        "objects": [*product(loose, arms + fixed), *combinations(loose, 2)],
-        "furniture": list(product(arms, fixed)),
-    }
-    for kind, pairs in between.items():
-        for i, (one, other) in enumerate(pairs):
-            _add_contact(spec, f"{kind} deep {i}", one, other, _DEEPEST)
-            _add_contact(spec, f"{kind} net {i}", one, other, _NET)
+    for kind, pairs in contact_pairs(spec, scene.robots).items():
+        for i, pair in enumerate(pairs):
+            add_force_sensor(spec, f"{kind} net {i}", *pair)
     for site in {bond.name1 for bond in _bonds(scene)}:
         body = spec.site(site).parent.name
-        _add_contact(spec, f"{body} net", (_BODY, body), None, _NET)
+        add_force_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body), None)
         # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(
             name=f"{body} force",
@@ -115,22 +113,6 @@ def add_strain_sensors(scene: Scene) -> None:
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             objname=site,
         )
-
-
-def _places(scene: Scene) -> tuple[list[_Place], list[_Place], list[_Place]]:
-    """Return the trees of arms, those of loose things, and the fixed bodies."""
-    arms, loose, fixed = [], [], []
-    for i, body in enumerate(scene.spec.bodies):
-        body.name = body.name or f"body {i}"
-        if body.name.split("/")[0] in scene.robots:
-            if body.parent == scene.spec.worldbody:
-                arms.append((_TREE, body.name))
-        elif not has_joints(body):
-            if any(geom.contype for geom in body.geoms):
-                fixed.append((_BODY, body.name))
-        elif not has_joints(body.parent):
-            loose.append((_TREE, body.name))
-    return arms, loose, fixed
 
 
 def _bonds(scene: Scene) -> list[mujoco.MjsEquality]:
@@ -141,26 +123,6 @@ def _bonds(scene: Scene) -> list[mujoco.MjsEquality]:
         if equality.objtype == mujoco.mjtObj.mjOBJ_SITE
         and equality.name1.split("/")[0] in scene.robots
     ]
-
-
-def _add_contact(
-    spec: mujoco.MjSpec,
-    name: str,
-    one: _Place,
-    other: _Place | None,
-    tells: tuple[int, int],
-) -> None:
-    """Add a sensor of the contacts of a body or tree with another, or with all."""
-    kind, with_name = other or (mujoco.mjtObj.mjOBJ_UNKNOWN, "")
-    spec.add_sensor(
-        name=name,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=one[0],
-        objname=one[1],
-        reftype=kind,
-        refname=with_name,
-        intprm=[*tells, 1],
-    )
 
 
 @dataclass(frozen=True)
@@ -199,14 +161,15 @@ class Strain:
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
         self._stiffness = np.concatenate([arm.robot.stiffness for arm in arms])
         self._damping = np.concatenate([arm.robot.damping for arm in arms])
-        self._deep = {kind: _columns(model, f"{kind} deep") for kind in _KINDS}
-        self._forces = {kind: _columns(model, f"{kind} net") for kind in _KINDS}
+        sensors = depth_sensors(model).items()
+        self._deep = {kind: model.sensor_adr[ids] for kind, ids in sensors}
+        self._forces = {kind: _columns(model, f"{kind} net") for kind in DEPTHS}
         self._held = _held(scene, model)
         self._pairs, self._radii = _pairs(scene, model)
         self._data = mujoco.MjData(model)
         self._centres = sim.geom_xpos
         self._records: dict[str, np.ndarray] = {}
-        self.depths = dict.fromkeys(_KINDS, np.zeros(sim.num_envs))
+        self.depths = dict.fromkeys(DEPTHS, np.zeros(sim.num_envs))
         self.internal_force = np.zeros(sim.num_envs)
         self.energy = np.zeros(sim.num_envs)
 
@@ -229,73 +192,110 @@ class Strain:
           rows: of the episodes, those of `BLANK` among them; they are replaced.
           moved: (num_envs,) where these steps count.
         """
-        sensed = self._records["sensordata"]
-        torque = self._records["actuator_force"][:, :, self._servos]
-        speed = self._records["qvel"][:, :, self._dofs]
-        greatest = {"speed_over_limit": np.abs(speed) / self._speed}
-        for kind in _KINDS:
-            if len(self._deep[kind]):
-                depth = -sensed[:, :, self._deep[kind][:, 0]]
-                self.depths[kind] = depth.max(axis=(1, 2))
-                greatest[f"contact_depth_{kind}"] = depth
-                force = math.norm(sensed[:, :, self._forces[kind]])
-                greatest[f"contact_force_{kind}"] = force
-        limit = self._sim.limits(self._servos)[:, None]
-        at_limit = np.abs(torque) >= _AT_LIMIT * limit
-        spent = self._power(torque, speed) * SIM_DT
-        self.energy = spent.sum(axis=1)
-        sums = {
-            "energy": spent,
-            "torque_limit_share": at_limit.mean(axis=2),
+        found = self._found(self._records, slice(None), SIM_DT)
+        for refined in self._sim.refined:
+            env_ids, steps = refined.env_ids, refined.steps
+            short = SIM_DT / refined.records["qvel"].shape[1]
+            for name, values in self._found(refined.records, env_ids, short).items():
+                found[name][env_ids, steps] = _TOGETHER[name](values, axis=1)
+        self.depths |= {
+            kind: found[f"contact_depth_{kind}"].max(axis=1)
+            for kind in DEPTHS
+            if f"contact_depth_{kind}" in found
         }
+        self.energy = found["energy"].sum(axis=1)
         if self._held:
-            forces = np.stack([self._internal_force(held) for held in self._held])
-            greatest["internal_force"] = forces.max(axis=0)
-            self.internal_force = greatest["internal_force"].mean(axis=1)
-            sums["internal_force_mean"] = greatest["internal_force"]
-            is_held = np.any([self._is_held(held) for held in self._held], axis=0)
-            held_steps = np.where(moved, is_held.sum(axis=1), 0)
+            self.internal_force = found["internal_force"].mean(axis=1)
+            held_steps = np.where(moved, found.pop(_HELD_STEPS).sum(axis=1), 0)
             rows[_HELD_STEPS] = rows[_HELD_STEPS] + held_steps
-        for name, values in greatest.items():
-            row, axes = f"strain: {name}", tuple(range(1, values.ndim))
-            most = np.where(moved, values.max(axis=axes), 0.0)
-            rows[row] = np.maximum(rows[row], most)
-        # Step by step, so that the bits do not depend on how many are recorded at once.
-        for name, values in sums.items():
+        for name, values in found.items():
             row = f"strain: {name}"
+            if _TOGETHER[name] is np.max:
+                most = np.where(moved, values.max(axis=1), 0.0)
+                rows[row] = np.maximum(rows[row], most)
+                continue
+            # Step by step, so that the bits do not depend on how many are recorded at
+            # once.
             for step in values.T:
                 rows[row] = rows[row] + np.where(moved, step, 0.0)
 
-    def _power(self, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        """Return the sum of the joints' powers by amount, (num_envs, steps), in W.
+    def _found(
+        self, records: dict[str, np.ndarray], env_ids: EnvIds, dt: float
+    ) -> dict[str, np.ndarray]:
+        """Return what some worlds' steps come to by name, (worlds, steps) each.
 
         Args:
-          torque: of the servos before each physics step, (num_envs, steps, joints).
-          speed: of the joints after it.
+          records: what these steps found.
+          env_ids: the worlds.
+          dt: how long a step is, in s.
         """
-        before = self._records["actuator_velocity"][:, :, self._servos]
-        yields = self._stiffness * SIM_DT * speed + self._damping * (speed - before)
+        sensed = records["sensordata"]
+        torque = records["actuator_force"][:, :, self._servos]
+        speed = records["qvel"][:, :, self._dofs]
+        limit = self._sim.limits(self._servos)
+        limit = (limit if len(limit) == 1 else limit[env_ids])[:, None]
+        before = records["actuator_velocity"][:, :, self._servos]
+        found = {
+            "speed_over_limit": np.max(np.abs(speed) / self._speed, axis=2),
+            "energy": self._power(torque, before, speed, limit, dt) * dt,
+            "torque_limit_share": (np.abs(torque) >= _AT_LIMIT * limit).mean(axis=2),
+        }
+        for kind in DEPTHS:
+            if len(self._deep[kind]):
+                depth = -sensed[:, :, self._deep[kind]]
+                found[f"contact_depth_{kind}"] = depth.max(axis=2)
+                force = math.norm(sensed[:, :, self._forces[kind]])
+                found[f"contact_force_{kind}"] = force.max(axis=2)
+        if self._held:
+            forces = [
+                self._internal_force(held, records, env_ids) for held in self._held
+            ]
+            is_held = [self._is_held(held, records) for held in self._held]
+            found["internal_force"] = np.max(forces, axis=0)
+            found["internal_force_mean"] = found["internal_force"].copy()
+            found[_HELD_STEPS] = np.any(is_held, axis=0)
+        return found
+
+    def _power(
+        self,
+        torque: np.ndarray,
+        before: np.ndarray,
+        speed: np.ndarray,
+        limit: np.ndarray,
+        dt: float,
+    ) -> np.ndarray:
+        """Return the sum of the joints' powers by amount, (worlds, steps), in W.
+
+        Args:
+          torque: of the servos before each step, (worlds, steps, joints).
+          before: speeds of the joints then.
+          speed: those after it.
+          limit: the greatest torques, (1 or worlds, 1, joints).
+          dt: how long a step is, in s.
+        """
+        yields = self._stiffness * dt * speed + self._damping * (speed - before)
         # At its limit a torque does not depend on the state.
-        limit = self._sim.limits(self._servos)[:, None]
         yields = np.where(np.abs(torque) < limit, yields, 0.0)
         return math.dot(np.abs(torque - yields), np.abs(speed))
 
-    def _is_held(self, held: _Held) -> np.ndarray:
-        """Return when two arms or more hold a thing, (num_envs, steps)."""
+    def _is_held(self, held: _Held, records: dict[str, np.ndarray]) -> np.ndarray:
+        """Return when two arms or more hold a thing, (worlds, steps)."""
         bonds = [bond for bond, _, _ in held.bonds]
-        arms = self._records["eq_active"][:, :, bonds].sum(axis=2)
+        arms = records["eq_active"][:, :, bonds].sum(axis=2)
         return arms + (held.tool is not None) >= 2
 
-    def _internal_force(self, held: _Held) -> np.ndarray:
-        """Return what arms spend against each other on a thing, (num_envs, steps)."""
-        outer, forces = self._records["cfrc_ext"][:, :, :, 3:], []
-        sensed, sim = self._records["sensordata"], self._sim
+    def _internal_force(
+        self, held: _Held, records: dict[str, np.ndarray], env_ids: EnvIds
+    ) -> np.ndarray:
+        """Return what arms spend against each other on a thing, (worlds, steps)."""
+        outer, forces = records["cfrc_ext"][:, :, :, 3:], []
+        applied = self._sim.xfrc_applied[env_ids]
         for _, hand, contact in held.bonds:
             # Contacts of the hand and outer forces act on it, too.
-            force = -(outer[:, :, hand] + sensed[:, :, contact])
-            forces.append(force + sim.xfrc_applied[:, None, hand, :3])
+            force = -(outer[:, :, hand] + records["sensordata"][:, :, contact])
+            forces.append(force + applied[:, None, hand, :3])
         if held.tool is not None:
-            forces.append(self._records["cfrc_int"][:, :, held.tool, 3:])
+            forces.append(records["cfrc_int"][:, :, held.tool, 3:])
         return internal_force(forces)
 
     def count_clearance(self, rows: dict[str, Array], moved: Array) -> None:

@@ -27,7 +27,7 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeRandom, check_seed
-from collaborative_gym.scene import Scene
+from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.identity import Identity
@@ -143,7 +143,8 @@ class VectorEnv:
         if strain:
             add_strain_sensors(self.scene)
         self.model = self.scene.compile()
-        self.sim = CpuSim(self.model, self.num_envs, num_threads)
+        refined = refinement(self.model, self.scene.arms.values())
+        self.sim = CpuSim(self.model, self.num_envs, num_threads, refined)
         self.strain = Strain(self.scene, self.sim) if strain else None
         self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
         self._controller = Controller(self.scene, self.sim, self._mode)

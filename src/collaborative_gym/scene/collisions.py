@@ -12,7 +12,7 @@ _FIXED = 1
 _OBJECT = 2
 _ROBOT = 4
 
-_SOLREF = SIM_DT, 1.0
+SOLREF = SIM_DT, 1.0
 _SOLIMP = 0.95, 0.99, 0.001, 0.5, 2.0
 """How contacts and stops give way, in MuJoCo's words: they are as stiff as the time
 step resolves without a bounce (docs/performance.md has what else was tried)."""
@@ -40,7 +40,7 @@ def set_collisions(
         if not geom.contype and not geom.conaffinity:
             continue
         if tuple(geom.solref) == _USUAL:
-            geom.solref, geom.solimp = _SOLREF, _SOLIMP
+            geom.solref, geom.solimp = SOLREF, _SOLIMP
         if geom.parent.name.split("/")[0] in agents:
             geom.contype, geom.conaffinity = _ROBOT, _FIXED | _ROBOT
             # Fingers close around what they grip; the grip itself is a constraint.
@@ -55,7 +55,7 @@ def set_collisions(
 def set_stops(joint: mujoco.MjsJoint) -> None:
     """Give an arm's joint stops as stiff as contacts, just before its range's ends."""
     joint.margin = STOP
-    joint.solref_limit, joint.solimp_limit = _SOLREF, _SOLIMP
+    joint.solref_limit, joint.solimp_limit = SOLREF, _SOLIMP
 
 
 def is_decoration(geom: mujoco.MjsGeom) -> bool:

@@ -28,6 +28,7 @@ from collaborative_gym.objects.table import table
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
+from collaborative_gym.scene.contacts import add_depth_sensors
 from collaborative_gym.scene.drives import add_brakes, add_finger, add_servos
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
@@ -248,6 +249,7 @@ class Scene:
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
         set_collisions(self.spec, self.robots, self._finger_bodies)
+        add_depth_sensors(self.spec, self.robots)
         if not any(camera.name == CAMERA for camera in self.spec.cameras):
             add_overview(self.spec)
         physics = self.spec.copy()

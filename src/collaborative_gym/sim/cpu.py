@@ -2,8 +2,10 @@
 
 import ctypes
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
+from typing import Any
 from weakref import WeakSet
 
 import mujoco
@@ -13,11 +15,11 @@ from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
 from collaborative_gym.math import Array
-from collaborative_gym.sim.sim import Breaks, EnvIds
+from collaborative_gym.sim.sim import Breaks, EnvIds, Refined, Refinement
 
 _CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
 _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
-_NO_CONSTRAINTS = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class CpuSim:
@@ -29,10 +31,17 @@ class CpuSim:
       model: the compiled world.
       num_envs: how many worlds to hold.
       num_threads: threads to step them with; 0 for one per CPU.
+      refinement: how physics steps are refined; None if they never are.
     """
 
-    def __init__(self, model: mujoco.MjModel, num_envs: int, num_threads: int = 0):
-        self.model = model
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        num_threads: int = 0,
+        refinement: Refinement | None = None,
+    ):
+        self.model, self._refinement = model, refinement
         self.num_envs = num_envs
         self._batch = batch.Batch(model, num_envs, num_threads)
         _living.add(self)
@@ -47,9 +56,10 @@ class CpuSim:
         self.mocap_pos = self._batch.bind("mocap_pos")
         self.xfrc_applied = self._batch.bind("xfrc_applied")
         self.sensordata = self._batch.bind("sensordata")
+        self._qpos, self._qvel, self._sensed = self.qpos, self.qvel, self.sensordata
         self._switches = self.eq_active
-        self._flags = self._batch.expand("opt.disableflags")
         self._sensors = self._named()
+        self.refined: list[Refined] = []
 
     def _named(self) -> dict[str, np.ndarray]:
         """Return the columns of `sensordata` by the sensors' names."""
@@ -65,72 +75,258 @@ class CpuSim:
         records: dict[str, Array] | None = None,
         breaks: Breaks | None = None,
     ) -> None:
-        before, records = self._warnings(), records or {}
-        failed, active = np.zeros(self.num_envs, bool), self._switches > 0
-        if breaks is None or not active.any():
+        records, failed = records or {}, np.zeros(self.num_envs, bool)
+        self.refined = []
+        if breaks is None and self._refinement is None:
             self._advance(controls, records, failed)
+            self.forward()
         else:
-            # Constraints seldom break: all steps are taken at once, and again one by
-            # one in the worlds where that was wrong.
-            shape = *controls.shape[:2], self.model.nsensordata
-            records = {"sensordata": np.zeros(shape)} | records
-            state = self._batch.state.copy()
-            self._advance(controls, records, failed)
-            wrong = breaks(records["sensordata"], active[:, None])
-            rows = np.flatnonzero(wrong.any(axis=(1, 2)))
-            self._batch.state[rows] = state[rows]
-            before[rows], failed[rows] = self._warnings()[rows], False
-            for i in range(controls.shape[1]):
-                now = slice(i, i + 1)
-                one = {name: array[:, now] for name, array in records.items()}
-                self._advance_one(controls[:, now], one, failed, rows, breaks)
-        self.forward()
-        failed |= self._warnings() > before
+            self._step_judged(controls, records, failed, breaks)
         if failed.any():
             raise SimulationDiverged(np.flatnonzero(failed))
 
-    def _advance_one(
-        self,
-        control: Array,
-        records: dict[str, Array],
-        failed: np.ndarray,
-        rows: np.ndarray,
-        breaks: Breaks,
-    ) -> None:
-        """Take a physics step in these worlds, and again where it breaks a constraint.
-
-        The second time it is without that constraint, so none ever bears too much.
-        """
-        state, switches = self._batch.state, self._switches
-        while len(rows):
-            kept = state[rows]
-            found = {
-                name: np.zeros_like(array[rows]) for name, array in records.items()
-            }
-            self._advance(control[rows], found, failed, rows)
-            for name, array in found.items():
-                records[name][rows] = array
-            broken = breaks(found["sensordata"][:, 0], switches[rows] > 0)
-            again = broken.any(axis=1)
-            rows = rows[again]
-            state[rows] = kept[again]
-            switches[rows] *= ~broken[again]
-
-    def _advance(
+    def _step_judged(
         self,
         controls: Array,
         records: dict[str, Array],
         failed: np.ndarray,
+        breaks: Breaks | None,
+    ) -> None:
+        """Take steps, in some worlds in a way of their own.
+
+        Steps seldom break a constraint or need refinement: all are taken at once. Where
+        one of them was wrong, it is taken alone, and then all that are left.
+        """
+        model, shape = self.model, controls.shape[:2]
+        sizes = {"qpos": model.nq, "qvel": model.nv, "sensordata": model.nsensordata}
+        blank = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
+        records = blank | records
+        rows, start = np.arange(self.num_envs), np.zeros(self.num_envs, int)
+        is_redone = np.zeros(self.num_envs, bool)
+        while len(rows):
+            before, active = self._batch.state[rows], self._switches[rows] > 0
+            states = self._advance_from(start, controls, records, failed, rows)
+            broken, rough = self._judge(records, active, failed, rows, breaks)
+            # What is judged of earlier steps was mended before.
+            wrong = (broken | rough) & (np.arange(shape[1]) >= start[:, None])
+            at = wrong.argmax(axis=1)
+            mended = np.flatnonzero(wrong.any(axis=1))
+            rows, at = rows[mended], at[mended]
+            is_first = (at == start[mended])[:, None]
+            before = np.where(is_first, before[mended], states[mended, at - 1])
+            self._batch.state[rows], failed[rows] = before, False
+            whole = np.flatnonzero(broken[mended, at])
+            self._advance_one(controls, records, failed, rows, at, whole, breaks)
+            is_redone[rows] = True
+            left = (at + 1 < shape[1]) & ~failed[rows]
+            rows, start = rows[left], at[left] + 1
+        if is_redone.any():
+            self.forward(np.flatnonzero(is_redone))
+
+    def _advance_from(
+        self,
+        start: np.ndarray,
+        controls: Array,
+        records: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray,
+    ) -> np.ndarray:
+        """Take all physics steps of these worlds from one on, each world from its own.
+
+        Returns:
+          The state after each step, (worlds, steps, nstate), of steps before as it
+          comes.
+        """
+        states = np.zeros((len(rows), controls.shape[1], self._batch.nstate))
+        if len(rows) == self.num_envs and not start.any():
+            self._advance(controls, records | {_STATE: states}, failed)
+            return states
+        for first in np.unique(start):
+            group = np.flatnonzero(start == first)
+            now = rows[group]
+            found = {name: array[now, first:] for name, array in records.items()}
+            own = found | {_STATE: states[group, first:]}
+            self._advance(controls[now, first:], own, failed, now)
+            states[group, first:] = own[_STATE]
+            for name, array in found.items():
+                records[name][now, first:] = array
+        return states
+
+    def _judge(
+        self,
+        records: dict[str, Array],
+        active: np.ndarray,
+        failed: np.ndarray,
+        rows: np.ndarray,
+        breaks: Breaks | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return which steps break a constraint, and which need refinement.
+
+        Both are (worlds, steps). It makes the sensors of these worlds current.
+        """
+        sensed, refinement = records["sensordata"][rows], self._refinement
+        broken, rough = np.zeros((2, *sensed.shape[:2]), bool)
+        if breaks is not None and active.any():
+            broken |= breaks(sensed, active[:, None]).any(axis=2)
+        if refinement is None:
+            self.forward(rows)
+        else:
+            # A step finds the contacts of the state before it.
+            last = self._sense(rows, failed)
+            after = np.concatenate([sensed[:, 1:], last[:, None]], axis=1)
+            qpos, qvel = records["qpos"][rows], records["qvel"][rows]
+            rough |= refinement.asks(qpos, qvel, after)
+        return broken, rough
+
+    def _sense(self, rows: np.ndarray, failed: np.ndarray) -> np.ndarray:
+        """Return `sensordata` of these worlds, depths of contacts included."""
+        try:
+            self.forward(rows)
+        except batch.SimulationError as error:
+            failed[error.ids] = True
+        return self._sensed[rows]
+
+    def _advance_one(
+        self,
+        controls: Array,
+        records: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray,
+        at: np.ndarray,
+        whole: np.ndarray,
+        breaks: Breaks | None,
+    ) -> None:
+        """Take a physics step that is wrong as it was taken, of each world its own.
+
+        Args:
+          controls: as in `step`.
+          records: likewise.
+          failed: (num_envs,), where worlds are marked that MuJoCo gives up.
+          rows: the worlds.
+          at: the index of each world's step.
+          whole: where among these worlds a constraint breaks, so that the step may be
+            right when it is taken whole and without it; all others are refined.
+          breaks: as in `step`.
+        """
+        state, refinement, control = (
+            self._batch.state,
+            self._refinement,
+            controls[rows, at],
+        )
+        # The shapes of what one step finds.
+        blank = {name: array[:, 0] for name, array in records.items()}
+        rough = np.ones(len(rows), bool)
+        if len(whole):
+            now = rows[whole]
+            kept = state[now]
+            parts = control[whole], blank, failed, now, breaks
+            for name, array in self._advance_intact(*parts).items():
+                records[name][now, at[whole]] = array
+            rough[whole] = False
+            if refinement is not None:
+                sensed = self._sense(now, failed)
+                rough[whole] = refinement.asks(self._qpos[now], self._qvel[now], sensed)
+            again = rough[whole]
+            state[now[again]], failed[now[again]] = kept[again], False
+        if refinement is not None and rough.any():
+            parts = control[rough], blank, failed, rows[rough], breaks
+            found = self._advance_refined(refinement, *parts)
+            self.refined.append(Refined(rows[rough], at[rough], found))
+
+    def _advance_refined(
+        self,
+        refinement: Refinement,
+        control: Array,
+        blank: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray,
+        breaks: Breaks | None,
+    ) -> dict[str, np.ndarray]:
+        """Take a step in these worlds as short ones, and return what those found."""
+        shorts = []
+        with self._shortened(refinement, rows):
+            for _ in range(refinement.steps):
+                before = self._qpos[rows]
+                short = self._advance_intact(control, blank, failed, rows, breaks)
+                qpos, qvel = self._qpos[rows], self._qvel[rows]
+                refinement.stop(before, qpos, qvel)
+                self._qpos[rows], self._qvel[rows] = qpos, qvel
+                shorts.append(short | {"qpos": qpos, "qvel": qvel})
+        return {
+            name: np.stack([short[name] for short in shorts], axis=1) for name in blank
+        }
+
+    @contextmanager
+    def _shortened(self, refinement: Refinement, rows: np.ndarray) -> Iterator[None]:
+        """Give these worlds the model's numbers of short steps for a while."""
+        usual = {name: self._batch.expand(name) for name in refinement.fields}
+        kept = {name: array[rows] for name, array in usual.items()}
+        try:
+            for name, short in refinement.fields.items():
+                usual[name][rows] = short
+            yield
+        finally:
+            for name, array in kept.items():
+                usual[name][rows] = array
+
+    def _advance_intact(
+        self,
+        control: Array,
+        blank: dict[str, Array],
+        failed: np.ndarray,
+        rows: np.ndarray,
+        breaks: Breaks | None,
+    ) -> dict[str, np.ndarray]:
+        """Take a step in these worlds, and again where it breaks a constraint.
+
+        The second time it is without that constraint, so none ever bears too much.
+
+        Args:
+          control: (worlds, nu).
+          blank: arrays of all worlds, of the kinds of what is to be recorded.
+          failed: (num_envs,), where worlds are marked that MuJoCo gives up.
+          rows: the worlds.
+          breaks: as in `step`.
+
+        Returns:
+          What the step found, (worlds, ...) by MuJoCo's names.
+        """
+        state, switches = self._batch.state, self._switches
+        found = {name: np.zeros_like(array[rows]) for name, array in blank.items()}
+        left = np.arange(len(rows))
+        while len(left):
+            now = rows[left]
+            kept, was = state[now], failed[now]
+            new = {name: array[left, None] for name, array in found.items()}
+            self._advance(control[left, None], new, failed, now)
+            for name, array in new.items():
+                found[name][left] = array[:, 0]
+            if breaks is None:
+                break
+            broken = breaks(found["sensordata"][left], switches[now] > 0)
+            again = broken.any(axis=1)
+            left, now = left[again], now[again]
+            state[now], failed[now] = kept[again], was[again]
+            switches[now] *= ~broken[again]
+        return found
+
+    def _advance(
+        self,
+        controls: Array,
+        records: Mapping[Any, Array],
+        failed: np.ndarray,
         rows: np.ndarray | None = None,
     ) -> None:
         """Advance these worlds, None for all, and mark those that MuJoCo gives up."""
-        names = tuple(records)
+        names, every = tuple(records), slice(None) if rows is None else rows
+        before = self._warnings()[every]
         try:
             self._batch.rollout(
-                controls.shape[1], controls, record=names, ids=rows, out=records
+                controls.shape[1], controls, record=names, ids=rows, out=dict(records)
             )
         except batch.SimulationError as error:
             failed[error.ids] = True
+        failed[every] |= self._warnings()[every] > before
 
     def _warnings(self) -> np.ndarray:
         """Return how often MuJoCo has warned of each world, (num_envs,).
@@ -141,12 +337,7 @@ class CpuSim:
         return self._batch.warning[:, :, 1].sum(axis=1)
 
     def forward(self, env_ids: EnvIds = None) -> None:
-        # Sensors of places and speeds need no contacts, which are the slowest part.
-        self._flags |= _NO_CONSTRAINTS
-        try:
-            self._batch.forward(env_ids, stage=_CURRENT)
-        finally:
-            self._flags &= ~_NO_CONSTRAINTS
+        self._batch.forward(env_ids, stage=_CURRENT)
 
     def reset(self, env_ids: EnvIds = None) -> None:
         self._batch.reset(env_ids, stage=_NOTHING)

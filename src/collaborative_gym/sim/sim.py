@@ -1,6 +1,7 @@
 """What a physics backend offers to environments and tasks."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import mujoco
@@ -16,14 +17,50 @@ when they began and with the forces in them, and which equality constraints were
 (..., neq) booleans. It returns which of these break."""
 
 
+@dataclass(frozen=True)
+class Refinement:
+    """How physics steps in which much happens are taken again as many short steps.
+
+    Attributes:
+      steps: how many take the place of one.
+      fields: the model's numbers in short steps, by MuJoCo's names, `opt.timestep`
+        among them.
+      asks: takes `qpos`, `qvel` and `sensordata` of states after physics steps,
+        (..., size) each, with current contact sensors, and returns which steps are to
+        be refined, (...) booleans.
+      stop: takes `qpos` before and `qpos` and `qvel` after a short step, (worlds, size)
+        each, and may change the latter two.
+    """
+
+    steps: int
+    fields: Mapping[str, Array]
+    asks: Callable[[Array, Array, Array], Array]
+    stop: Callable[[Array, Array, Array], None]
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Physics steps that were refined, one in each of some worlds.
+
+    Attributes:
+      env_ids: the worlds, sorted integers.
+      steps: (worlds,) indices of the physics steps in their call of `step`.
+      records: what each short step found, (worlds, short steps, ...) by MuJoCo's names.
+    """
+
+    env_ids: Array
+    steps: Array
+    records: dict[str, Array]
+
+
 class Sim(Protocol):
     """Many worlds of one model, stepped together.
 
     The array attributes are live: reading them gives the state after the last call,
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
     kept.
-    Velocities and positions in `sensordata` are current after every call; only `breaks`
-    gets forces.
+    Velocities, positions and depths of contacts in `sensordata` are current after every
+    call; only those who judge steps get forces.
 
     Attributes:
       model: the compiled world.
@@ -39,6 +76,7 @@ class Sim(Protocol):
       mocap_pos: (num_envs, nmocap, 3) places of the targets.
       xfrc_applied: (num_envs, nbody, 6) forces and torques on the bodies.
       sensordata: (num_envs, nsensordata) read-only sensor values.
+      refined: the physics steps that the last call of `step` refined.
     """
 
     model: mujoco.MjModel
@@ -54,6 +92,7 @@ class Sim(Protocol):
     mocap_pos: Array
     xfrc_applied: Array
     sensordata: Array
+    refined: list[Refined]
 
     def step(
         self,
@@ -63,11 +102,14 @@ class Sim(Protocol):
     ) -> None:
         """Advance every world by some physics steps, then make its sensors current.
 
+        If the worlds were made with a `Refinement`, steps are refined that need it.
+
         Args:
           controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
           records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
             what each physics step found: the state after the step, and all that follows
-            from a state of the one before it.
+            from a state of the one before it; of a step that was refined, its first
+            try.
           breaks: judges each physics step. One that would break equality constraints
             is taken with those switched off, which they then are.
 

@@ -1,0 +1,91 @@
+"""What can touch what, and the sensors of how deep and how hard it does."""
+
+from collections.abc import Collection
+from itertools import combinations, product
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.scene.collisions import has_joints
+
+DEPTHS = "arms", "objects", "furniture"
+"""Kinds of contacts: of two arms; of a loose thing with an arm, with what is fixed or
+with another loose thing; of an arm with what is fixed."""
+
+Place = tuple[mujoco.mjtObj, str]
+"""A body, or a tree of bodies, as contact sensors name them."""
+
+_TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
+_DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
+_NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
+"""What a contact sensor tells, and how it sums up many contacts: the distance of the
+deepest (`mindist`), or the force of all (`netforce`)."""
+
+
+def contact_pairs(
+    spec: mujoco.MjSpec, agents: Collection[str]
+) -> dict[str, list[tuple[Place, Place]]]:
+    """Return what can touch what, by kind. Bodies without a name get one.
+
+    Args:
+      spec: the world.
+      agents: prefixes of the arms' bodies.
+    """
+    arms, loose, fixed = [], [], []
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"body {i}"
+        if body.name.split("/")[0] in agents:
+            if body.parent == spec.worldbody:
+                arms.append((_TREE, body.name))
+        elif not has_joints(body):
+            if any(geom.contype for geom in body.geoms):
+                fixed.append((_BODY, body.name))
+        elif not has_joints(body.parent):
+            loose.append((_TREE, body.name))
+    return {
+        "arms": list(combinations(arms, 2)),
+        "objects": [*product(loose, arms + fixed), *combinations(loose, 2)],
+        "furniture": list(product(arms, fixed)),
+    }
+
+
+def add_depth_sensors(spec: mujoco.MjSpec, agents: Collection[str]) -> None:
+    """Let `depth_sensors` read how deep contacts are."""
+    for kind, pairs in contact_pairs(spec, agents).items():
+        for i, pair in enumerate(pairs):
+            _add(spec, f"{kind} deep {i}", *pair, _DEEPEST)
+
+
+def add_force_sensor(
+    spec: mujoco.MjSpec, name: str, one: Place, other: Place | None
+) -> None:
+    """Add a sensor of the net force of a place's contacts with another, or with all."""
+    _add(spec, name, one, other, _NET)
+
+
+def depth_sensors(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Return the ids of the sensors of minus the depth of contacts, by kind."""
+    names = np.array([model.sensor(i).name for i in range(model.nsensor)], str)
+    return {
+        kind: np.flatnonzero(np.char.startswith(names, f"{kind} deep"))
+        for kind in DEPTHS
+    }
+
+
+def _add(
+    spec: mujoco.MjSpec,
+    name: str,
+    one: Place,
+    other: Place | None,
+    tells: tuple[int, int],
+) -> None:
+    kind, with_name = other or (mujoco.mjtObj.mjOBJ_UNKNOWN, "")
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=one[0],
+        objname=one[1],
+        reftype=kind,
+        refname=with_name,
+        intprm=[*tells, 1],
+    )

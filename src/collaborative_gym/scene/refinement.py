@@ -1,0 +1,117 @@
+"""Which physics steps are too long for what happens in them, and what is done instead.
+
+A physics step is short enough for arms that do a task, but not for arms that crash: a
+hand that meets a table at full speed is deep in it after one step, and what it hits
+there throws its joints beyond their speeds. Such a step is taken again as many short
+steps, in which contacts and stops are stiffer and act in time. If a joint still gets
+too fast, its arm makes a protective stop: all its joints slow down alike, so that the
+arm keeps its path and only loses energy.
+
+Whether a step is taken again depends on nothing but the state at its start and the
+controls. So results stay the same to the bit for any number of worlds and threads, and
+worlds in which nothing crashes do not change by a bit.
+"""
+
+from collections.abc import Collection
+
+import mujoco
+import numpy as np
+from array_api_compat import array_namespace
+
+from collaborative_gym.math import Array
+from collaborative_gym.scene.collisions import SOLREF
+from collaborative_gym.scene.contacts import depth_sensors
+from collaborative_gym.scene.handles import Arm
+from collaborative_gym.sim.sim import Refinement
+from collaborative_gym.timing import SIM_DT
+
+SHORT_STEPS = 10
+"""How many short steps take the place of a physics step."""
+
+_DEEPEST = 0.005
+"""Depth of a contact, in m, beyond which a step is refined."""
+
+_FASTEST = 1.5
+"""Speed of a joint over its limit beyond which a step is refined."""
+
+_STOPPED = 1.45
+"""Speed over its limit that no joint has after a short step."""
+
+_BEYOND = 0.005
+"""Angle beyond a joint's range, in rad, beyond which a step is refined."""
+
+_SHORT_SOLREF = 0.003
+"""Time in which contacts and stops give way in short steps, in s."""
+
+
+def refinement(model: mujoco.MjModel, arms: Collection[Arm]) -> Refinement:
+    """Return how the physics steps of a compiled world are refined."""
+    rules = _Rules(model, arms)
+    return Refinement(SHORT_STEPS, _short(model), rules.ask, rules.stop)
+
+
+class _Rules:
+    def __init__(self, model: mujoco.MjModel, arms: Collection[Arm]):
+        self._arms = list(arms)
+        self._qpos = np.r_[*(arm.qpos for arm in arms)]
+        self._dofs = np.r_[*(arm.dof for arm in arms)]
+        limits = np.concatenate([arm.robot.velocity_limits for arm in arms])
+        low, high = np.concatenate([arm.joint_range for arm in arms], axis=1)
+        self._bounds = _FASTEST * limits, low - _BEYOND, high + _BEYOND
+        sensors = np.concatenate(list(depth_sensors(model).values()))
+        judged = [i for i in sensors if _is_usual(model, i)]
+        self._depths = model.sensor_adr[judged]
+
+    def ask(self, qpos: Array, qvel: Array, sensordata: Array) -> Array:
+        """Return after which steps a world is too fast, too far or too deep.
+
+        A world that is not finite is all of them.
+        """
+        xp = array_namespace(qpos)
+        speeds, low, high = (xp.asarray(own) for own in self._bounds)
+        angle, speed = qpos[..., self._qpos], xp.abs(qvel[..., self._dofs])
+        is_fine = (speed <= speeds) & (angle >= low) & (angle <= high)
+        is_shallow = sensordata[..., self._depths] >= -_DEEPEST
+        return ~(xp.all(is_fine, axis=-1) & xp.all(is_shallow, axis=-1))
+
+    def stop(self, start: Array, qpos: Array, qvel: Array) -> None:
+        """Slow arms down that are still too fast after a short step.
+
+        Args:
+          start: the positions at its start, (worlds, nq).
+          qpos: those at its end, likewise, which this changes.
+          qvel: the speeds at its end, (worlds, nv), which this changes.
+        """
+        xp = array_namespace(qpos)
+        for arm in self._arms:
+            limits = xp.asarray(arm.robot.velocity_limits)
+            fastest = xp.max(xp.abs(qvel[:, arm.dof]) / limits, axis=1)[:, None]
+            share = _STOPPED / xp.maximum(fastest, _STOPPED)
+            before, after = start[:, arm.qpos], qpos[:, arm.qpos]
+            slowed = before + share * (after - before)
+            qpos[:, arm.qpos] = xp.where(share < 1.0, slowed, after)
+            qvel[:, arm.dof] *= share
+
+
+def _is_usual(model: mujoco.MjModel, sensor: int) -> bool:
+    """Return whether contacts that a sensor sees give way as all others do.
+
+    Those of a puck do not: it may be deep in what it bounces from.
+    """
+    bodies = model.sensor_objid[sensor], model.sensor_refid[sensor]
+    roots = model.body_rootid[model.geom_bodyid]
+    collides = (model.geom_contype | model.geom_conaffinity) > 0
+    own = model.geom_solref[collides & np.isin(roots, bodies)]
+    return bool((own == SOLREF).all())
+
+
+def _short(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Return the model's numbers in short steps, by MuJoCo's names."""
+    fields = {"opt.timestep": np.array(SIM_DT / SHORT_STEPS)}
+    for name in ("geom_solref", "jnt_solref"):
+        usual = getattr(model, name)
+        stiff = np.where(usual == SOLREF, (_SHORT_SOLREF, 1.0), usual)
+        # A damping that is given directly turns a body round within one step.
+        stiff[usual[:, 0] < 0.0, 1] *= SHORT_STEPS
+        fields[name] = stiff
+    return fields
