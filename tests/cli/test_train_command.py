@@ -121,6 +121,24 @@ def test_what_is_given_overrules_the_recipe_even_where_it_is_the_default(
         assert (numbers.initial_std, numbers.total_steps) == (expected, 32)
 
 
+def test_advice_brings_its_hyperparameters(carry_id, tmp_path, capsys):
+    given = ["--advised", "--total-steps", "32", *TINY]
+    one = ["train", carry_id, *given, "--output", str(tmp_path / "one")]
+    # Runs side by side are processes of their own, which know no task of the tests.
+    poke = "PokeTaskSawyers-v0"
+    several = ["train", poke, *given, "--seeds", "1", "2", "--output", str(tmp_path)]
+    assert main([*one, "--imitation", "7"]) == 0
+    assert main(several) == 0
+    runs = {tmp_path / "one": 7.0}
+    runs |= dict.fromkeys(tmp_path.glob(f"{poke}*"), 1000.0)
+    assert len(runs) == 3
+    for folder, weight in runs.items():
+        numbers = Checkpoint.load(folder / LAST).settings.hyperparameters
+        assert (numbers.imitation, numbers.target_kl) == (weight, 0.0)
+    assert main(["train", carry_id, "--advised", "--algorithm", "sac"]) != 0
+    assert "sac takes no advice; leave it out" in capsys.readouterr().err
+
+
 def test_ctrl_c_ends_a_run_and_resume_goes_on(curve, carry_id, tmp_path, capsys):
     arguments = ["train", carry_id, "--total-steps", "192", *TINY, "--output"]
     whole, cut = tmp_path / "whole", tmp_path / "cut"

@@ -150,9 +150,9 @@ class StrictSim(CpuSim):
         self.xp = XP
         for name in ARRAYS:
             setattr(self, name, Strict(getattr(self, name)))
-        asks, stop = self._refinement.asks, self._refinement.stop
-        self._refinement = replace(
-            self._refinement,
+        asks, stop = self.refinement.asks, self.refinement.stop
+        self.refinement = replace(
+            self.refinement,
             asks=lambda *found: own(asks(*map(Strict, found))),
             stop=lambda *found: stop(*map(Strict, found)),
         )

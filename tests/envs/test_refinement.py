@@ -27,7 +27,7 @@ def crashed(env_id, worlds=8, steps=60, *, refines=True, watched=False):
     """Play full commands; return the environment and the greatest of each limit."""
     env = cg.make_vec(env_id, worlds, seed=0, strain=True, num_threads=2)
     if not refines:
-        env.sim._refinement = None
+        env.sim.refinement = None
     most = dict.fromkeys(["speed", "beyond", "refined"], 0.0)
 
     def look():
@@ -100,7 +100,7 @@ def test_where_nothing_crashes_no_bit_changes(env_id):
     for refines in (True, False):
         env = cg.make_vec(env_id, 4, seed=0, num_threads=1)
         if not refines:
-            env.sim._refinement = None
+            env.sim.refinement = None
         env.reset()
         for _ in range(40):
             env.step(env.expert())
@@ -114,9 +114,9 @@ def test_the_strain_of_short_steps_is_that_of_the_whole_ones():
         env = cg.make_vec("LiftTaskSawyers-v0", 2, seed=0, strain=True, num_threads=1)
         if refines:
             every = replace(
-                env.sim._refinement, asks=lambda *found: found[0][..., 0] < 9
+                env.sim.refinement, asks=lambda *found: found[0][..., 0] < 9
             )
-            env.sim._refinement = every
+            env.sim.refinement = every
         env.reset()
         for _ in range(45):
             *_, infos = env.step(env.expert())

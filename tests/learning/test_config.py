@@ -3,7 +3,13 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.learning import config
-from collaborative_gym.learning.config import RECIPES, Hyperparameters, changed, recipe
+from collaborative_gym.learning.config import (
+    ADVISED,
+    RECIPES,
+    Hyperparameters,
+    changed,
+    recipe,
+)
 
 
 def test_recipes_are_of_environments_and_others_get_the_defaults():
@@ -11,6 +17,16 @@ def test_recipes_are_of_environments_and_others_get_the_defaults():
     for env_id, numbers in RECIPES.items():
         assert changed(recipe(env_id)) == dict(numbers)
     assert recipe("Carry") == Hyperparameters()
+
+
+def test_advice_has_recipes_of_its_own():
+    assert set(ADVISED) <= set(RECIPES)
+    for env_id in cg.list_envs():
+        numbers, usual = recipe(env_id, advised=True), recipe(env_id)
+        assert numbers.imitation > 0 and not usual.imitation
+        taken_back = ADVISED.get(env_id, {})
+        assert taken_back.items() <= changed(numbers, usual).items()
+        assert numbers.contact_penalty == usual.contact_penalty
 
 
 def test_a_new_run_is_made_by_its_environments_recipe(

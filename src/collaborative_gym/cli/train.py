@@ -91,6 +91,8 @@ class Train(Command):
       backend: skrl (default), or ray to collect in several processes, also on other
         machines.
       algorithm: ppo (default), or sac for tasks of one side and without partners.
+      advised: learn with the scripted expert's advice, by hyperparameters that suit it,
+        which you can still change; --imitation is their main one.
       checkpoint_interval: environment steps between two checkpoints.
       resources: what the run may use.
       hyperparameters: how it learns.
@@ -112,6 +114,7 @@ class Train(Command):
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
     backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
     algorithm: Annotated[Algorithm | None, tyro.conf.arg(metavar="NAME"), _Own] = None
+    advised: tyro.conf.FlagCreatePairsOff[bool] = False
     checkpoint_interval: int = 100_000
     resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
     hyperparameters: Annotated[Hyperparameters, _Flat] = field(
@@ -170,7 +173,8 @@ class Train(Command):
             own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name environments to train, or pass --all")
-        usual = own or recipe(envs[0], self.algorithm or "ppo")
+        algorithm = self.algorithm or "ppo"
+        usual = own or recipe(envs[0], algorithm, advised=self.advised)
         return envs[0], replace(usual, **self._given())
 
     def _given(self) -> dict[str, Any]:
@@ -234,6 +238,7 @@ class Train(Command):
             seeds=read_seeds(self.seeds) or seeds,
             output=self.output or output,
             changes=self._given(),
+            advised=self.advised,
             shared={
                 "robots": self.robots or None,
                 "randomization": self.randomization,

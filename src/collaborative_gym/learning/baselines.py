@@ -255,10 +255,12 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     """
     numbers = dict(own["hyperparameters"])
     numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
-    others = changed(Hyperparameters(**numbers), recipe(env_id))
+    advised = numbers.get("imitation", 0.0) > 0.0
+    others = changed(Hyperparameters(**numbers), recipe(env_id, advised=advised))
     if own["start_from"]:
         others["start_from"] = own["start_from"]
-    options = [
+    options = ["--advised"] if advised else []
+    options += [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
     if (preset := _preset(starts)) != "default":

@@ -391,6 +391,37 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
 """The hyperparameters with which an environment is best learned, if they differ from
 the defaults."""
 
+_ADVISED: Mapping[str, Any] = {
+    "total_steps": 1_000_000,
+    **_OFTEN,
+    "imitation": 1000.0,
+    "minibatch_size": 256,
+    "epochs": 8,
+    "target_kl": 0.0,
+    "learning_rate": 0.0005,
+    "initial_std": 0.05,
+    "initial_grip_std": 0.1,
+    "final_noise": 0.4,
+    "quiet_share": 0.6,
+    "delayed": 0.25,
+}
+"""Advice needs many gradient steps at a rate that stays, and little noise."""
+
+_ADVISED_PASS: Mapping[str, Any] = {"grip_limit": 0.0, "lost_grips": 0.0}
+_ADVISED_BALANCE: Mapping[str, Any] = {"miss_penalty": 0.0}
+_ADVISED_LIFT: Mapping[str, Any] = {"assistance": 0.0, "action_penalty": 0.0}
+
+ADVISED: Mapping[str, Mapping[str, Any]] = {
+    "BalanceTaskSawyers-v0": _ADVISED_BALANCE,
+    "BalanceTaskJacoSawyer-v0": _ADVISED_BALANCE,
+    "LiftTaskSawyers-v0": _ADVISED_LIFT,
+    "LiftTaskJacos-v0": _ADVISED_LIFT,
+    "PassTaskSawyers-v0": _ADVISED_PASS,
+    "PassTaskJacoSawyer-v0": _ADVISED_PASS,
+}
+"""What an environment's recipe has against troubles of learning by reward alone, taken
+back for learning with the expert's advice."""
+
 
 _OWN: Mapping[str, Sequence[str]] = {
     "ppo": (
@@ -425,7 +456,9 @@ _USUAL: Mapping[str, Mapping[str, Any]] = {
 """An algorithm's usual hyperparameters, if they differ from the defaults."""
 
 
-def recipe(env: str, algorithm: str = "ppo") -> Hyperparameters:
+def recipe(
+    env: str, algorithm: str = "ppo", *, advised: bool = False
+) -> Hyperparameters:
     """Return the hyperparameters for an environment: its recipe, or the defaults.
 
     Recipes are made for PPO. Another algorithm takes from them what means something to
@@ -434,17 +467,22 @@ def recipe(env: str, algorithm: str = "ppo") -> Hyperparameters:
     Args:
       env: its name.
       algorithm: what learns.
+      advised: whether it learns with the expert's advice, and so with other numbers.
 
     Raises:
       KeyError: if there is no such algorithm.
+      ValueError: if the algorithm takes no advice.
     """
     usual = look_up("algorithm", algorithm, _USUAL)
+    if advised and "imitation" in foreign(algorithm):
+        raise ValueError(f"{algorithm} takes no advice; leave it out, or choose ppo")
     own = {
         name: value
         for name, value in RECIPES.get(env, {}).items()
         if name not in foreign(algorithm)
     }
-    return Hyperparameters(**{**own, **usual})
+    of_advice = {**_ADVISED, **ADVISED.get(env, {})} if advised else {}
+    return Hyperparameters(**{**own, **usual, **of_advice})
 
 
 def check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
@@ -479,7 +517,11 @@ def changed(
 
 
 def changed_recipe(
-    env: str, changes: Mapping[str, Any] | None, algorithm: str = "ppo"
+    env: str,
+    changes: Mapping[str, Any] | None,
+    algorithm: str = "ppo",
+    *,
+    advised: bool = False,
 ) -> Hyperparameters:
     """Return an environment's hyperparameters, with the given ones in their place.
 
@@ -487,6 +529,7 @@ def changed_recipe(
       env: its name.
       changes: hyperparameters by name; None for none.
       algorithm: what learns.
+      advised: whether it learns with the expert's advice.
 
     Raises:
       KeyError: if there is no such hyperparameter or algorithm.
@@ -495,4 +538,4 @@ def changed_recipe(
     check_kind("changes", changes, Mapping, "a mapping, or None")
     for name in changes:
         look_up("hyperparameter", name, vars(Hyperparameters()))
-    return replace(recipe(env, algorithm), **changes)
+    return replace(recipe(env, algorithm, advised=advised), **changes)

@@ -15,7 +15,13 @@ from tempfile import TemporaryFile
 from threading import Event, Thread
 from typing import Any
 
-from collaborative_gym.errors import check_callback, check_count, check_kind, check_name
+from collaborative_gym.errors import (
+    check_callback,
+    check_count,
+    check_flag,
+    check_kind,
+    check_name,
+)
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.learning.config import (
     Algorithm,
@@ -86,6 +92,7 @@ def train_all(
     robots: Sequence[str] | None = None,
     randomization: str | None = None,
     changes: Mapping[str, Any] | None = None,
+    advised: bool = False,
     opponent: Named | None = None,
     partner: Named | None = None,
     start_from: str | Path | None = None,
@@ -113,6 +120,7 @@ def train_all(
       randomization: how starts are drawn.
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name.
+      advised: whether they learn with the expert's advice, by recipes of its own.
       opponent: who plays against what is learned.
       partner: who plays with it.
       start_from: a trained policy to begin with.
@@ -140,6 +148,7 @@ def train_all(
         seeds=seeds,
         output=output,
         changes=changes,
+        advised=advised,
         shared={
             "robots": robots,
             "randomization": randomization,
@@ -162,6 +171,7 @@ def plan_runs(
     seeds: Sequence[int],
     output: str | Path,
     changes: Mapping[str, Any] | None,
+    advised: bool,
     shared: Mapping[str, Any],
     checkpoint_interval: int = 100_000,
 ) -> list[Plan]:
@@ -173,6 +183,7 @@ def plan_runs(
       seeds: of the runs.
       output: the folder of all.
       changes: hyperparameters in place of the recipes'.
+      advised: whether they learn with the expert's advice.
       shared: what else `settle` takes, `robots` and `randomization`.
       checkpoint_interval: environment steps between two checkpoints.
 
@@ -181,13 +192,15 @@ def plan_runs(
     """
     check_kind("output", output, (str, Path), "a folder's name")
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+    check_flag("advised", advised)
     world = {name: shared[name] for name in ("robots", "randomization")}
     others = {name: value for name, value in shared.items() if name not in world}
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):
         check_name("each environment", env)
         task = as_task(env, **world)
-        numbers = changed_recipe(env, changes, others["algorithm"] or "ppo")
+        algorithm = others["algorithm"] or "ppo"
+        numbers = changed_recipe(env, changes, algorithm, advised=advised)
         for mode in (None,) if modes is None else _several("mode", modes):
             for seed in _several("seed", seeds):
                 own = {"mode": mode, "seed": seed, "hyperparameters": numbers}

@@ -41,7 +41,7 @@ class CpuSim:
         num_threads: int = 0,
         refinement: Refinement | None = None,
     ):
-        self.model, self._refinement = model, refinement
+        self.model, self.refinement = model, refinement
         self.num_envs = num_envs
         self._batch = batch.Batch(model, num_envs, num_threads)
         _living.add(self)
@@ -77,7 +77,7 @@ class CpuSim:
     ) -> None:
         records, failed = records or {}, np.zeros(self.num_envs, bool)
         self.refined = []
-        if breaks is None and self._refinement is None:
+        if breaks is None and self.refinement is None:
             self._advance(controls, records, failed)
             self.forward()
         else:
@@ -164,7 +164,7 @@ class CpuSim:
 
         Both are (worlds, steps). It makes the sensors of these worlds current.
         """
-        sensed, refinement = records["sensordata"][rows], self._refinement
+        sensed, refinement = records["sensordata"][rows], self.refinement
         broken, rough = np.zeros((2, *sensed.shape[:2]), bool)
         if breaks is not None and active.any():
             broken |= breaks(sensed, active[:, None]).any(axis=2)
@@ -210,7 +210,7 @@ class CpuSim:
         """
         state, refinement, control = (
             self._batch.state,
-            self._refinement,
+            self.refinement,
             controls[rows, at],
         )
         # The shapes of what one step finds.

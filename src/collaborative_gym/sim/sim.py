@@ -76,7 +76,8 @@ class Sim(Protocol):
       mocap_pos: (num_envs, nmocap, 3) places of the targets.
       xfrc_applied: (num_envs, nbody, 6) forces and torques on the bodies.
       sensordata: (num_envs, nsensordata) read-only sensor values.
-      refined: the physics steps that the last call of `step` refined.
+      refinement: how physics steps are refined; None if they never are.
+      refined: those that the last call of `step` refined.
     """
 
     model: mujoco.MjModel
@@ -92,6 +93,7 @@ class Sim(Protocol):
     mocap_pos: Array
     xfrc_applied: Array
     sensordata: Array
+    refinement: Refinement | None
     refined: list[Refined]
 
     def step(
