@@ -208,11 +208,8 @@ class CpuSim:
             right when it is taken whole and without it; all others are refined.
           breaks: as in `step`.
         """
-        state, refinement, control = (
-            self._batch.state,
-            self.refinement,
-            controls[rows, at],
-        )
+        state, refinement = self._batch.state, self.refinement
+        control = controls[rows, at]
         # The shapes of what one step finds.
         blank = {name: array[:, 0] for name, array in records.items()}
         rough = np.ones(len(rows), bool)
