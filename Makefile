@@ -8,9 +8,10 @@ PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 demo: .venv/demo
 	$(BIN)/collaborative-gym demo
 
-# Format, lint, types and tests.
+# Format, lint, types and tests. Two processes with two threads each would wait for one
+# another on two cores.
 test: check
-	$(BIN)/pytest --numprocesses 2
+	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2
 
 check: .venv/dev
 	$(BIN)/ruff format --check
