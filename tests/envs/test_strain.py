@@ -189,7 +189,7 @@ def shares(total):
         ("PokeTaskSawyers-v0", "random", 12, {"energy", "speed_over_limit"}),
         ("LiftTaskSawyers-v0", "baseline", 20, {"internal_force"}),
         ("BalanceTaskSawyers-v0", "baseline", 8, {"internal_force"}),
-        ("PassTaskJacoSawyer-v0", "baseline", 30, {"contact_depth_arms"}),
+        ("PassTaskSawyers-v0", "baseline", 30, {"contact_depth_arms"}),
     ],
 )
 def test_the_strain_is_what_mujoco_finds(env_id, policy, steps, nonzero, monkeypatch):
