@@ -63,8 +63,10 @@ _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
-_CLOSE = {"robot_1": 0.024, "robot_2": 0.03}  # m at which the expert grips
-_ABOVE, _ASIDE = 0.06, 0.1  # m from the cube at which a hand comes before it
+_CLOSE = 0.8  # share of the greatest distance of a grip at which the expert grips
+# m from the cube at which a hand comes before it, and how far aside it may be there. A
+# hand that takes the cube 6 mm aside passes the giver's fingers by less than 1 mm.
+_ABOVE, _ASIDE = {"most": 0.06, "slack": 0.01}, {"most": 0.1, "slack": 0.002}
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
 _ELSEWHERE = np.array([-0.2, 0.0, 0.0])  # m from there, nearer to the arms
 _NEAR_MEETING = 0.3  # m
@@ -292,7 +294,7 @@ class Pass(Task[PassConfig, PassFacts]):
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds = facts.holds[giver][:, None]
         taken = facts.holds[taker][:, None] | self._is_beyond(facts)
-        gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, _ABOVE))
+        gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, **_ABOVE))
         lifted = position[:, 2:] > self._cube_start[2] + 0.03
         # Elsewhere it goes straight, once it is near the posture of the usual meeting.
         is_usual = (meeting == self._meeting).all()
@@ -304,7 +306,8 @@ class Pass(Task[PassConfig, PassFacts]):
         angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
         swings = holds & lifted & ~taken & ~straight
         change = self._move(sim, facts, giver, goal, hand, angles, swings)
-        grips = facts.holds[giver] | (facts.to_cube[giver] < _CLOSE[giver])
+        is_close = facts.to_cube[giver] < _CLOSE * self.config.picking_threshold
+        grips = facts.holds[giver] | is_close
         return Motion(change, grips & ~facts.holds[taker])
 
     def _take(self, sim: Sim, facts: PassFacts, meeting: np.ndarray) -> Motion:
@@ -314,19 +317,20 @@ class Pass(Task[PassConfig, PassFacts]):
         is_there = math.distance(facts.cube[0], meeting) < _ARRIVED
         offered = (facts.holds[giver] & is_there)[:, None]
         place = np.where(offered, facts.cube[0], meeting)
-        gap = _funnel(position - facts.cube[0], -_ACROSS, _ASIDE)
+        gap = _funnel(position - facts.cube[0], -_ACROSS, **_ASIDE)
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS
         goal = np.where(carries, facts.target, goal)
         picks = ~holds & self._is_beyond(facts)
-        above = _funnel(position - facts.cube[0], _DOWN, _ABOVE)
+        above = _funnel(position - facts.cube[0], _DOWN, **_ABOVE)
         goal = np.where(picks, facts.cube[0] - above * _DOWN, goal)
         hand = np.where(picks, _PICKING, self._hands[taker][1])
         hand = np.where(carries, quat, hand)
         angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
         swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
         change = self._move(sim, facts, taker, goal, hand, angles, swings)
-        grips = facts.holds[taker] | (facts.to_cube[taker] < _CLOSE[taker])
+        is_close = facts.to_cube[taker] < _CLOSE * self.config.handover_threshold
+        grips = facts.holds[taker] | is_close
         return Motion(change, grips)
 
     def _is_beyond(self, facts: PassFacts) -> np.ndarray:
@@ -346,8 +350,10 @@ class Pass(Task[PassConfig, PassFacts]):
         return np.where(swings, swing, straight)
 
 
-def _funnel(offset: Array, approach: np.ndarray, most: float) -> Array:
-    return standoff(offset, approach, slack=0.01, least=0.0, most=most)
+def _funnel(
+    offset: Array, approach: np.ndarray, *, most: float, slack: float
+) -> Array:
+    return standoff(offset, approach, slack=slack, least=0.0, most=most)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))
