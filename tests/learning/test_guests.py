@@ -34,8 +34,8 @@ def collect(duel, tiny):
     """Return a function that makes a collector beside guests, and one that collects."""
     made = []
 
-    def make(words, mode="shared", seed=0):
-        exact = dict.fromkeys(FAULTS, 0.0)
+    def make(words, mode="shared", seed=0, **changes):
+        exact = dict.fromkeys(FAULTS, 0.0) | changes
         numbers = tiny(num_envs=WORLDS, rollout_steps=STEPS, **exact)
         casting = make_casting(duel, words, (), hyperparameters=numbers)
         sizes = Sizes.of(duel)
@@ -119,6 +119,25 @@ def test_only_the_learners_seats_are_learned_from(collect, opponents):
         "side_1": (STEPS, 4),
         "side_2": (STEPS, 4),
     }
+
+
+def test_advice_counts_beside_the_expert_and_those_who_learn(collect, duel):
+    collector, advance = collect(["expert", "idle", "expert:late"], imitation=1.0)
+    seen, players_act = [], collector._players[0].act
+
+    def spied(*given):
+        seen.append([set(names) - {""} for names in collector._guests.names])
+        return players_act(*given)
+
+    collector._players[0].act = spied
+    advice = advance(0).rollouts["shared"].advice
+    beside = np.array([[names == {"expert"} for names in each] for each in seen])
+    beside = beside[:, [*range(0, WORLDS, 2), *range(1, WORLDS, 2)]]  # by seat
+    np.testing.assert_array_equal(np.isfinite(advice).all(axis=2), beside)
+    np.testing.assert_array_equal(np.isnan(advice).all(axis=2), ~beside)
+    assert beside.any() and not beside.all()
+    _, advance = collect((), imitation=1.0)
+    assert np.isfinite(advance(0).rollouts["shared"].advice).all()
 
 
 def test_draws_are_the_runs_own_and_part_of_its_state(collect, opponents, same):

@@ -278,10 +278,14 @@ def test_the_experts_advice_is_learned_as_far_as_it_counts(make, mode, weight):
             agent: np.where(rows[:, :1] > 3.0, [[0.5, -0.3]], [[-0.5, 0.3]])
             for agent, rows in observations.items()
         }
+        # Where there is none, nothing is learned from it.
+        given = {agent: np.array(rows) for agent, rows in advice.items()}
+        for rows in given.values():
+            rows[::2] = np.nan
         noise = {agent: np.float32(rng.normal(size=64)) for agent in AGENTS}
         for learner in learners:
             learner.imitate(weight)
-            learner.act(observations, advice)
+            learner.act(observations, given)
             learner.record(noise, observations, never(64), never(64))
             learner.update(observations)
     found = means(learners, observations)

@@ -104,6 +104,14 @@ class Guests:
             for agent in self._seats[seat]:
                 actions[agent][worlds] = np.asarray(chosen[agent])[rows]
 
+    @property
+    def differ(self) -> np.ndarray:
+        """Where a guest does not do what the task's expert does, (num_envs,) bool."""
+        differ = np.zeros(self._env.num_envs, bool)
+        for (name, _), worlds in self._groups.items():
+            differ[worlds] |= self._invitation.policies[name] != "expert"
+        return differ
+
     def state_dict(self) -> dict[str, Any]:
         """Return who is seated, nothing where no guests are."""
         return {"seated": [list(names) for names in self.names]} if self._seats else {}

@@ -215,8 +215,8 @@ class Policy(GaussianMixin, Model):
         arms = means[:, ~self.actor.is_grip]
         price = self._action_penalty * arms.square().mean(dim=1, keepdim=True)
         if self.imitation:
-            missed = (means - self._advice).square().mean(dim=1, keepdim=True)
-            price = price + self.imitation * missed
+            missed = (means - self._advice).nan_to_num().square()
+            price = price + self.imitation * missed.mean(dim=1, keepdim=True)
         return self._entropy * super().get_entropy(role=role) - price
 
 
