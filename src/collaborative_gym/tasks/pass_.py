@@ -350,9 +350,7 @@ class Pass(Task[PassConfig, PassFacts]):
         return np.where(swings, swing, straight)
 
 
-def _funnel(
-    offset: Array, approach: np.ndarray, *, most: float, slack: float
-) -> Array:
+def _funnel(offset: Array, approach: np.ndarray, *, most: float, slack: float) -> Array:
     return standoff(offset, approach, slack=slack, least=0.0, most=most)
 
 
