@@ -121,21 +121,32 @@ def test_only_the_learners_seats_are_learned_from(collect, opponents):
     }
 
 
-def test_advice_counts_beside_the_expert_and_those_who_learn(collect, duel):
-    collector, advance = collect(["expert", "idle", "expert:late"], imitation=1.0)
-    seen, players_act = [], collector._players[0].act
+def test_guests_advise_what_they_would_do_in_the_learners_place(
+    collect, opponents, duel
+):
+    words = ["expert", "idle", "expert:slow", opponents[0]]
+    collector, advance = collect(words, imitation=1.0)
+    player, seen = collector._players[0], []
+    act, env = player.act, collector.env
 
-    def spied(*given):
-        seen.append([set(names) - {""} for names in collector._guests.names])
-        return players_act(*given)
+    def spied(observations, *given):
+        policies = {word: cg.load_policy(word, env) for word in words if word != "idle"}
+        would = {word: each(observations) for word, each in policies.items()}
+        expected = np.full((WORLDS, player.noise.shape[1]), np.nan, np.float32)
+        for row, world in enumerate([*range(0, WORLDS, 2), *range(1, WORLDS, 2)]):
+            seat, names = int(row >= WORLDS // 2), collector._guests.names[world]
+            if (guest := names[1 - seat]) != "idle":
+                expected[row] = would[guest][duel.agents[seat]][world]
+        seen.append(expected)
+        return act(observations, *given)
 
-    collector._players[0].act = spied
+    player.act = spied
     advice = advance(0).rollouts["shared"].advice
-    beside = np.array([[names == {"expert"} for names in each] for each in seen])
-    beside = beside[:, [*range(0, WORLDS, 2), *range(1, WORLDS, 2)]]  # by seat
-    np.testing.assert_array_equal(np.isfinite(advice).all(axis=2), beside)
-    np.testing.assert_array_equal(np.isnan(advice).all(axis=2), ~beside)
-    assert beside.any() and not beside.all()
+    np.testing.assert_allclose(advice, seen, atol=1e-6)
+    assert np.isnan(seen).any() and not np.isnan(seen).all()
+
+
+def test_the_expert_advises_where_no_guests_are(collect):
     _, advance = collect((), imitation=1.0)
     assert np.isfinite(advance(0).rollouts["shared"].advice).all()
 

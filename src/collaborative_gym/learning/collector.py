@@ -70,8 +70,8 @@ class Rollout:
       terminated: where an episode ended and nothing more could follow, (steps, rows).
       truncated: where only its time was up, (steps, rows).
       final_observations: where it was, (ends, k) float32 in the order of `truncated`.
-      advice: what the expert would have done, as `actions`, and NaN where it does not
-        count; of width 0 where nobody asks for it.
+      advice: what should have been done, as `actions`, and NaN where nobody says; of
+        width 0 where nobody is asked.
     """
 
     observations: np.ndarray
@@ -181,8 +181,7 @@ class Player:
         Args:
           observations: of all worlds, by agent.
           rng: draws the noise.
-          advice: what the expert would do in all worlds, by agent; NaN where that
-            does not count.
+          advice: what should be done in all worlds, by agent; NaN where nobody says.
         """
         rows = self._seen(observations)
         with torch.no_grad():
@@ -374,22 +373,16 @@ class Collector:
     ) -> dict[str, np.ndarray]:
         """Return what all robots choose."""
         actions = {a: np.empty_like(still) for a, still in self.env.idle().items()}
-        advice = self._advice() if self._job.hyperparameters.imitation else None
+        advice = None
+        if self._job.hyperparameters.imitation:
+            expert = self.env.expert().items()
+            advice = {agent: np.array(each, np.float32) for agent, each in expert}
+            self._guests.advise(observations, advice)
         for player in self._players:
             for agent, rows in player.act(observations, rng, advice).items():
                 actions[agent][player.worlds[agent]] = rows
         self._guests.act(observations, actions)
         return actions
-
-    def _advice(self) -> dict[str, np.ndarray]:
-        """Return what the expert would do, NaN beside guests of other conventions.
-
-        What it would do there leads past what the guest does.
-        """
-        advice = {agent: np.array(each) for agent, each in self.env.expert().items()}
-        for each in advice.values():
-            each[self._guests.differ] = np.nan
-        return advice
 
     def _step(
         self,

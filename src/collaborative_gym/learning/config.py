@@ -140,7 +140,8 @@ class Hyperparameters:
         this times the mean square of the difference between the policy's mean actions
         and what the expert would do in these worlds (as in Kickstarting, Schmitt et al.
         2018, arXiv 1803.03835). So a policy learns what it would not find by chance.
-        Beside a guest that is not the expert it does not count.
+        Beside a partner or opponent that does not learn, its own policy for the
+        learner's place advises instead, if it has one.
       imitation_share: PPO: share of the total steps over which this weight fades
         linearly; 0 keeps it.
       delayed: share of the worlds in which each action is done one control step late.

@@ -1,6 +1,6 @@
 """Guests: policies that play beside the learners, and do not learn themselves."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -59,7 +59,7 @@ class Guests:
         }
         self._hosts = [next((n for n in cast if n is not None), "") for cast in casts]
         self._invitation = NOBODY
-        self._policies: dict[tuple[str, str], Any] = {}
+        self._policies: dict[tuple[str, tuple[str, ...]], Any] = {}
         self._groups: dict[tuple[str, str], np.ndarray] = {}
 
     def invite(self, invitation: Invitation) -> None:
@@ -93,24 +93,71 @@ class Guests:
         """Write what the guests do into the actions, (num_envs, k) by agent."""
         scripted: dict[str, Any] = {}
         for (name, seat), worlds in self._groups.items():
-            policy = self._policy(name, seat)
-            if isinstance(policy, NetworkPolicy):
-                seen = {a: observations[a][worlds] for a in self._seats[seat]}
-                chosen, rows = policy(seen), slice(None)
-            else:
-                if name not in scripted:
-                    scripted[name] = policy(observations)
-                chosen, rows = scripted[name], worlds
-            for agent in self._seats[seat]:
-                actions[agent][worlds] = np.asarray(chosen[agent])[rows]
+            agents = self._seats[seat]
+            self._write(name, agents, observations, worlds, scripted, actions)
 
-    @property
-    def differ(self) -> np.ndarray:
-        """Where a guest does not do what the task's expert does, (num_envs,) bool."""
-        differ = np.zeros(self._env.num_envs, bool)
-        for (name, _), worlds in self._groups.items():
-            differ[worlds] |= self._invitation.policies[name] != "expert"
-        return differ
+    def advise(
+        self, observations: Mapping[str, Array], advice: Mapping[str, np.ndarray]
+    ) -> None:
+        """Write into the expert's advice what guests would do in the others' places.
+
+        A policy knows an answer to itself, and the expert's may be none. Where there
+        are several guests, or one without such an answer, there is no advice: NaN.
+
+        Args:
+          observations: of all worlds, by agent.
+          advice: the expert's, (num_envs, k) by agent; float.
+        """
+        scripted: dict[str, Any] = {}
+        guests = np.zeros(self._env.num_envs, int)
+        for worlds in self._groups.values():
+            guests[worlds] += 1
+        silent = guests > 1
+        for (name, seat), worlds in self._groups.items():
+            others = [agent for agent in advice if agent not in self._seats[seat]]
+            if self._answers(name, others):
+                self._write(name, others, observations, worlds, scripted, advice)
+            else:
+                silent[worlds] = True
+        for each in advice.values():
+            each[silent] = np.nan
+
+    def _answers(self, name: str, agents: Sequence[str]) -> bool:
+        """Return whether a guest's policy knows what these others should do."""
+        policy = self._invitation.policies[name]
+        if isinstance(policy, NetworkPolicy):
+            return set(agents) <= set(policy.agents)
+        return isinstance(policy, str) and policy.partition(":")[0] == "expert"
+
+    def _write(
+        self,
+        name: str,
+        agents: Sequence[str],
+        observations: Mapping[str, Array],
+        worlds: np.ndarray,
+        scripted: dict[str, Any],
+        actions: Mapping[str, np.ndarray],
+    ) -> None:
+        """Write what a guest's policy does for agents in worlds into the actions.
+
+        Args:
+          name: the guest's.
+          agents: for whom it acts.
+          observations: of all worlds.
+          worlds: ids of those where it acts.
+          scripted: what scripted policies do in all worlds, by name; filled as needed.
+          actions: (num_envs, k) by agent.
+        """
+        policy = self._policy(name, agents)
+        if isinstance(policy, NetworkPolicy):
+            chosen = policy({agent: observations[agent][worlds] for agent in agents})
+            rows: Any = slice(None)
+        else:
+            if name not in scripted:
+                scripted[name] = policy(observations)
+            chosen, rows = scripted[name], worlds
+        for agent in agents:
+            actions[agent][worlds] = np.asarray(chosen[agent])[rows]
 
     def state_dict(self) -> dict[str, Any]:
         """Return who is seated, nothing where no guests are."""
@@ -129,10 +176,10 @@ class Guests:
                 groups.setdefault((self.names[world][i], seat), []).append(int(world))
         self._groups = {key: np.array(worlds) for key, worlds in groups.items()}
 
-    def _policy(self, name: str, seat: str) -> Any:
-        """Return the policy of a guest in a seat."""
-        if (name, seat) not in self._policies:
+    def _policy(self, name: str, agents: Sequence[str]) -> Any:
+        """Return the policy of a guest for some agents."""
+        key = name, tuple(agents)
+        if key not in self._policies:
             given = self._invitation.policies[name]
-            own = commanding(self._seats[seat], given, self._env, False)
-            self._policies[name, seat] = own
-        return self._policies[name, seat]
+            self._policies[key] = commanding(agents, given, self._env, False)
+        return self._policies[key]
