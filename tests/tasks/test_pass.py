@@ -205,7 +205,7 @@ def test_both_hold_still_during_the_hand_over(variant):
         both = env.facts.holds["robot_1"] & env.facts.holds["robot_2"]
         seen[both] = True
         for agent in AGENTS:
-            assert (env.facts.to_cube[agent][both] < 0.025).all()
+            assert (env.facts.to_cube[agent][both] < 0.02).all()
             joints = env.sim.qvel[both, env.scene.arms[agent].dof]
             assert (np.abs(joints) < 1.0).all()
 

@@ -377,11 +377,10 @@ class Collector:
         if self._job.hyperparameters.imitation:
             expert = self.env.expert().items()
             advice = {agent: np.array(each, np.float32) for agent, each in expert}
-            self._guests.advise(observations, advice)
+        self._guests.act(observations, actions, advice)
         for player in self._players:
             for agent, rows in player.act(observations, rng, advice).items():
                 actions[agent][player.worlds[agent]] = rows
-        self._guests.act(observations, actions)
         return actions
 
     def _step(

@@ -88,27 +88,28 @@ class Guests:
         self._group()
 
     def act(
-        self, observations: Mapping[str, Array], actions: Mapping[str, np.ndarray]
+        self,
+        observations: Mapping[str, Array],
+        actions: Mapping[str, np.ndarray],
+        advice: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        """Write what the guests do into the actions, (num_envs, k) by agent."""
+        """Write what the guests do into the actions, and into the advice.
+
+        A policy knows an answer to itself, and the expert's may be none. So what a
+        guest would do in the others' places stands in for the expert's advice. Where
+        there are several guests, or one without such an answer, there is none: NaN.
+
+        Args:
+          observations: of all worlds, by agent.
+          actions: (num_envs, k) by agent.
+          advice: the expert's, as `actions`; None if nobody asks.
+        """
         scripted: dict[str, Any] = {}
         for (name, seat), worlds in self._groups.items():
             agents = self._seats[seat]
             self._write(name, agents, observations, worlds, scripted, actions)
-
-    def advise(
-        self, observations: Mapping[str, Array], advice: Mapping[str, np.ndarray]
-    ) -> None:
-        """Write into the expert's advice what guests would do in the others' places.
-
-        A policy knows an answer to itself, and the expert's may be none. Where there
-        are several guests, or one without such an answer, there is no advice: NaN.
-
-        Args:
-          observations: of all worlds, by agent.
-          advice: the expert's, (num_envs, k) by agent; float.
-        """
-        scripted: dict[str, Any] = {}
+        if advice is None:
+            return
         guests = np.zeros(self._env.num_envs, int)
         for worlds in self._groups.values():
             guests[worlds] += 1

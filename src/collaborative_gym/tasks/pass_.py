@@ -64,9 +64,10 @@ _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
 
 _CLOSE = 0.8  # share of the greatest distance of a grip at which the expert grips
-# m from the cube at which a hand comes before it, and how far aside it may be there. A
-# hand that takes the cube 6 mm aside passes the giver's fingers by less than 1 mm.
-_ABOVE, _ASIDE = {"most": 0.06, "slack": 0.01}, {"most": 0.1, "slack": 0.002}
+# How a hand comes before the cube, in m. One that takes it 6 mm aside passes the
+# giver's fingers by less than 1 mm.
+_ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
+_ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
 _ELSEWHERE = np.array([-0.2, 0.0, 0.0])  # m from there, nearer to the arms
 _NEAR_MEETING = 0.3  # m
@@ -294,7 +295,7 @@ class Pass(Task[PassConfig, PassFacts]):
         position, place = facts.tcp[giver][0], facts.cube[0]
         holds = facts.holds[giver][:, None]
         taken = facts.holds[taker][:, None] | self._is_beyond(facts)
-        gap = np.where(holds, 0.1, _funnel(position - place, _DOWN, **_ABOVE))
+        gap = np.where(holds, 0.1, standoff(position - place, _DOWN, **_ABOVE))
         lifted = position[:, 2:] > self._cube_start[2] + 0.03
         # Elsewhere it goes straight, once it is near the posture of the usual meeting.
         is_usual = (meeting == self._meeting).all()
@@ -306,8 +307,7 @@ class Pass(Task[PassConfig, PassFacts]):
         angles = np.where(holds, self._angles[giver][1], self._angles[giver][0])
         swings = holds & lifted & ~taken & ~straight
         change = self._move(sim, facts, giver, goal, hand, angles, swings)
-        is_close = facts.to_cube[giver] < _CLOSE * self.config.picking_threshold
-        grips = facts.holds[giver] | is_close
+        grips = _grips(facts, giver, self.config.picking_threshold)
         return Motion(change, grips & ~facts.holds[taker])
 
     def _take(self, sim: Sim, facts: PassFacts, meeting: np.ndarray) -> Motion:
@@ -317,21 +317,19 @@ class Pass(Task[PassConfig, PassFacts]):
         is_there = math.distance(facts.cube[0], meeting) < _ARRIVED
         offered = (facts.holds[giver] & is_there)[:, None]
         place = np.where(offered, facts.cube[0], meeting)
-        gap = _funnel(position - facts.cube[0], -_ACROSS, **_ASIDE)
+        gap = standoff(position - facts.cube[0], -_ACROSS, **_ASIDE)
         carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
         goal = place + np.where(holds, 0.15, gap) * _ACROSS
         goal = np.where(carries, facts.target, goal)
         picks = ~holds & self._is_beyond(facts)
-        above = _funnel(position - facts.cube[0], _DOWN, **_ABOVE)
+        above = standoff(position - facts.cube[0], _DOWN, **_ABOVE)
         goal = np.where(picks, facts.cube[0] - above * _DOWN, goal)
         hand = np.where(picks, _PICKING, self._hands[taker][1])
         hand = np.where(carries, quat, hand)
         angles = np.where(carries, self._angles[taker][2], self._angles[taker][1])
         swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
         change = self._move(sim, facts, taker, goal, hand, angles, swings)
-        is_close = facts.to_cube[taker] < _CLOSE * self.config.handover_threshold
-        grips = facts.holds[taker] | is_close
-        return Motion(change, grips)
+        return Motion(change, _grips(facts, taker, self.config.handover_threshold))
 
     def _is_beyond(self, facts: PassFacts) -> np.ndarray:
         """Return where robot_1 has lost the cube on robot_2's side, (num_envs, 1)."""
@@ -350,8 +348,9 @@ class Pass(Task[PassConfig, PassFacts]):
         return np.where(swings, swing, straight)
 
 
-def _funnel(offset: Array, approach: np.ndarray, *, most: float, slack: float) -> Array:
-    return standoff(offset, approach, slack=slack, least=0.0, most=most)
+def _grips(facts: PassFacts, agent: str, threshold: float) -> Array:
+    """Return where the expert's hand holds the cube, or is close enough to grip."""
+    return facts.holds[agent] | (facts.to_cube[agent] < _CLOSE * threshold)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))
