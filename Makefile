@@ -11,7 +11,7 @@ demo: .venv/demo
 # Format, lint, types and tests. Two processes with two threads each would wait for one
 # another on two cores.
 test: check
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2
+	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal
 
 check: .venv/dev
 	$(BIN)/ruff format --check

@@ -37,7 +37,7 @@ python() {
 # All else runs as it stands, but for less long.
 collaborative-gym() {
     case "$1" in
-    train) set -- "$@" --total-steps 8 --num-envs 2 --rollout-steps 4 \
+    train) set -- "${@/#0-[0-9]/0-1}" --total-steps 8 --num-envs 2 --rollout-steps 4 \
         --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
     evaluate | tournament) set -- "$@" --episodes 2 ;;
     record) [[ "$*" = *--only-episodes* ]] || set -- "$@" --seconds 0.1 ;;
@@ -62,7 +62,7 @@ trap 'kill $(jobs -p) 2> /dev/null || true' EXIT  # And does not outlive a failu
 """Functions that stand in for commands while a page is run; an unknown one fails."""
 
 QUICK = """
-import sys
+import os, sys
 from collaborative_gym.__main__ import main
 from collaborative_gym.cli.commands import Certify, Reproduce
 from collaborative_gym.cli.train import Train
@@ -73,9 +73,11 @@ registry._configure = lambda task, settings: configure(
     task, {"max_episode_steps": 4, **settings}
 )
 arguments = sys.argv[1:]
-# What takes long and is tested elsewhere is only parsed.
+# What takes long and is tested elsewhere is only parsed, such as a training whose
+# folder is not read again on its page.
 Reproduce.run = Certify.run = lambda self: None
-if "ray" in arguments or "--output" not in arguments:
+folder = arguments[arguments.index("--output") + 1] if "--output" in arguments else ""
+if "ray" in arguments or not folder or os.environ["PAGE"].count(folder) < 2:
     Train.run = lambda self: None
 if arguments[0] == "--env":
     arguments[0] = "view"
@@ -160,6 +162,7 @@ def reader(tmp_path):
 
     def read(text):
         (tmp_path / "page.py").write_text(as_script(text))
+        variables["PAGE"] = text
         finished = subprocess.run(
             [sys.executable, "page.py"],
             cwd=tmp_path,

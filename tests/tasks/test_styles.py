@@ -3,13 +3,15 @@
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.tasks.pass_ import Pass
 
+PASS = "PassTaskSawyers-v0", "PassTaskJacoSawyer-v0"
 STYLES = [
     ("PokeTaskSawyers-v0", "expert:ring-moves"),
     ("LiftTaskSawyers-v0", "expert:first-leads"),
     ("LiftTaskSawyers-v0", "expert:second-leads"),
     ("LiftTaskSawyers-v0", "expert:slow"),
-    ("PassTaskSawyers-v0", "expert:nearer"),
+    *((each, f"expert:{style}") for each in PASS for style in Pass.styles),
     ("PassTaskSawyers-v0", "expert:late"),
 ]
 
