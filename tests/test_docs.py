@@ -162,11 +162,10 @@ def reader(tmp_path):
 
     def read(text):
         (tmp_path / "page.py").write_text(as_script(text))
-        variables["PAGE"] = text
         finished = subprocess.run(
             [sys.executable, "page.py"],
             cwd=tmp_path,
-            env=variables,
+            env=variables | {"PAGE": text},
             capture_output=True,
             text=True,
             timeout=600,

@@ -69,13 +69,14 @@ _CLOSE = 0.8  # share of the greatest distance of a grip at which the expert gri
 _ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
 _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
-_SHIFTS = {  # m from there, by style: about as far as learners chose by themselves
-    "nearer": (-0.2, 0.0, 0.0),
-    "farther": (0.15, 0.0, 0.0),
-    "lower": (0.0, 0.0, -0.2),
-    "higher": (0.0, 0.0, 0.2),
-    "first-side": (0.0, -0.15, 0.0),
-    "second-side": (0.0, 0.15, 0.0),
+# How far from the meeting styles hand over, in m: about as far as learners chose to.
+_ELSEWHERE = {
+    "nearer": ((-0.2, 0.0, 0.0), "0.2 m nearer to the arms' bases"),
+    "farther": ((0.15, 0.0, 0.0), "0.15 m farther from the arms' bases"),
+    "lower": ((0.0, 0.0, -0.2), "0.2 m lower"),
+    "higher": ((0.0, 0.0, 0.2), "0.2 m higher"),
+    "first-side": ((0.0, -0.15, 0.0), "0.15 m nearer to robot_1"),
+    "second-side": ((0.0, 0.15, 0.0), "0.15 m nearer to robot_2"),
 }
 _NEAR_MEETING = 0.3  # m
 _BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
@@ -135,12 +136,7 @@ class Pass(Task[PassConfig, PassFacts]):
     config_class = PassConfig
     units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
     styles: ClassVar[Mapping[str, str]] = {
-        "nearer": "they hand over 0.2 m nearer to the arms' bases",
-        "farther": "they hand over 0.15 m farther from the arms' bases",
-        "lower": "they hand over 0.2 m lower",
-        "higher": "they hand over 0.2 m higher",
-        "first-side": "they hand over 0.15 m nearer to robot_1",
-        "second-side": "they hand over 0.15 m nearer to robot_2",
+        style: f"they hand over {where}" for style, (_, where) in _ELSEWHERE.items()
     }
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -289,7 +285,7 @@ class Pass(Task[PassConfig, PassFacts]):
         return self._hand_over(sim, facts, np.zeros(3))
 
     def styled(self, sim: Sim, facts: PassFacts, *, style: str) -> dict[str, Motion]:
-        return self._hand_over(sim, facts, np.array(_SHIFTS[style]))
+        return self._hand_over(sim, facts, np.array(_ELSEWHERE[style][0]))
 
     def _hand_over(
         self, sim: Sim, facts: PassFacts, shift: np.ndarray
