@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym.rng import (
+    EpisodeDraws,
     EpisodeRandom,
     Stream,
     check_seed,
@@ -45,6 +46,20 @@ def test_draws_fill_their_bounds():
     assert (values <= high).all()
     assert values[:, 0].min() < -1.95
     assert values[:, 0].max() > -1.05
+
+
+def test_numbers_of_an_episode_stay_until_its_end():
+    draws = EpisodeDraws(2, (3,), Stream.STYLE)
+    first = draws.now({"seed": np.array([0, 0]), "episode": np.array([0, 1])}).copy()
+    assert abs(first).max() <= 1.0
+    assert not np.array_equal(first[0], first[1])
+    # World 0 goes on to another episode, later world 1 plays that of world 0.
+    second = draws.now({"seed": np.array([0, 0]), "episode": np.array([2, 1])}).copy()
+    np.testing.assert_array_equal(second[1], first[1])
+    assert not np.array_equal(second[0], first[0])
+    third = draws.now({"seed": np.array([1, 0]), "episode": np.array([0, 0])})
+    np.testing.assert_array_equal(third[1], first[0])
+    assert not np.array_equal(third[0], first[0])
 
 
 def test_seeds_are_checked():

@@ -5,6 +5,7 @@ episode starts the same way in any world of any batch, whatever was run before i
 """
 
 import hashlib
+from collections.abc import Mapping
 from enum import IntEnum
 
 import numpy as np
@@ -19,6 +20,7 @@ class Stream(IntEnum):
     WORLD = 0
     POLICY = 1
     DISTURBANCES = 2
+    STYLE = 3
 
 
 def check_seed(seed: int) -> int:
@@ -87,3 +89,32 @@ class EpisodeRandom:
     def within(self, bound, size: int | tuple[int, ...] = ()) -> np.ndarray:
         """Return uniform draws between minus and plus the bound, (episodes, *size)."""
         return self.uniform(np.negative(bound), bound, size)
+
+
+class EpisodeDraws:
+    """Uniform numbers from -1 to 1 that each world's episode has for itself.
+
+    Args:
+      num_envs: how many worlds.
+      size: shape of one episode's numbers.
+      stream: what they are for.
+    """
+
+    def __init__(self, num_envs: int, size: tuple[int, ...], stream: Stream):
+        self._stream = stream
+        self._numbers = np.zeros((num_envs, *size), np.float32)
+        self._playing = np.full((num_envs, 2), -1)
+
+    def now(self, progress: Mapping[str, Array]) -> np.ndarray:
+        """Return the worlds' numbers, (num_envs, *size) float32, not to be changed.
+
+        Args:
+          progress: `seed` and `episode` of each world.
+        """
+        playing = np.stack([progress["seed"], progress["episode"]], axis=1)
+        for i in np.flatnonzero((playing != self._playing).any(axis=1)):
+            seed, episode = playing[i]
+            rng = episode_generator(seed, episode, self._stream)
+            self._numbers[i] = rng.uniform(-1.0, 1.0, self._numbers.shape[1:])
+        self._playing = playing
+        return self._numbers

@@ -24,6 +24,17 @@ def random_actions(env, steps):
     return seen
 
 
+def test_what_a_style_draws_does_not_depend_on_the_number_of_worlds():
+    episodes = []
+    for num_envs in 1, 3:
+        report = cg.evaluate(
+            "PassTaskSawyers-v0", "expert:anywhere", episodes=3, num_envs=num_envs
+        )
+        episodes.append([row["return"] for row in report.episodes])
+    assert episodes[0] == episodes[1]
+    assert len(set(episodes[0])) == 3
+
+
 def test_random_actions_do_not_depend_on_the_number_of_worlds(make_env):
     alone = random_actions(make_env(1), 24)
     beside = random_actions(make_env(2), 12)
@@ -78,7 +89,7 @@ def test_a_task_may_have_styles_of_its_own(make_env, monkeypatch):
     monkeypatch.setattr(
         type(env.task),
         "styled",
-        lambda self, sim, facts, style: {
+        lambda self, sim, facts, style, draws: {
             agent: cg.Motion(np.zeros((1, 7)), grips=True) for agent in self.agents
         },
     )

@@ -26,12 +26,12 @@ from collaborative_gym.errors import (
 )
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
-from collaborative_gym.rng import EpisodeRandom, check_seed
+from collaborative_gym.rng import EpisodeDraws, EpisodeRandom, Stream, check_seed
 from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.task import Task, Terms
+from collaborative_gym.tasks.task import STYLE_DRAWS, Task, Terms
 from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 Observations = dict[str, Array]
@@ -122,6 +122,7 @@ class VectorEnv:
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
         self._shots = 1
+        self._style_draws = EpisodeDraws(num_envs, (STYLE_DRAWS,), Stream.STYLE)
         self._auto_reset = auto_reset
         self._is_started = self._is_closed = False
         self._progress = Progress(
@@ -288,8 +289,11 @@ class VectorEnv:
         with self._turns.take():
             self._check_started("expert")
             at = self.sim, self.facts
-            task = self.task
-            motions = task.styled(*at, style=style) if style else task.expert(*at)
+            if style:
+                draws = self._style_draws.now(self._progress.rows)
+                motions = self.task.styled(*at, style=style, draws=draws)
+            else:
+                motions = self.task.expert(*at)
             try:
                 actions = self._mode.encode(self.sim, motions, pace)
                 shapes, gripping = self._action_shapes, self.task.gripping

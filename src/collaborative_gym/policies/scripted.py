@@ -7,7 +7,7 @@ import numpy as np
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
-from collaborative_gym.rng import Stream, episode_generator
+from collaborative_gym.rng import EpisodeDraws, Stream
 
 STYLES = {
     "late": "it holds still for two seconds first",
@@ -69,23 +69,16 @@ class RandomPolicy:
 
     def __init__(self, env: VectorEnv):
         self._env = env
-        self._length = env.task.config.max_episode_steps
         self._sizes = {
             agent: space.shape[0] for agent, space in env.single_action_spaces.items()
         }
-        columns = sum(self._sizes.values())
-        self._actions = np.zeros((env.num_envs, self._length, columns), np.float32)
-        self._drawn = np.full((env.num_envs, 2), -1)
+        size = env.task.config.max_episode_steps, sum(self._sizes.values())
+        self._actions = EpisodeDraws(env.num_envs, size, Stream.POLICY)
 
     def __call__(self, observations: Mapping[str, Array]) -> dict[str, Array]:
         """Return actions by agent for the present step of each world."""
         progress = self._env.progress
-        playing = np.stack([progress["seed"], progress["episode"]], axis=1)
-        for i in np.flatnonzero((playing != self._drawn).any(axis=1)):
-            seed, episode = playing[i]
-            rng = episode_generator(seed, episode, Stream.POLICY)
-            self._actions[i] = rng.uniform(-1.0, 1.0, self._actions.shape[1:])
-        self._drawn = playing
-        now = self._actions[np.arange(len(playing)), progress["step"]]
+        actions = self._actions.now(progress)
+        now = actions[np.arange(len(actions)), progress["step"]]
         ends = np.cumsum(list(self._sizes.values()))[:-1]
         return dict(zip(self._sizes, np.split(now, ends, axis=1), strict=True))

@@ -321,7 +321,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
         """
         return self._lift(sim, facts, self._lifted_handles(facts))
 
-    def styled(self, sim: Sim, facts: LiftFacts, *, style: str) -> dict[str, Motion]:
+    def styled(
+        self, sim: Sim, facts: LiftFacts, *, style: str, draws: np.ndarray
+    ) -> dict[str, Motion]:
         """Return motions with which one arm only keeps the pot level."""
         goals = self._lifted_handles(facts)
         leads = list(self.styles).index(style)

@@ -78,6 +78,7 @@ _ELSEWHERE = {
     "first-side": ((0.0, -0.15, 0.0), "0.15 m nearer to robot_1"),
     "second-side": ((0.0, 0.15, 0.0), "0.15 m nearer to robot_2"),
 }
+_ANYWHERE = np.array([-0.05, 0.0, 0.0]), np.array([0.15, 0.15, 0.2])  # m
 _NEAR_MEETING = 0.3  # m
 _BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 
@@ -136,7 +137,8 @@ class Pass(Task[PassConfig, PassFacts]):
     config_class = PassConfig
     units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
     styles: ClassVar[Mapping[str, str]] = {
-        style: f"they hand over {where}" for style, (_, where) in _ELSEWHERE.items()
+        **{s: f"they hand over {where}" for s, (_, where) in _ELSEWHERE.items()},
+        "anywhere": "each episode draws a place where they hand over",
     }
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -284,7 +286,14 @@ class Pass(Task[PassConfig, PassFacts]):
     def expert(self, sim: Sim, facts: PassFacts) -> dict[str, Motion]:
         return self._hand_over(sim, facts, np.zeros(3))
 
-    def styled(self, sim: Sim, facts: PassFacts, *, style: str) -> dict[str, Motion]:
+    def styled(
+        self, sim: Sim, facts: PassFacts, *, style: str, draws: np.ndarray
+    ) -> dict[str, Motion]:
+        if style == "anywhere":
+            # In a ball, because arms do not reach into all corners.
+            middle, spread = _ANYWHERE
+            inside = draws / np.maximum(math.norm(draws), 1.0)[:, None]
+            return self._hand_over(sim, facts, middle + spread * inside)
         return self._hand_over(sim, facts, np.array(_ELSEWHERE[style][0]))
 
     def _hand_over(

@@ -211,7 +211,9 @@ class Poke(Task[TaskConfig, PokeFacts]):
         position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
         return self._steer(sim, facts, {_STICK: (position, normal)})
 
-    def styled(self, sim: Sim, facts: PokeFacts, *, style: str) -> dict[str, Motion]:
+    def styled(
+        self, sim: Sim, facts: PokeFacts, *, style: str, draws: np.ndarray
+    ) -> dict[str, Motion]:
         """Present the stick, wait before its tip until lined up, then come over it."""
         axis = math.axis_z(facts.stick[1])
         _, turned = self._goal[_DONUT]

@@ -70,6 +70,9 @@ class Randomization:
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
 
+STYLE_DRAWS = 3
+"""How many numbers each episode draws for the styles of an expert."""
+
 RANDOMIZATIONS = {
     "default": Randomization(),
     "paper": Randomization(0.0, 0.0, 0.0, 0.0),
@@ -367,8 +370,18 @@ class Task(Generic[ConfigT, FactsT]):
         """
         raise self._missing("expert", " or play another policy, such as random")
 
-    def styled(self, sim: Sim, facts: FactsT, *, style: str) -> dict[str, Motion]:
-        """Return what the expert does in one of its `styles`."""
+    def styled(
+        self, sim: Sim, facts: FactsT, *, style: str, draws: np.ndarray
+    ) -> dict[str, Motion]:
+        """Return what the expert does in one of its `styles`.
+
+        Args:
+          sim: as in `expert`.
+          facts: as in `expert`.
+          style: the style's name.
+          draws: (num_envs, `STYLE_DRAWS`) numbers from -1 to 1, drawn for each episode,
+            for styles that differ from one episode to the next.
+        """
         raise self._missing("styled")
 
     def _missing(self, method: str, otherwise: str = "") -> NotImplementedError:
