@@ -290,6 +290,7 @@ def test_a_folder_with_a_run_is_not_overwritten(carry_id, capsys, tmp_path):
 def test_all_trains_in_processes_and_writes_cards(capsys, tmp_path, monkeypatch):
     four = dict.fromkeys(baselines._EPISODES, 4)
     monkeypatch.setattr(baselines, "_EPISODES", four)
+    monkeypatch.setattr(baselines, "_CHOICE_EPISODES", 4)
     monkeypatch.setattr(cg, "list_envs", lambda: ["PokeTaskSawyers-v0"])
     arguments = ["train", "--all", "--seeds", "0", "1", "--output", str(tmp_path)]
     arguments += ["--total-steps", "64", *TINY]

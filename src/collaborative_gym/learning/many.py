@@ -31,6 +31,7 @@ from collaborative_gym.learning.config import (
 )
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
+from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.settings import Named, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
@@ -202,13 +203,14 @@ def plan_runs(
         algorithm = others["algorithm"] or "ppo"
         numbers = changed_recipe(env, changes, algorithm, advised=advised)
         for mode in (None,) if modes is None else _several("mode", modes):
+            own = {"mode": mode, "hyperparameters": numbers}
+            settled = settle(task, None, seed=None, **own, **others)
             for seed in _several("seed", seeds):
-                own = {"mode": mode, "seed": seed, "hyperparameters": numbers}
-                settings = settle(task, None, **own, **others)
+                settings = replace(settled, seed=check_run_seed(seed))
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
-                given = {"env": env, **own, **shared}
+                given = {"env": env, "seed": seed, **own, **shared}
                 given["checkpoint_interval"] = checkpoint_interval
                 plans[folder] = Plan(folder, numbers.total_steps, given)
     return list(plans.values())

@@ -9,15 +9,16 @@ and neither are those that `evaluate` plays for a seed that people use."""
 
 def training_seed(seed: int) -> int:
     """Return the seed of a run's training episodes."""
-    return _TRAINING + _checked(seed)
+    return _TRAINING + check_run_seed(seed)
 
 
 def validation_seed(seed: int) -> int:
     """Return the seed of a run's validation episodes."""
-    return _VALIDATION + _checked(seed)
+    return _VALIDATION + check_run_seed(seed)
 
 
-def _checked(seed: int) -> int:
+def check_run_seed(seed: int) -> int:
+    """Return a run's seed, checked as `check_seed` does and to be below 2**40."""
     if check_seed(seed) >= _TRAINING:
         raise ValueError(f"a training seed must be below 2**40, got {seed}")
     return seed

@@ -24,11 +24,10 @@ from collaborative_gym.learning.config import (
     recipe,
 )
 from collaborative_gym.learning.pool import read_guests
-from collaborative_gym.learning.seeds import training_seed
+from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
-from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task
 
@@ -204,7 +203,7 @@ def settle(
     settings = Settings(
         identity=Identity.of(task),
         mode=_usual_mode(sizes, opponents) if mode is None else mode,
-        seed=check_seed(0 if seed is None else seed),
+        seed=check_run_seed(0 if seed is None else seed),
         backend="skrl" if backend is None else backend,
         observation_sizes=sizes.observation,
         action_sizes=sizes.action,
@@ -217,7 +216,6 @@ def settle(
     )
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
-    training_seed(settings.seed)
     _check_seats(settings, task)
     if started is not None:
         _check_same(settings, started)
