@@ -21,7 +21,7 @@ from collaborative_gym.learning.config import recipe
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
-from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.policies.shipped import shipped_file
 from collaborative_gym.tasks.registry import make_task
 
 ENV, ROLLOUTS = "PokeTaskSawyers-v0", 2
@@ -51,7 +51,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         names = [str(Path(folder, f"{i}.safetensors")) for i in range(count)]
         for name in names:
-            shutil.copy(BASELINES / f"{ENV}.safetensors", name)
+            shutil.copy(shipped_file("baseline", ENV), name)
         collector, actors, invitation = collector_with(names)
     spent, act = [], collector._guests.act
 

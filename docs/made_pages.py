@@ -25,7 +25,7 @@ from collaborative_gym.certificate.report import (
     certificates_to_markdown,
 )
 from collaborative_gym.cli.main import main
-from collaborative_gym.policies.policy import BASELINES
+from collaborative_gym.policies.shipped import shipped_file, shipped_kinds
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
 ROOT = Path(__file__).parents[1]
@@ -193,12 +193,17 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
             f"![{env_id}, played by those whom the picture names](../{film})"
         )
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
-    card = BASELINES / f"{env_id}.md"
+    card = shipped_file("baseline", env_id).with_suffix(".md")
     if card.exists():
         paragraphs += ["### Baseline", card.read_text().partition("\n\n")[2].strip()]
         curve = f"media/baselines/{env_id}.png"
         if (ROOT / "docs" / curve).exists():
             paragraphs.append(f'![Learning curve](../{curve}){{ width="600" }}')
+    if "ego" in shipped_kinds(env_id):
+        paragraphs.append(
+            "There is also [an ego](../strangers.md#an-ego-with-advice), which works"
+            " with partners of many kinds: `--policy ego`."
+        )
     return paragraphs
 
 

@@ -69,6 +69,7 @@ def test_it_holds_the_package_and_nothing_else(wheel):
         "robots/sawyer.xml",
         "baselines/PokeTaskSawyers-v0.safetensors",
         "baselines/PokeTaskSawyers-v0.md",
+        "egos/LiftTaskSawyers-v0.safetensors",
     ):
         assert f"collaborative_gym/{needed}" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)

@@ -21,7 +21,7 @@ from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import progress_bars, read_policies
 from collaborative_gym.evaluation import table11
 from collaborative_gym.pictures import recording
-from collaborative_gym.policies import policy
+from collaborative_gym.policies.shipped import SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 PACKAGE = "collaborative-gym"
@@ -155,7 +155,7 @@ def test_reproduce_prints_the_table_and_writes_files(
     carry_id, capsys, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(table11, "THESIS", {carry_id: table11.Thesis(-1.0, 0.5, 0.5)})
-    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    monkeypatch.setitem(SHIPPED, "baseline", tmp_path)
     folder = tmp_path / "a" / "b"
     arguments = "reproduce table11 --episodes 3 --seed 2 --num-threads 1 --output"
     assert main([*arguments.split(), str(folder)]) == 0
@@ -229,7 +229,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
     carry_id, capsys, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(table11, "THESIS", {carry_id: table11.Thesis(-1.0, 0.5, 0.5)})
-    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    monkeypatch.setitem(SHIPPED, "baseline", tmp_path)
     # Threads know the environment of this test, and may not heed signals.
     threads = SimpleNamespace(get_context=lambda _: dummy)
     monkeypatch.setattr(demo, "multiprocessing", threads)

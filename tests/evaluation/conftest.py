@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.policies import policy
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
+from collaborative_gym.policies.shipped import SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 
@@ -13,7 +13,7 @@ def random_network(tmp_path, monkeypatch):
 
     No other baseline is shipped during the test.
     """
-    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    monkeypatch.setitem(SHIPPED, "baseline", tmp_path)
 
     def ship(env_id):
         env = cg.make_vec(env_id, 1, num_threads=1)

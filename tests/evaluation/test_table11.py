@@ -14,7 +14,7 @@ from collaborative_gym.evaluation.table11 import (
     Thesis,
     reproduce_table11,
 )
-from collaborative_gym.policies import policy
+from collaborative_gym.policies.shipped import SHIPPED
 
 ENV_ID = "PokeTaskPandaSawyer-v0"
 
@@ -141,7 +141,7 @@ def test_json_holds_statistics_and_verdicts_but_no_episodes(small, random_networ
 
 
 def test_without_a_baseline_its_cells_are_dashes_and_fail(small, tmp_path, monkeypatch):
-    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    monkeypatch.setitem(SHIPPED, "baseline", tmp_path)
     made = reproduce_table11(1, num_threads=1)
     assert made.verdict == "FAIL: 5 of 5 cells"
     rewards, completion, _ = made.lines()
@@ -163,7 +163,7 @@ def test_bad_input_shows_before_the_work(tmp_path, monkeypatch):
             reproduce_table11(1, env_ids=env_ids, on_progress=never)
     with pytest.raises(ValueError, match="episodes must be at least 1"):
         reproduce_table11(0, on_progress=never)
-    monkeypatch.setattr(policy, "BASELINES", tmp_path)
+    monkeypatch.setitem(SHIPPED, "baseline", tmp_path)
     (tmp_path / "PassTaskJacoSawyer-v0.safetensors").write_bytes(b"damaged")
     with pytest.raises(ValueError, match="is damaged"):
         reproduce_table11(1, on_progress=never)

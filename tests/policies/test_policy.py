@@ -4,9 +4,9 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.policies import load_policy
-from collaborative_gym.policies import policy as policy_module
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.policies.shipped import SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 
@@ -215,7 +215,7 @@ def test_policies_play_gymnasiums_environments(saved, carry_id, make_env, batche
 def test_the_baseline_is_the_shipped_policy(saved, carry_id, make_env, monkeypatch):
     env = make_env()
     observations, _ = env.reset(seed=0)
-    monkeypatch.setattr(policy_module, "BASELINES", saved.parent)
+    monkeypatch.setitem(SHIPPED, "baseline", saved.parent)
     with pytest.raises(
         FileNotFoundError, match=f"no baseline is shipped for {carry_id}"
     ):
@@ -227,6 +227,8 @@ def test_the_baseline_is_the_shipped_policy(saved, carry_id, make_env, monkeypat
     mixed = make_env(robots=("panda", "jaco"))
     with pytest.raises(FileNotFoundError, match="for Carry with panda, jaco; give"):
         load_policy("baseline", mixed)
+    with pytest.raises(FileNotFoundError, match=f"no ego is shipped for {carry_id}"):
+        load_policy("ego", env)
 
 
 def test_what_is_missing_is_named(make_env, tmp_path):
@@ -342,5 +344,5 @@ def test_each_robot_needs_a_policy_that_commands_it(saved, make_env):
 
 @pytest.mark.parametrize("policy", [3, None, True, b"expert", ["expert"], {"expert"}])
 def test_odd_kinds_of_policies_are_refused(make_env, policy):
-    with pytest.raises(TypeError, match="policy must be one of 'baseline', 'expert'"):
+    with pytest.raises(TypeError, match="policy must be one of 'baseline', 'ego'"):
         load_policy(policy, make_env())

@@ -60,10 +60,12 @@ def test_a_link_to_what_may_not_be_chosen_is_refused(menu, link, told):
         menu.read(LINK + link)
 
 
-def test_baselines_are_offered_where_they_are_shipped(menu):
-    assert "baseline" in menu.policies(lift())
+def test_shipped_policies_are_offered_where_they_are_shipped(menu):
+    assert {"baseline", "ego"} <= {*menu.policies(lift())}
     others = Choice(LIFT, ("panda", "jaco"), ("expert", "expert"), "default")
-    assert "baseline" not in menu.policies(others)
+    assert not {"baseline", "ego"} & {*menu.policies(others)}
+    jacos = menu.policies(menu.moved(lift(), "LiftTaskJacos-v0"))
+    assert "baseline" in jacos and "ego" not in jacos
 
 
 def test_styles_of_the_experts_are_offered(menu):

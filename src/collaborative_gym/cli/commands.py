@@ -34,11 +34,11 @@ from collaborative_gym.cli.terminal import (
 
 @dataclass(frozen=True, kw_only=True)
 class List(Command):
-    """List the environments, with their robots and whether a baseline is shipped.
+    """List the environments, with their robots and the policies that are shipped.
 
     Attributes:
       sizes: list the sizes of each agent's observation and action instead of the task
-        and the baseline. It builds every world, which takes seconds.
+        and the policies. It builds every world, which takes seconds.
     """
 
     sizes: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -62,11 +62,11 @@ class _Policy(Command):
 
     Attributes:
       policy: who commands the robots: expert (also in another style, such as
-        expert:late), random, baseline (the trained policy that is shipped), a path to a
-        policy file, to one of ONNX or TorchScript or to a training folder, or one of
-        idle, gripping and frozen, which hold still (with an open grip, with a closed
-        grip, with the grip as it is). Or one for each robot, such as robot_1=baseline
-        robot_2=idle.
+        expert:late), random, baseline (the trained policy that is shipped), ego (a
+        shipped one that works with partners of many kinds), a path to a policy file, to
+        one of ONNX or TorchScript or to a training folder, or one of idle, gripping and
+        frozen, which hold still (with an open grip, with a closed grip, with the grip
+        as it is). Or one for each robot, such as robot_1=baseline robot_2=idle.
     """
 
     policy: Policies = ("expert",)
@@ -129,8 +129,8 @@ class Evaluate(Played, _Policy):
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: evaluate every environment, or with the policy baseline all that have one;
-        then name none.
+      all: evaluate every environment, or with the policy baseline or ego all that have
+        one; then name none.
       episodes: number of episodes in each environment.
       delay: number of control steps by which each action comes late.
       num_envs: worlds that play at the same time; the results do not depend on it.
@@ -153,16 +153,18 @@ class Evaluate(Played, _Policy):
         """Print a table and write the files."""
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
-        from collaborative_gym.policies.policy import has_baseline
+        from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
 
         env_ids = _env_ids(self)
         policy = read_policy(self.policy)
         check_files(self.json, self.csv)
-        if self.all and "baseline" in (word.split("=")[-1] for word in self.policy):
-            without = [each for each in env_ids if not has_baseline(each)]
+        named = {word.split("=")[-1] for word in self.policy} & SHIPPED.keys()
+        if self.all and named:
+            without = [each for each in env_ids if named - {*shipped_kinds(each)}]
             env_ids = [each for each in env_ids if each not in without]
             tell(
-                f"left out, as they have no baseline: {', '.join(without)}",
+                f"left out, as they have no {' or no '.join(sorted(named))}:"
+                f" {', '.join(without)}",
                 besides=(self.json, self.csv),
             )
         reports = []

@@ -4,7 +4,7 @@ from rich.table import Table
 
 from collaborative_gym.cli.terminal import new_table
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.policies.policy import has_baseline
+from collaborative_gym.policies.shipped import shipped_kinds
 from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 
 
@@ -12,14 +12,14 @@ def environments_table(with_sizes: bool) -> Table:
     """Return ids and robots of all environments, one line each.
 
     Args:
-      with_sizes: whether each line has the sizes instead of the task and the baseline,
-        since a terminal has no room for all.
+      with_sizes: whether each line has the sizes instead of the task and the shipped
+        policies, since a terminal has no room for all.
     """
     if with_sizes:
         table = new_table("environment", "robots", "observation", "action")
         table.columns[1].justify = "left"
     else:
-        table = new_table("environment", "task", "robots", "baseline")
+        table = new_table("environment", "task", "robots", "shipped")
         for column in table.columns:
             column.justify = "left"
     for env_id in list_envs():
@@ -28,8 +28,8 @@ def environments_table(with_sizes: bool) -> Table:
         if with_sizes:
             table.add_row(env_id, robots, *_sizes(env_id))
         else:
-            baseline = "yes" if has_baseline(env_id) else "-"
-            table.add_row(env_id, spec.task.__name__, robots, baseline)
+            shipped = ", ".join(shipped_kinds(env_id)) or "-"
+            table.add_row(env_id, spec.task.__name__, robots, shipped)
     return table
 
 

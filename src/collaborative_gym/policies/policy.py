@@ -20,6 +20,7 @@ from collaborative_gym.policies.scripted import (
     gripping_policy,
     idle_policy,
 )
+from collaborative_gym.policies.shipped import SHIPPED, shipped_file, shipped_kinds
 from collaborative_gym.tasks.registry import find_env, list_envs
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
@@ -27,9 +28,6 @@ Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 
 AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
 """A policy, or what `load_policy` finds it by, or one of these for each agent."""
-
-BASELINES = Path(__file__).parents[1] / "baselines"
-"""Where the shipped policies and their cards are, by environment id."""
 
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
@@ -52,9 +50,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
 
     Args:
       policy: one of these, or a dictionary with one for each agent, such as
-        `{"robot_1": "baseline", "robot_2": "runs/mine"}`:
-        "baseline", the trained policy that is shipped for `env`; an environment id, for
-        the baseline of that environment; a path to a policy file or to the folder of a
+        `{"robot_1": "baseline", "robot_2": "runs/mine"}`: "baseline", the trained
+        policy that is shipped for `env`; an environment id, for the baseline of that
+        environment; "ego", the shipped one that has learned to work with partners of
+        many kinds, for some environments; a path to a policy file or to the folder of a
         training run, which the name of one of its players may follow, as in
         "runs/league/main-3"; "expert", the task's scripted expert, which looks at the
         state of the worlds and not at the observations; "expert:late" and the like, the
@@ -63,8 +62,8 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         any batch; "idle", which holds still with an open grip; "gripping", which holds
         still with a closed grip; "frozen", which holds still and keeps what it holds; a
         path to a network of another library, in ONNX (`.onnx`) or TorchScript (`.pt`),
-        from the observations of the robots side by side, in the order of the agents,
-        to their actions; a function from observations to actions; or a model of
+        from the observations of the robots side by side, in the order of the agents, to
+        their actions; a function from observations to actions; or a model of
         Stable-Baselines3 that commands all robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3. The policy
@@ -74,7 +73,8 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         it is for, if the sizes of its spaces are the same.
 
     Raises:
-      FileNotFoundError: if there is no such file, or the environment has no baseline.
+      FileNotFoundError: if there is no such file, or no such policy is shipped for the
+        environment.
       KeyError: if there is no such policy or agent.
       TypeError: if it is of another kind, or needs an environment.
       ValueError: if a file is damaged, is for another environment or has no network for
@@ -180,7 +180,7 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
     """
     if not isinstance(policy, str | Path) or policy in _BY_ENV or _style(policy):
         return policy
-    return _baseline(env) if policy == "baseline" else _load_file(policy)
+    return _shipped(str(policy), env) if policy in SHIPPED else _load_file(policy)
 
 
 def _style(policy: object) -> str:
@@ -201,12 +201,7 @@ def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
 def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
     """Return the policy of an environment id or a path."""
     if name in list_envs():
-        if not has_baseline(str(name)):
-            raise FileNotFoundError(
-                f"no baseline is shipped for {name}; give the path of a policy that you"
-                " trained"
-            )
-        return NetworkPolicy.load(_baseline_file(str(name)))
+        return _load_shipped("baseline", str(name))
     path = Path(name)
     if path.is_dir():
         if not (path / POLICY_FILE).exists():
@@ -227,17 +222,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
             f"no policy file {path} exists; the folder of a training run has one"
             f" {_FIRST}"
         )
-    shipped = [env_id for env_id in list_envs() if has_baseline(env_id)]
+    shipped = [each for each in list_envs() if "baseline" in shipped_kinds(each)]
     raise UnknownName(unknown("policy", name, [*_NAMES, *shipped]))
-
-
-def has_baseline(env_id: str) -> bool:
-    """Return whether a trained policy is shipped for an environment."""
-    return _baseline_file(env_id).exists()
-
-
-def _baseline_file(env_id: str) -> Path:
-    return BASELINES / f"{env_id}.safetensors"
 
 
 def player_file(name: str) -> Path:
@@ -245,15 +231,24 @@ def player_file(name: str) -> Path:
     return Path(_PLAYERS, f"{name}.safetensors")
 
 
-def _baseline(env: VectorEnv) -> Any:
+def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:
     env_id = find_env(env.task)
     if env_id is None:
         robots = ", ".join(robot.name for robot in env.task.robots.values())
-        raise FileNotFoundError(
-            f"no baseline is shipped for {type(env.task).__name__} with {robots}; give"
-            " the path of a policy that you trained"
-        )
-    return _load_file(env_id)
+        raise _none_shipped(kind, f"{type(env.task).__name__} with {robots}")
+    return _load_shipped(kind, env_id)
+
+
+def _load_shipped(kind: str, env_id: str) -> NetworkPolicy:
+    if kind not in shipped_kinds(env_id):
+        raise _none_shipped(kind, env_id)
+    return NetworkPolicy.load(shipped_file(kind, env_id))
+
+
+def _none_shipped(kind: str, env: str) -> FileNotFoundError:
+    return FileNotFoundError(
+        f"no {kind} is shipped for {env}; give the path of a policy that you trained"
+    )
 
 
 def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -291,4 +286,4 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
 
 _STYLED = "expert:"
 
-_NAMES = ("baseline", *_BY_ENV)
+_NAMES = (*SHIPPED, *_BY_ENV)

@@ -8,8 +8,9 @@ from urllib.parse import parse_qs, urlencode
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import look_up
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.policy import Policy, has_baseline
+from collaborative_gym.policies.policy import Policy
 from collaborative_gym.policies.scripted import STYLES
+from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import list_envs, make_task
@@ -91,11 +92,10 @@ class Menu:
 
     def policies(self, choice: Choice) -> tuple[str, ...]:
         """Return who may command the arms of a choice."""
-        # A viewer that was started with baselines also goes where there are none.
-        given = [name for name in self._policies if name != "baseline"]
+        # A viewer that was started with shipped ones also goes where there are none.
+        given = [name for name in self._policies if name not in SHIPPED]
         names = [*given, *self._styles(choice)]
-        if self._has_baseline(choice):
-            names.insert(1, "baseline")
+        names[1:1] = self._shipped(choice)
         return tuple(dict.fromkeys(names))
 
     def chosen(self, env: VectorEnv, policies: Mapping[str, AnyPolicy]) -> Choice:
@@ -197,11 +197,10 @@ class Menu:
 
         Args:
           choice: what to play.
-          given: which can, besides the scripted ones and a shipped baseline.
+          given: which can, besides the scripted and the shipped ones.
         """
-        able = {*_SCRIPTED, *self._styles(choice), *given} - {"baseline"}
-        if self._has_baseline(choice):
-            able.add("baseline")
+        able = {*_SCRIPTED, *self._styles(choice), *given} - SHIPPED.keys()
+        able.update(self._shipped(choice))
         names = [name if name in able else "expert" for name in choice.policies]
         names += names[-1:] * len(choice.robots)
         return replace(choice, policies=tuple(names[: len(choice.robots)]))
@@ -214,13 +213,16 @@ class Menu:
         """Return an environment's own arms."""
         return _arms(make_task(env) if env in list_envs() else self._task)
 
-    def _has_baseline(self, choice: Choice) -> bool:
-        if "baseline" in self._policies:
-            own = self._task.name, _arms(self._task)
-            if (choice.env, choice.robots) == own:  # It plays already.
-                return True
-        is_shipped = has_baseline(choice.env)
-        return is_shipped and choice.robots == self._usual(choice.env)
+    def _shipped(self, choice: Choice) -> list[str]:
+        """Return the kinds of shipped policies that can play."""
+        own = self._task.name, _arms(self._task)
+        if (choice.env, choice.robots) == own:
+            playing = SHIPPED.keys() & self._policies.keys()
+        else:
+            playing = set()
+        if choice.robots == self._usual(choice.env):
+            playing.update(shipped_kinds(choice.env))
+        return [kind for kind in SHIPPED if kind in playing]
 
 
 def _arms(task: Task) -> tuple[str, ...]:
