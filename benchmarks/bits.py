@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import collaborative_gym as cg
-from collaborative_gym.policies.shipped import shipped_kinds
+from collaborative_gym.policies.shipped import is_shipped
 
 POLICIES = ("random", "expert", "baseline")
 
@@ -35,7 +35,7 @@ def main() -> None:
         f"{env_id} {policy}": digest(env_id, policy, options.episodes)
         for env_id in options.envs
         for policy in POLICIES
-        if policy != "baseline" or policy in shipped_kinds(env_id)
+        if policy != "baseline" or is_shipped(policy, env_id)
     }
     if options.output:
         options.output.write_text(json.dumps(hashes, indent=2) + "\n")

@@ -11,10 +11,10 @@ import argparse
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
-from collaborative_gym.policies.shipped import shipped_kinds
+from collaborative_gym.policies.shipped import is_shipped
 from kept import keep
 
-ENVS = [each for each in cg.list_envs() if "baseline" in shipped_kinds(each)]
+ENVS = [each for each in cg.list_envs() if is_shipped("baseline", each)]
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from collaborative_gym.certificate.report import (
     certificates_to_markdown,
 )
 from collaborative_gym.cli.main import main
-from collaborative_gym.policies.shipped import shipped_file, shipped_kinds
+from collaborative_gym.policies.shipped import is_shipped, shipped_file
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
 ROOT = Path(__file__).parents[1]
@@ -199,7 +199,7 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
         curve = f"media/baselines/{env_id}.png"
         if (ROOT / "docs" / curve).exists():
             paragraphs.append(f'![Learning curve](../{curve}){{ width="600" }}')
-    if "ego" in shipped_kinds(env_id):
+    if is_shipped("ego", env_id):
         paragraphs.append(
             "There is also [an ego](../strangers.md#an-ego-with-advice), which works"
             " with partners of many kinds: `--policy ego`."

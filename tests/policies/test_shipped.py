@@ -37,6 +37,11 @@ def test_a_baseline_beats_who_does_nothing_from_either_seat(env_id):
     assert (taken.mean(axis=1) > 0.6).all()
 
 
+def test_egos_are_of_environments_and_small():
+    assert IDS["ego"] and {*IDS["ego"]} <= {*cg.list_envs()}
+    assert sum(path.stat().st_size for path in SHIPPED["ego"].iterdir()) < 5_000_000
+
+
 @pytest.mark.parametrize("seat", ["robot_1", "robot_2"])
 @pytest.mark.parametrize("env_id", IDS["ego"])
 def test_an_ego_works_with_partners_of_another_convention(env_id, seat):

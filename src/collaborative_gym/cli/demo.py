@@ -12,7 +12,7 @@ import numpy as np
 from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.pictures import recording
-from collaborative_gym.policies.shipped import shipped_kinds
+from collaborative_gym.policies.shipped import is_shipped
 from collaborative_gym.tasks.registry import make_task
 
 _SHEET_SIZE = (480, 360)
@@ -32,7 +32,7 @@ def program() -> str:
 def players() -> dict[str, str]:
     """Return who plays, by environment id: the baseline, or the expert without one."""
     return {
-        env_id: "baseline" if "baseline" in shipped_kinds(env_id) else "expert"
+        env_id: "baseline" if is_shipped("baseline", env_id) else "expert"
         for env_id in table11.THESIS
     }
 

@@ -210,7 +210,7 @@ def plan_runs(
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
-                given = {"env": env, "seed": seed, **own, **shared}
+                given = {"env": env, "seed": settings.seed, **own, **shared}
                 given["checkpoint_interval"] = checkpoint_interval
                 plans[folder] = Plan(folder, numbers.total_steps, given)
     return list(plans.values())

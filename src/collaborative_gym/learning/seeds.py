@@ -19,6 +19,7 @@ def validation_seed(seed: int) -> int:
 
 def check_run_seed(seed: int) -> int:
     """Return a run's seed, checked as `check_seed` does and to be below 2**40."""
-    if check_seed(seed) >= _TRAINING:
-        raise ValueError(f"a training seed must be below 2**40, got {seed}")
-    return seed
+    number = check_seed(seed)
+    if number >= _TRAINING:
+        raise ValueError(f"a training seed must be below 2**40, got {number}")
+    return number

@@ -20,7 +20,7 @@ from collaborative_gym.policies.scripted import (
     gripping_policy,
     idle_policy,
 )
-from collaborative_gym.policies.shipped import SHIPPED, shipped_file, shipped_kinds
+from collaborative_gym.policies.shipped import SHIPPED, is_shipped, shipped_file
 from collaborative_gym.tasks.registry import find_env, list_envs
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
@@ -222,7 +222,7 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
             f"no policy file {path} exists; the folder of a training run has one"
             f" {_FIRST}"
         )
-    shipped = [each for each in list_envs() if "baseline" in shipped_kinds(each)]
+    shipped = [each for each in list_envs() if is_shipped("baseline", each)]
     raise UnknownName(unknown("policy", name, [*_NAMES, *shipped]))
 
 
@@ -240,7 +240,7 @@ def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:
 
 
 def _load_shipped(kind: str, env_id: str) -> NetworkPolicy:
-    if kind not in shipped_kinds(env_id):
+    if not is_shipped(kind, env_id):
         raise _none_shipped(kind, env_id)
     return NetworkPolicy.load(shipped_file(kind, env_id))
 

@@ -14,6 +14,11 @@ def shipped_file(kind: str, env_id: str) -> Path:
     return SHIPPED[kind] / f"{env_id}.safetensors"
 
 
+def is_shipped(kind: str, env_id: str) -> bool:
+    """Return whether a policy of a kind is shipped for an environment."""
+    return shipped_file(kind, env_id).exists()
+
+
 def shipped_kinds(env_id: str) -> list[str]:
     """Return the kinds of policies that are shipped for an environment."""
-    return [kind for kind in SHIPPED if shipped_file(kind, env_id).exists()]
+    return [kind for kind in SHIPPED if is_shipped(kind, env_id)]

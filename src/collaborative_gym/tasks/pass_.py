@@ -78,7 +78,8 @@ _ELSEWHERE = {
     "first-side": ((0.0, -0.15, 0.0), "0.15 m nearer to robot_1"),
     "second-side": ((0.0, 0.15, 0.0), "0.15 m nearer to robot_2"),
 }
-_ANYWHERE = np.array([-0.05, 0.0, 0.0]), np.array([0.15, 0.15, 0.2])  # m
+# Middle and half axes of the ellipsoid of places that `anywhere` draws, in m.
+_ANYWHERE = np.array([-0.05, 0.0, 0.0]), np.array([0.15, 0.15, 0.2])
 _NEAR_MEETING = 0.3  # m
 _BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 
@@ -289,6 +290,7 @@ class Pass(Task[PassConfig, PassFacts]):
     def styled(
         self, sim: Sim, facts: PassFacts, *, style: str, draws: np.ndarray
     ) -> dict[str, Motion]:
+        """Return motions for a hand-over elsewhere."""
         if style == "anywhere":
             # In a ball, because arms do not reach into all corners.
             middle, spread = _ANYWHERE

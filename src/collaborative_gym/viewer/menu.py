@@ -215,11 +215,10 @@ class Menu:
 
     def _shipped(self, choice: Choice) -> list[str]:
         """Return the kinds of shipped policies that can play."""
-        own = self._task.name, _arms(self._task)
-        if (choice.env, choice.robots) == own:
+        playing = set()
+        if (choice.env, choice.robots) == (self._task.name, _arms(self._task)):
+            # Who plays already may go on, shipped for this environment or not.
             playing = SHIPPED.keys() & self._policies.keys()
-        else:
-            playing = set()
         if choice.robots == self._usual(choice.env):
             playing.update(shipped_kinds(choice.env))
         return [kind for kind in SHIPPED if kind in playing]
