@@ -20,7 +20,7 @@ from rich.progress import Progress
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.machine import describe_machine
-from collaborative_gym.learning.baselines import training_command
+from collaborative_gym.learning.baselines import training_commands
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import Resources
 
@@ -66,7 +66,7 @@ def card(run: Path, steps: dict[str, int], result: cg.Tournament) -> str:
         f"One policy for each seat ({robots}), the main policy of a league, trained by"
         " PPO from scratch; it never played the scripted player.",
         "",
-        f"- command: `{training_command(settings, Resources())}`",
+        *training_commands(settings, Resources()),
         f"- {done / 1e6:.1f} M environment steps of all members together, in"
         f" {checkpoint.seconds / 60:.0f} min",
         f"- machine: {machine['cpu']}, {machine['cores']} cores, one of them used,"

@@ -147,7 +147,7 @@ def write_card(
         f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
         f" {hyperparameters.validation_episodes} validation episodes{among}; they are"
         " not those below",
-        *_commands(settings, resources),
+        *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
@@ -216,7 +216,7 @@ def _beginning(own: Mapping[str, Any]) -> str:
     )
 
 
-def _commands(settings: Settings, resources: Resources) -> list[str]:
+def training_commands(settings: Settings, resources: Resources) -> list[str]:
     """Return lines with the commands that train such a run again, the first run first.
 
     Runs from before a policy's file said how its starts were drawn are left out.
