@@ -112,9 +112,9 @@ class EpisodeDraws:
           progress: `seed` and `episode` of each world.
         """
         playing = np.stack([progress["seed"], progress["episode"]], axis=1)
-        for i in np.flatnonzero((playing != self._playing).any(axis=1)):
-            seed, episode = playing[i]
-            rng = episode_generator(seed, episode, self._stream)
-            self._numbers[i] = rng.uniform(-1.0, 1.0, self._numbers.shape[1:])
+        begun = (playing != self._playing).any(axis=1)
+        if begun.any():
+            rng = EpisodeRandom(*playing[begun].T, self._stream)
+            self._numbers[begun] = rng.within(1.0, self._numbers.shape[1:])
         self._playing = playing
         return self._numbers

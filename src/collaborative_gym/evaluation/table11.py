@@ -14,6 +14,7 @@ from collaborative_gym.evaluation.report import (
     without_nan,
 )
 from collaborative_gym.policies import load_policy
+from collaborative_gym.policies.shipped import is_shipped
 
 MEASURES = ("mean_reward", "completion", "performance")
 """What the thesis gives of each environment."""
@@ -244,7 +245,9 @@ def reproduce_table11(
     for env_id in dict.fromkeys(THESIS if env_ids is None else env_ids):
         if env_id not in THESIS:
             raise UnknownName(unknown("environment", env_id, THESIS))
-        shipped = _is_shipped(env_id)
+        shipped = is_shipped("baseline", env_id)
+        if shipped:
+            load_policy(env_id)  # One that is damaged shows before the work.
         jobs += [
             (env_id, column)
             for column, (policy, _) in COLUMNS.items()
@@ -272,12 +275,3 @@ def reproduce_table11(
 def column_names() -> list[str]:
     """Return how people read the names of `COLUMNS`."""
     return [column.replace("_", " ") for column in COLUMNS]
-
-
-def _is_shipped(env_id: str) -> bool:
-    """Return whether there is a baseline; one that is damaged shows before the work."""
-    try:
-        load_policy(env_id)
-    except FileNotFoundError:
-        return False
-    return True

@@ -69,17 +69,18 @@ _CLOSE = 0.8  # share of the greatest distance of a grip at which the expert gri
 _ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
 _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
-# How far from the meeting styles hand over, in m: about as far as learners chose to.
+_POINT = (0.0, 0.0, 0.0)
+# Where styles hand over, in m from the meeting, about as far away as learners chose to:
+# middle and half axes of an ellipsoid in which each episode draws a place.
 _ELSEWHERE = {
-    "nearer": ((-0.2, 0.0, 0.0), "0.2 m nearer to the arms' bases"),
-    "farther": ((0.15, 0.0, 0.0), "0.15 m farther from the arms' bases"),
-    "lower": ((0.0, 0.0, -0.2), "0.2 m lower"),
-    "higher": ((0.0, 0.0, 0.2), "0.2 m higher"),
-    "first-side": ((0.0, -0.15, 0.0), "0.15 m nearer to robot_1"),
-    "second-side": ((0.0, 0.15, 0.0), "0.15 m nearer to robot_2"),
+    "nearer": ((-0.2, 0.0, 0.0), _POINT, "0.2 m nearer to the arms' bases"),
+    "farther": ((0.15, 0.0, 0.0), _POINT, "0.15 m farther from the arms' bases"),
+    "lower": ((0.0, 0.0, -0.2), _POINT, "0.2 m lower"),
+    "higher": ((0.0, 0.0, 0.2), _POINT, "0.2 m higher"),
+    "first-side": ((0.0, -0.15, 0.0), _POINT, "0.15 m nearer to robot_1"),
+    "second-side": ((0.0, 0.15, 0.0), _POINT, "0.15 m nearer to robot_2"),
+    "anywhere": ((-0.05, 0.0, 0.0), (0.15, 0.15, 0.2), "where each episode draws"),
 }
-# Middle and half axes of the ellipsoid of places that `anywhere` draws, in m.
-_ANYWHERE = np.array([-0.05, 0.0, 0.0]), np.array([0.15, 0.15, 0.2])
 _NEAR_MEETING = 0.3  # m
 _BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 
@@ -138,8 +139,7 @@ class Pass(Task[PassConfig, PassFacts]):
     config_class = PassConfig
     units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
     styles: ClassVar[Mapping[str, str]] = {
-        **{s: f"they hand over {where}" for s, (_, where) in _ELSEWHERE.items()},
-        "anywhere": "each episode draws a place where they hand over",
+        style: f"they hand over {where}" for style, (*_, where) in _ELSEWHERE.items()
     }
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -291,12 +291,10 @@ class Pass(Task[PassConfig, PassFacts]):
         self, sim: Sim, facts: PassFacts, *, style: str, draws: np.ndarray
     ) -> dict[str, Motion]:
         """Return motions for a hand-over elsewhere."""
-        if style == "anywhere":
-            # In a ball, because arms do not reach into all corners.
-            middle, spread = _ANYWHERE
-            inside = draws / np.maximum(math.norm(draws), 1.0)[:, None]
-            return self._hand_over(sim, facts, middle + spread * inside)
-        return self._hand_over(sim, facts, np.array(_ELSEWHERE[style][0]))
+        middle, spread, _ = _ELSEWHERE[style]
+        # In a ball, because arms do not reach into all corners.
+        inside = draws / np.maximum(math.norm(draws), 1.0)[:, None]
+        return self._hand_over(sim, facts, middle + np.multiply(spread, inside))
 
     def _hand_over(
         self, sim: Sim, facts: PassFacts, shift: np.ndarray
