@@ -150,16 +150,17 @@ class StrictSim(CpuSim):
         self.xp = XP
         for name in ARRAYS:
             setattr(self, name, Strict(getattr(self, name)))
-        asks, stop = self.refinement.asks, self.refinement.stop
-        self.refinement = replace(
-            self.refinement,
-            asks=lambda *found: own(asks(*map(Strict, found))),
-            stop=lambda *found: stop(*map(Strict, found)),
-        )
+        names = "strays", "too_deep", "too_fast", "stop"
+        rules = {name: self._ruled(getattr(self.refinement, name)) for name in names}
+        self.refinement = replace(self.refinement, **rules)
 
-    def step(self, controls, records=None, breaks=None):
-        judge = breaks and (lambda *found: own(breaks(*map(Strict, found))))
-        super().step(np.ascontiguousarray(own(controls)), records, judge)
+    def _ruled(self, rule):
+        return lambda *found: own(rule(*map(Strict, found)))
+
+    def step(self, controls, records=None, breaks=None, env_ids=None):
+        judge = breaks and self._ruled(breaks)
+        controls = np.ascontiguousarray(own(controls))
+        super().step(controls, records, judge, env_ids)
 
     def forward(self, env_ids=None):
         super().forward(bare(env_ids))

@@ -113,9 +113,7 @@ def test_the_strain_of_short_steps_is_that_of_the_whole_ones():
     for refines in (True, False):
         env = cg.make_vec("LiftTaskSawyers-v0", 2, seed=0, strain=True, num_threads=1)
         if refines:
-            every = replace(
-                env.sim.refinement, asks=lambda *found: found[0][..., 0] < 9
-            )
+            every = replace(env.sim.refinement, strays=lambda qpos, _: qpos[..., 0] < 9)
             env.sim.refinement = every
         env.reset()
         for _ in range(45):

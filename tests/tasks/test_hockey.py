@@ -51,7 +51,7 @@ def test_a_cushion_returns_the_share_of_the_speed_that_was_set(restitution, is_r
     env = make(8, restitution=restitution)
     if is_refined:
         env.sim.refinement = replace(
-            env.sim.refinement, asks=lambda qpos, *_: np.ones(qpos.shape[:-1], bool)
+            env.sim.refinement, strays=lambda qpos, _: np.ones(qpos.shape[:-1], bool)
         )
     phase = np.arange(8) / 8
     for speed in (0.3, 1.0, 2.5):

@@ -437,8 +437,8 @@ class VectorEnv:
 
     def _advance(self, actions: dict[str, Array], resting: Array) -> Array:
         """Step the physics; return which worlds diverged. Those are put back."""
-        sim, idle = self.sim, _where(resting, self.sim.xp)
-        kept = sim.get_state(idle) if len(idle) else None
+        sim = self.sim
+        moving = _where(~resting, sim.xp) if sim.xp.any(resting) else None
         controls = self._controller.command(actions)
         self.task.disturb(sim, self._progress.next_step)
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
@@ -447,13 +447,11 @@ class VectorEnv:
             try:
                 records = strain.records(length) if strain else None
                 now = controls[:, start : start + length]
-                sim.step(now, records, self._controller.tears)
+                sim.step(now, records, self._controller.tears, moving)
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
             if strain:
                 strain.count(self._progress.rows, ~(resting | diverged))
-            if kept is not None:
-                sim.set_state(kept, idle)
             if self._watcher is not None:
                 self._watcher()
         # A sum is finite only if all its terms are, and sums are cheap.

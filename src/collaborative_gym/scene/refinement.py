@@ -47,32 +47,50 @@ _SHORT_SOLREF = 0.003
 def refinement(model: mujoco.MjModel, arms: Collection[Arm]) -> Refinement:
     """Return how the physics steps of a compiled world are refined."""
     rules = _Rules(model, arms)
-    return Refinement(SHORT_STEPS, _short(model), rules.ask, rules.stop)
+    return Refinement(
+        steps=SHORT_STEPS,
+        fields=_short(model),
+        strays=rules.strays,
+        too_deep=rules.too_deep,
+        too_fast=rules.too_fast,
+        stop=rules.stop,
+    )
 
 
 class _Rules:
     def __init__(self, model: mujoco.MjModel, arms: Collection[Arm]):
         self._arms = list(arms)
-        self._qpos = np.r_[*(arm.qpos for arm in arms)]
-        self._dofs = np.r_[*(arm.dof for arm in arms)]
-        limits = np.concatenate([arm.robot.velocity_limits for arm in arms])
-        low, high = np.concatenate([arm.joint_range for arm in arms], axis=1)
-        self._bounds = _FASTEST * limits, low - _BEYOND, high + _BEYOND
+        # Whatever is no arm's has no limits.
+        self._limits = np.full(model.nv, np.inf)
+        self._low, self._high = -np.full(model.nq, np.inf), np.full(model.nq, np.inf)
+        for arm in arms:
+            self._limits[arm.dof] = arm.robot.velocity_limits
+            self._low[arm.qpos] = arm.joint_range[0] - _BEYOND
+            self._high[arm.qpos] = arm.joint_range[1] + _BEYOND
         sensors = np.concatenate(list(depth_sensors(model).values()))
         judged = [i for i in sensors if _is_usual(model, i)]
         self._depths = model.sensor_adr[judged]
 
-    def ask(self, qpos: Array, qvel: Array, sensordata: Array) -> Array:
-        """Return after which steps a world is too fast, too far or too deep.
+    def strays(self, qpos: Array, qvel: Array) -> Array:
+        """Return after which steps an arm is too fast or too far.
 
-        A world that is not finite is all of them.
+        One that is not finite is both.
         """
         xp = array_namespace(qpos)
-        speeds, low, high = (xp.asarray(own) for own in self._bounds)
-        angle, speed = qpos[..., self._qpos], xp.abs(qvel[..., self._dofs])
-        is_fine = (speed <= speeds) & (angle >= low) & (angle <= high)
-        is_shallow = sensordata[..., self._depths] >= -_DEEPEST
-        return ~(xp.all(is_fine, axis=-1) & xp.all(is_shallow, axis=-1))
+        low, high = xp.asarray(self._low), xp.asarray(self._high)
+        is_slow = xp.abs(qvel) <= xp.asarray(_FASTEST * self._limits)
+        is_within = (qpos >= low) & (qpos <= high)
+        return ~(xp.all(is_slow, axis=-1) & xp.all(is_within, axis=-1))
+
+    def too_deep(self, sensordata: Array) -> Array:
+        """Return after which steps something is too deep in something else."""
+        xp = array_namespace(sensordata)
+        return xp.any(~(sensordata[..., self._depths] >= -_DEEPEST), axis=-1)
+
+    def too_fast(self, qvel: Array) -> Array:
+        """Return after which short steps an arm needs a protective stop."""
+        xp = array_namespace(qvel)
+        return ~xp.all(xp.abs(qvel) / xp.asarray(self._limits) <= _STOPPED, axis=-1)
 
     def stop(self, start: Array, qpos: Array, qvel: Array) -> None:
         """Slow arms down that are still too fast after a short step.

@@ -2,10 +2,8 @@
 
 import ctypes
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from copy import copy
-from typing import Any
 from weakref import WeakSet
 
 import mujoco
@@ -15,11 +13,10 @@ from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
 from collaborative_gym.math import Array
+from collaborative_gym.sim.judged import CURRENT, JUDGED, Steps, Worlds
 from collaborative_gym.sim.sim import Breaks, EnvIds, Refined, Refinement
 
-_CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
 _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class CpuSim:
@@ -56,10 +53,10 @@ class CpuSim:
         self.mocap_pos = self._batch.bind("mocap_pos")
         self.xfrc_applied = self._batch.bind("xfrc_applied")
         self.sensordata = self._batch.bind("sensordata")
-        self._qpos, self._qvel, self._sensed = self.qpos, self.qvel, self.sensordata
-        self._switches = self.eq_active
+        self._worlds = Worlds(self._batch)
         self._sensors = self._named()
         self.refined: list[Refined] = []
+        self._records = {name: np.empty((0, 0, 0)) for name in JUDGED}
 
     def _named(self) -> dict[str, np.ndarray]:
         """Return the columns of `sensordata` by the sensors' names."""
@@ -74,267 +71,39 @@ class CpuSim:
         controls: Array,
         records: dict[str, Array] | None = None,
         breaks: Breaks | None = None,
+        env_ids: EnvIds = None,
     ) -> None:
-        records, failed = records or {}, np.zeros(self.num_envs, bool)
-        self.refined = []
-        if breaks is None and self.refinement is None:
-            self._advance(controls, records, failed)
-            self.forward()
+        rows = None if env_ids is None else np.arange(self.num_envs)[env_ids]
+        found, given = self._blank(controls.shape[:2]), records or {}
+        if rows is None:
+            found = found | given
         else:
-            self._step_judged(controls, records, failed, breaks)
-        if failed.any():
-            raise SimulationDiverged(np.flatnonzero(failed))
+            found = {name: each[rows] for name, each in (found | given).items()}
+            controls = controls[rows]
+        how = {"breaks": breaks, "refinement": self.refinement}
+        steps = Steps(self._worlds, rows, controls, found, **how)
+        steps.take()
+        self.refined = steps.refined
+        if rows is not None:
+            for name, each in given.items():
+                each[rows] = found[name]
+        if steps.failed.any():
+            ids = np.flatnonzero(steps.failed)
+            raise SimulationDiverged(ids if rows is None else rows[ids])
 
-    def _step_judged(
-        self,
-        controls: Array,
-        records: dict[str, Array],
-        failed: np.ndarray,
-        breaks: Breaks | None,
-    ) -> None:
-        """Take steps, in some worlds in a way of their own.
+    def _blank(self, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+        """Return arrays for what judged steps find, which every call writes anew."""
+        if self._records["qpos"].shape[:2] != shape:
+            self._records = {
+                name: np.empty((*shape, self._size(name))) for name in JUDGED
+            }
+        return self._records
 
-        Steps seldom break a constraint or need refinement: all are taken at once. Where
-        one of them was wrong, it is taken alone, and then all that are left.
-        """
-        model, shape = self.model, controls.shape[:2]
-        sizes = {"qpos": model.nq, "qvel": model.nv, "sensordata": model.nsensordata}
-        blank = {name: np.zeros((*shape, size)) for name, size in sizes.items()}
-        records = blank | records
-        rows, start = np.arange(self.num_envs), np.zeros(self.num_envs, int)
-        is_redone = np.zeros(self.num_envs, bool)
-        while len(rows):
-            before, active = self._batch.state[rows], self._switches[rows] > 0
-            states = self._advance_from(start, controls, records, failed, rows)
-            broken, rough = self._judge(records, active, failed, rows, breaks)
-            # What is judged of earlier steps was mended before.
-            wrong = (broken | rough) & (np.arange(shape[1]) >= start[:, None])
-            at = wrong.argmax(axis=1)
-            mended = np.flatnonzero(wrong.any(axis=1))
-            rows, at = rows[mended], at[mended]
-            is_first = (at == start[mended])[:, None]
-            before = np.where(is_first, before[mended], states[mended, at - 1])
-            self._batch.state[rows], failed[rows] = before, False
-            whole = np.flatnonzero(broken[mended, at])
-            self._advance_one(controls, records, failed, rows, at, whole, breaks)
-            is_redone[rows] = True
-            left = (at + 1 < shape[1]) & ~failed[rows]
-            rows, start = rows[left], at[left] + 1
-        if is_redone.any():
-            self.forward(np.flatnonzero(is_redone))
-
-    def _advance_from(
-        self,
-        start: np.ndarray,
-        controls: Array,
-        records: dict[str, Array],
-        failed: np.ndarray,
-        rows: np.ndarray,
-    ) -> np.ndarray:
-        """Take all physics steps of these worlds from one on, each world from its own.
-
-        Returns:
-          The state after each step, (worlds, steps, nstate), of steps before as it
-          comes.
-        """
-        states = np.zeros((len(rows), controls.shape[1], self._batch.nstate))
-        if len(rows) == self.num_envs and not start.any():
-            self._advance(controls, records | {_STATE: states}, failed)
-            return states
-        for first in np.unique(start):
-            group = np.flatnonzero(start == first)
-            now = rows[group]
-            found = {name: array[now, first:] for name, array in records.items()}
-            own = found | {_STATE: states[group, first:]}
-            self._advance(controls[now, first:], own, failed, now)
-            states[group, first:] = own[_STATE]
-            for name, array in found.items():
-                records[name][now, first:] = array
-        return states
-
-    def _judge(
-        self,
-        records: dict[str, Array],
-        active: np.ndarray,
-        failed: np.ndarray,
-        rows: np.ndarray,
-        breaks: Breaks | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return which steps break a constraint, and which need refinement.
-
-        Both are (worlds, steps). It makes the sensors of these worlds current.
-        """
-        sensed, refinement = records["sensordata"][rows], self.refinement
-        broken, rough = np.zeros((2, *sensed.shape[:2]), bool)
-        if breaks is not None and active.any():
-            broken |= breaks(sensed, active[:, None]).any(axis=2)
-        if refinement is None:
-            self.forward(rows)
-        else:
-            # A step finds the contacts of the state before it.
-            last = self._sense(rows, failed)
-            after = np.concatenate([sensed[:, 1:], last[:, None]], axis=1)
-            qpos, qvel = records["qpos"][rows], records["qvel"][rows]
-            rough |= refinement.asks(qpos, qvel, after)
-        return broken, rough
-
-    def _sense(self, rows: np.ndarray, failed: np.ndarray) -> np.ndarray:
-        """Return `sensordata` of these worlds, depths of contacts included."""
-        try:
-            self.forward(rows)
-        except batch.SimulationError as error:
-            failed[error.ids] = True
-        return self._sensed[rows]
-
-    def _advance_one(
-        self,
-        controls: Array,
-        records: dict[str, Array],
-        failed: np.ndarray,
-        rows: np.ndarray,
-        at: np.ndarray,
-        whole: np.ndarray,
-        breaks: Breaks | None,
-    ) -> None:
-        """Take a physics step that is wrong as it was taken, of each world its own.
-
-        Args:
-          controls: as in `step`.
-          records: likewise.
-          failed: (num_envs,), where worlds are marked that MuJoCo gives up.
-          rows: the worlds.
-          at: the index of each world's step.
-          whole: where among these worlds a constraint breaks, so that the step may be
-            right when it is taken whole and without it; all others are refined.
-          breaks: as in `step`.
-        """
-        state, refinement = self._batch.state, self.refinement
-        control = controls[rows, at]
-        # The shapes of what one step finds.
-        blank = {name: array[:, 0] for name, array in records.items()}
-        rough = np.ones(len(rows), bool)
-        if len(whole):
-            now = rows[whole]
-            kept = state[now]
-            parts = control[whole], blank, failed, now, breaks
-            for name, array in self._advance_intact(*parts).items():
-                records[name][now, at[whole]] = array
-            rough[whole] = False
-            if refinement is not None:
-                sensed = self._sense(now, failed)
-                rough[whole] = refinement.asks(self._qpos[now], self._qvel[now], sensed)
-            again = rough[whole]
-            state[now[again]], failed[now[again]] = kept[again], False
-        if refinement is not None and rough.any():
-            parts = control[rough], blank, failed, rows[rough], breaks
-            found = self._advance_refined(refinement, *parts)
-            self.refined.append(Refined(rows[rough], at[rough], found))
-
-    def _advance_refined(
-        self,
-        refinement: Refinement,
-        control: Array,
-        blank: dict[str, Array],
-        failed: np.ndarray,
-        rows: np.ndarray,
-        breaks: Breaks | None,
-    ) -> dict[str, np.ndarray]:
-        """Take a step in these worlds as short ones, and return what those found."""
-        shorts = []
-        with self._shortened(refinement, rows):
-            for _ in range(refinement.steps):
-                before = self._qpos[rows]
-                short = self._advance_intact(control, blank, failed, rows, breaks)
-                qpos, qvel = self._qpos[rows], self._qvel[rows]
-                refinement.stop(before, qpos, qvel)
-                self._qpos[rows], self._qvel[rows] = qpos, qvel
-                shorts.append(short | {"qpos": qpos, "qvel": qvel})
-        return {
-            name: np.stack([short[name] for short in shorts], axis=1) for name in blank
-        }
-
-    @contextmanager
-    def _shortened(self, refinement: Refinement, rows: np.ndarray) -> Iterator[None]:
-        """Give these worlds the model's numbers of short steps for a while."""
-        usual = {name: self._batch.expand(name) for name in refinement.fields}
-        kept = {name: array[rows] for name, array in usual.items()}
-        try:
-            for name, short in refinement.fields.items():
-                usual[name][rows] = short
-            yield
-        finally:
-            for name, array in kept.items():
-                usual[name][rows] = array
-
-    def _advance_intact(
-        self,
-        control: Array,
-        blank: dict[str, Array],
-        failed: np.ndarray,
-        rows: np.ndarray,
-        breaks: Breaks | None,
-    ) -> dict[str, np.ndarray]:
-        """Take a step in these worlds, and again where it breaks a constraint.
-
-        The second time it is without that constraint, so none ever bears too much.
-
-        Args:
-          control: (worlds, nu).
-          blank: arrays of all worlds, of the kinds of what is to be recorded.
-          failed: (num_envs,), where worlds are marked that MuJoCo gives up.
-          rows: the worlds.
-          breaks: as in `step`.
-
-        Returns:
-          What the step found, (worlds, ...) by MuJoCo's names.
-        """
-        state, switches = self._batch.state, self._switches
-        found = {name: np.zeros_like(array[rows]) for name, array in blank.items()}
-        left = np.arange(len(rows))
-        while len(left):
-            now = rows[left]
-            kept, was = state[now], failed[now]
-            new = {name: array[left, None] for name, array in found.items()}
-            self._advance(control[left, None], new, failed, now)
-            for name, array in new.items():
-                found[name][left] = array[:, 0]
-            if breaks is None:
-                break
-            broken = breaks(found["sensordata"][left], switches[now] > 0)
-            again = broken.any(axis=1)
-            left, now = left[again], now[again]
-            state[now], failed[now] = kept[again], was[again]
-            switches[now] *= ~broken[again]
-        return found
-
-    def _advance(
-        self,
-        controls: Array,
-        records: Mapping[Any, Array],
-        failed: np.ndarray,
-        rows: np.ndarray | None = None,
-    ) -> None:
-        """Advance these worlds, None for all, and mark those that MuJoCo gives up."""
-        names, every = tuple(records), slice(None) if rows is None else rows
-        before = self._warnings()[every]
-        try:
-            self._batch.rollout(
-                controls.shape[1], controls, record=names, ids=rows, out=dict(records)
-            )
-        except batch.SimulationError as error:
-            failed[error.ids] = True
-        failed[every] |= self._warnings()[every] > before
-
-    def _warnings(self) -> np.ndarray:
-        """Return how often MuJoCo has warned of each world, (num_envs,).
-
-        It warns of a state that is huge or not finite, for example. A rollout stops at
-        any warning.
-        """
-        return self._batch.warning[:, :, 1].sum(axis=1)
+    def _size(self, name: str) -> int:
+        return self._batch.bind(name).shape[1]
 
     def forward(self, env_ids: EnvIds = None) -> None:
-        self._batch.forward(env_ids, stage=_CURRENT)
+        self._batch.forward(env_ids, stage=CURRENT)
 
     def reset(self, env_ids: EnvIds = None) -> None:
         self._batch.reset(env_ids, stage=_NOTHING)

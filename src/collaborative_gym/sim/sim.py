@@ -21,20 +21,26 @@ when they began and with the forces in them, and which equality constraints were
 class Refinement:
     """How physics steps in which much happens are taken again as many short steps.
 
+    Each function returns (...) booleans for arrays (..., size).
+
     Attributes:
       steps: how many take the place of one.
       fields: the model's numbers in short steps, by MuJoCo's names, `opt.timestep`
         among them.
-      asks: takes `qpos`, `qvel` and `sensordata` of states after physics steps,
-        (..., size) each, with current contact sensors, and returns which steps are to
-        be refined, (...) booleans.
+      strays: takes `qpos` and `qvel` after physics steps, and returns which steps are
+        to be refined.
+      too_deep: takes `sensordata` after physics steps, with current contact sensors,
+        and returns likewise.
+      too_fast: takes `qvel` after short steps, and returns where `stop` is needed.
       stop: takes `qpos` before and `qpos` and `qvel` after a short step, (worlds, size)
         each, and may change the latter two.
     """
 
     steps: int
     fields: Mapping[str, Array]
-    asks: Callable[[Array, Array, Array], Array]
+    strays: Callable[[Array, Array], Array]
+    too_deep: Callable[[Array], Array]
+    too_fast: Callable[[Array], Array]
     stop: Callable[[Array, Array, Array], None]
 
 
@@ -101,8 +107,9 @@ class Sim(Protocol):
         controls: Array,
         records: dict[str, Array] | None = None,
         breaks: Breaks | None = None,
+        env_ids: EnvIds = None,
     ) -> None:
-        """Advance every world by some physics steps, then make its sensors current.
+        """Advance worlds by some physics steps, then make their sensors current.
 
         If the worlds were made with a `Refinement`, steps are refined that need it.
 
@@ -114,6 +121,7 @@ class Sim(Protocol):
             try.
           breaks: judges each physics step. One that would break equality constraints
             is taken with those switched off, which they then are.
+          env_ids: the worlds; None for all. The others keep state and sensors.
 
         Raises:
           SimulationDiverged: if some worlds became unstable; the others went on.

@@ -1,0 +1,308 @@
+"""Physics steps that are judged, and taken again where one of them was wrong.
+
+All steps are taken at once. Only in the worlds in which one was wrong, because it broke
+a constraint or was too long for what happened in it, the worlds go back and take them
+again: up to the first that was wrong, which is mended alone, and then all that follow.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from collaborative_gym.math import Array
+from collaborative_gym.sim.sim import Breaks, Refined, Refinement
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""What decides a world's future, as rollouts record it."""
+
+CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
+"""Up to where sensors of positions, velocities and contacts are current."""
+
+JUDGED = "qpos", "qvel", "sensordata"
+"""What must be recorded of steps that are judged."""
+
+
+class Worlds:
+    """The rows of a batch, and how they take physics steps.
+
+    Args:
+      rows: the batch.
+
+    Attributes:
+      state: all that decides the worlds' future, (num_envs, nstate).
+      qpos: (num_envs, nq) positions.
+      qvel: (num_envs, nv) velocities.
+      eq_active: (num_envs, neq) switches of the equality constraints, 0 or 1.
+      sensordata: (num_envs, nsensordata) sensor values.
+      expand: returns a number of the model with a row for each world, by its name.
+    """
+
+    def __init__(self, rows: batch.Batch):
+        self._batch, self.expand = rows, rows.expand
+        self.state = rows.state
+        self.qpos, self.qvel = rows.bind("qpos"), rows.bind("qvel")
+        self.eq_active = rows.bind("eq_active")
+        self.sensordata = rows.bind("sensordata")
+
+    def roll(
+        self, rows: np.ndarray | None, controls: Array, records: Mapping[Any, Array]
+    ) -> np.ndarray:
+        """Advance worlds by physics steps; return which of them MuJoCo gave up.
+
+        Args:
+          rows: ids of the worlds; None for all.
+          controls: (rows, steps, nu).
+          records: arrays for what the steps find, (rows, steps, ...), by MuJoCo's names
+            and parts of the state.
+        """
+        every = slice(None) if rows is None else rows
+        before, out = self._warnings()[every], dict(records)
+        failed = self._fails(
+            lambda: self._batch.rollout(
+                controls.shape[1], controls, record=tuple(out), ids=rows, out=out
+            )
+        )
+        return failed[every] | (self._warnings()[every] > before)
+
+    def sense(self, rows: np.ndarray | None) -> np.ndarray:
+        """Make sensors current; return in which worlds MuJoCo gave up, (rows,)."""
+        failed = self._fails(lambda: self._batch.forward(rows, stage=CURRENT))
+        return failed if rows is None else failed[rows]
+
+    def _fails(self, call: Callable[[], object]) -> np.ndarray:
+        """Make a call and return in which worlds it raised an error, (num_envs,)."""
+        failed = np.zeros(len(self.state), bool)
+        try:
+            call()
+        except batch.SimulationError as error:
+            failed[error.ids] = True
+        return failed
+
+    def _warnings(self) -> np.ndarray:
+        """Return how often MuJoCo has warned of each world, (num_envs,).
+
+        It warns of a state that is huge or not finite, for example. A rollout stops at
+        any warning.
+        """
+        return self._batch.warning[:, :, 1].sum(axis=1)
+
+
+class Steps:
+    """Some physics steps of some worlds, and how they are judged.
+
+    Args:
+      worlds: all worlds.
+      rows: ids of those that take the steps; None for all.
+      controls: (rows, steps, nu).
+      records: where to record what the steps find, (rows, steps, ...) by MuJoCo's
+        names; those of `JUDGED` among them, and `STATE` where steps are `retaken`.
+      breaks: which steps break a constraint; None if none does.
+      refinement: how steps are refined; None if they are not.
+
+    Attributes:
+      failed: which worlds MuJoCo gave up, (rows,) booleans.
+      refined: the steps that were refined.
+    """
+
+    def __init__(
+        self,
+        worlds: Worlds,
+        rows: np.ndarray | None,
+        controls: Array,
+        records: dict[Any, Array],
+        *,
+        breaks: Breaks | None,
+        refinement: Refinement | None,
+    ):
+        self._worlds, self._rows, self._controls = worlds, rows, controls
+        self._breaks, self._refinement = breaks, refinement
+        self.records = records
+        self.failed = np.zeros(len(controls), bool)
+        self.refined: list[Refined] = []
+
+    def take(self) -> None:
+        """Take all steps at once, and all of a world again where one was wrong."""
+        worlds, every = self._worlds, self._ids(slice(None))
+        before = worlds.state[every].copy()
+        self.failed = worlds.roll(self._rows, self._controls, self.records)
+        broken, rough = self._judge(slice(None))
+        again = np.flatnonzero((broken | rough).any(axis=1))
+        if not len(again):
+            return
+        rows, controls = self._ids(again), self._controls[again]
+        worlds.state[rows] = before[again]
+        found = {name: each[again] for name, each in self.records.items()}
+        found[STATE] = np.zeros((*controls.shape[:2], before.shape[1]))
+        how = {"breaks": self._breaks, "refinement": self._refinement}
+        retaken = Steps(worlds, rows, controls, found, **how)
+        retaken.retake()
+        for name, each in self.records.items():
+            each[again] = found[name]
+        self.failed[again], self.refined = retaken.failed, retaken.refined
+        self.failed[again] |= worlds.sense(rows)
+
+    def retake(self) -> None:
+        """Take the steps from the present state on, and mend those that are wrong."""
+        state, steps = self._worlds.state, np.arange(self._controls.shape[1])
+        left, start = np.arange(len(self.failed)), np.zeros(len(self.failed), int)
+        while len(left):
+            before = state[self._ids(left)]
+            self._roll(left, start)
+            broken, rough = self._judge(left)
+            # What is judged of earlier steps was mended before.
+            wrong = (broken | rough) & (steps >= start[:, None])
+            found = np.flatnonzero(wrong.any(axis=1))
+            left, at = left[found], wrong[found].argmax(axis=1)
+            is_first = (at == start[found])[:, None]
+            earlier = self.records[STATE][left, at - 1]
+            state[self._ids(left)] = np.where(is_first, before[found], earlier)
+            self.failed[left] = False
+            self._mend(left, at, broken[found, at])
+            goes_on = (at + 1 < len(steps)) & ~self.failed[left]
+            left, start = left[goes_on], at[goes_on] + 1
+
+    def _ids(self, left: Any) -> Any:
+        return left if self._rows is None else self._rows[left]
+
+    def _roll(self, left: np.ndarray, start: np.ndarray) -> None:
+        """Take the steps that are left of some worlds, each from its own on."""
+        for first in np.unique(start):
+            group = left[start == first]
+            found = {name: each[group, first:] for name, each in self.records.items()}
+            parts = self._ids(group), self._controls[group, first:], found
+            self.failed[group] |= self._worlds.roll(*parts)
+            for name, array in found.items():
+                self.records[name][group, first:] = array
+
+    def _judge(self, left: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return which steps break a constraint, and which need refinement.
+
+        Both are (worlds, steps). It makes the sensors of these worlds current.
+        """
+        worlds, every = self._worlds, self._rows is None and isinstance(left, slice)
+        rows = None if every else self._ids(left)
+        self.failed[left] |= worlds.sense(rows)
+        broken = self._broken(left)
+        if self._refinement is None:
+            return broken, np.zeros_like(broken)
+        records, refinement = self.records, self._refinement
+        rough = refinement.strays(records["qpos"][left], records["qvel"][left])
+        # A step finds the contacts of the state before it.
+        deep = refinement.too_deep(records["sensordata"][left, 1:])
+        rough[:, :-1] |= deep
+        rough[:, -1] |= refinement.too_deep(worlds.sensordata[self._ids(left)])
+        return broken, rough
+
+    def _broken(self, left: Any) -> np.ndarray:
+        active = self._worlds.eq_active[self._ids(left)] > 0
+        if self._breaks is None or not active.any():
+            return np.zeros((len(active), self._controls.shape[1]), bool)
+        sensed = self.records["sensordata"][left]
+        return self._breaks(sensed, active[:, None]).any(axis=2)
+
+    def _mend(self, left: np.ndarray, at: np.ndarray, broken: np.ndarray) -> None:
+        """Take a step that is wrong, of each world its own.
+
+        Where a constraint breaks, the step may be right when it is taken without it.
+        Everything else is refined.
+        """
+        worlds, refinement = self._worlds, self._refinement
+        rough = ~broken
+        if broken.any():
+            again, rows = left[broken], self._ids(left[broken])
+            kept = worlds.state[rows]
+            self._take_intact(again, at[broken])
+            if refinement is not None:
+                self.failed[again] |= worlds.sense(rows)
+                rough[broken] = refinement.strays(
+                    worlds.qpos[rows], worlds.qvel[rows]
+                ) | refinement.too_deep(worlds.sensordata[rows])
+                refined = rough[broken]
+                worlds.state[rows[refined]] = kept[refined]
+        if refinement is not None and rough.any():
+            self._refine(refinement, left[rough], at[rough])
+
+    def _take_intact(self, left: np.ndarray, at: np.ndarray) -> None:
+        """Take a step of each world, and again where it breaks a constraint.
+
+        The second time it is without that constraint, so none ever bears too much.
+        """
+        worlds = self._worlds
+        while len(left):
+            rows = self._ids(left)
+            kept = worlds.state[rows]
+            found = {
+                name: each[left, at][:, None] for name, each in self.records.items()
+            }
+            self.failed[left] = worlds.roll(
+                rows, self._controls[left, at][:, None], found
+            )
+            for name, array in found.items():
+                self.records[name][left, at] = array[:, 0]
+            if self._breaks is None:
+                return
+            active = worlds.eq_active[rows] > 0
+            broken = self._breaks(self.records["sensordata"][left, at], active)
+            again = broken.any(axis=1)
+            left, at, rows = left[again], at[again], rows[again]
+            worlds.state[rows] = kept[again]
+            worlds.eq_active[rows] *= ~broken[again]
+
+    def _refine(self, refinement: Refinement, left: np.ndarray, at: np.ndarray) -> None:
+        """Take a step of each world as short ones."""
+        rows, count = self._ids(left), refinement.steps
+        records = {
+            name: np.zeros((len(left), count, *array.shape[2:]), array.dtype)
+            for name, array in self.records.items()
+        }
+        controls = np.repeat(self._controls[left, at][:, None], count, axis=1)
+        short = _ShortSteps(
+            self._worlds,
+            rows,
+            controls,
+            records,
+            breaks=self._breaks,
+            refinement=refinement,
+        )
+        with self._shortened(refinement, rows):
+            short.retake()
+        self.failed[left] = short.failed
+        del records[STATE]
+        self.refined.append(Refined(rows, at, records))
+
+    @contextmanager
+    def _shortened(self, refinement: Refinement, rows: np.ndarray) -> Iterator[None]:
+        """Give these worlds the model's numbers of short steps for a while."""
+        usual = {name: self._worlds.expand(name) for name in refinement.fields}
+        kept = {name: array[rows] for name, array in usual.items()}
+        try:
+            for name, short in refinement.fields.items():
+                usual[name][rows] = short
+            yield
+        finally:
+            for name, array in kept.items():
+                usual[name][rows] = array
+
+
+class _ShortSteps(Steps):
+    """Short steps: one is wrong if it breaks a constraint or an arm gets too fast."""
+
+    def _judge(self, left: Any) -> tuple[np.ndarray, np.ndarray]:
+        assert self._refinement is not None
+        fast = self._refinement.too_fast(self.records["qvel"][left])
+        return self._broken(left), fast
+
+    def _mend(self, left: np.ndarray, at: np.ndarray, broken: np.ndarray) -> None:
+        assert self._refinement is not None
+        worlds, rows = self._worlds, self._ids(left)
+        before = worlds.qpos[rows]
+        self._take_intact(left, at)
+        qpos, qvel = worlds.qpos[rows], worlds.qvel[rows]
+        self._refinement.stop(before, qpos, qvel)
+        worlds.qpos[rows], worlds.qvel[rows] = qpos, qvel
+        self.records["qpos"][left, at] = qpos
+        self.records["qvel"][left, at] = qvel
