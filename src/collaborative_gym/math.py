@@ -6,11 +6,20 @@ differently for one row than for many, and the same world must give the same bit
 batch of any size. Quaternions are w x y z and of unit length.
 """
 
+from typing import Any
+
+import array_api_compat
 import numpy as np
-from array_api_compat import array_namespace
 
 Array = np.ndarray
 """An array of the backend. Type checkers see NumPy's; others have the same names."""
+
+
+def array_namespace(*arrays: Array) -> Any:
+    """Return the array API's functions for these arrays; NumPy has them itself."""
+    if isinstance(arrays[0], np.ndarray):
+        return np
+    return array_api_compat.array_namespace(*arrays)
 
 
 def dot(a: Array, b: Array) -> Array:

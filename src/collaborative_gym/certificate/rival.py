@@ -5,12 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from array_api_compat import array_namespace
-
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.learning.config import FAULTS, PRICES, Resources, recipe
 from collaborative_gym.learning.folder import LAST
+from collaborative_gym.math import array_namespace
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.tasks.task import Task
 

@@ -1,6 +1,6 @@
 """What the contracts of other libraries for one world have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def check_can_render(render_mode: str | None) -> None:
 
 def first_row(value: Any) -> Any:
     """Return the only row of nested dictionaries of (1,) arrays, None for NaN."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {name: first_row(part) for name, part in value.items()}
     scalar = value.item()
     return None if scalar != scalar else scalar

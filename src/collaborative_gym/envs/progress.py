@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.envs import strain
+from collaborative_gym.envs.metrics import Metrics
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task, Terms
-from collaborative_gym.timing import CONTROL_DT
 
 
 class Progress:
@@ -50,7 +50,6 @@ class Progress:
         self._num_envs = num_envs
         self._sides = sides
         self._is_divided = len(sides) > 1
-        self._has_strain = has_strain
         self._sums = {
             agent: {name: f"{agent}: {name}" for name in names}
             for agent, names in reward_terms.items()
@@ -137,6 +136,7 @@ class Progress:
             for name, row in names.items():
                 rows[row] = rows[row] + terms[agent][name]
         met, performing = task.success(facts), task.performing(facts)
+        performing = met if performing is None else performing
         points = task.score(facts) if self._is_divided else None
         successes = {}
         is_late = (rows["step"] > task.success_after) & counts
@@ -171,45 +171,6 @@ class Progress:
             truncated[agent] = self.rows["truncated"] | False
         return terminated, truncated
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the metrics of the episodes so far, as `VectorEnv` describes them."""
-        rows, xp = self.rows, self._xp
-        counts = ~rows["diverged"]
-        sums, returns = {}, {}
-        for agent, names in self._sums.items():
-            sums[agent] = {
-                name: xp.asarray(rows[names[name]], copy=True) for name in names
-            }
-            returns[agent] = sum(sums[agent].values())
-        by_side = {}
-        for side, agents in self._sides.items():
-            first = rows[f"{side}: first_success"]
-            completed = (first >= 0) & counts
-            counted = rows["length"]
-            if not self._task.performance_from_start:
-                counted = counted - xp.maximum(first, 1) + 1
-            share = rows[f"{side}: performing_steps"] / xp.maximum(counted, 1)
-            by_side[side] = {
-                "return": sum(map(returns.__getitem__, agents)),
-                "completion": xp.where(completed, 1.0, 0.0),
-                "performance": xp.where(counts, share, 0.0),
-                "time_to_success": xp.where(completed, first * CONTROL_DT, xp.nan),
-            }
-            if self._is_divided:
-                # Nobody wins an episode whose physics has diverged.
-                score = xp.where(counts, rows[f"{side}: score"], 0.0)
-                by_side[side]["score"] = score
-        told = {"strain": strain.told(rows)} if self._has_strain else {}
-        return {
-            **(_by_name(by_side) if self._is_divided else by_side[side]),
-            "returns": returns,
-            "length": rows["length"] + 0,
-            "reward_terms": sums,
-            "episode": rows["episode"] + 0,
-            "seed": rows["seed"] + 0,
-            **told,
-        }
-
     def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:
         """Return where the goal is met before any step, and reward terms of zero."""
         met, counts = self._task.success(facts), ~self.rows["diverged"]
@@ -240,7 +201,7 @@ class Progress:
             "ended": self.has_ended,
             "resting": resting,
             "final_observation": observations,
-            "metrics": self.metrics(),
+            "metrics": Metrics(self._task, self._sides, self._sums, dict(self.rows)),
         }
 
 
@@ -250,15 +211,6 @@ def copied(arrays: Mapping[str, Array], xp: Any) -> dict[str, Array]:
     for name, array in arrays.items():
         copies[name] = xp.asarray(array, copy=True)
     return copies
-
-
-def _by_name(by_side: Mapping[str, Mapping[str, Array]]) -> dict[str, Any]:
-    """Return metrics of sides as one dictionary by side for each metric."""
-    names = next(iter(by_side.values()))
-    return {
-        name: {side: metrics[name] for side, metrics in by_side.items()}
-        for name in names
-    }
 
 
 def _dtype(xp: Any, value: float) -> Any:

@@ -468,12 +468,15 @@ class VectorEnv:
         self, facts: Any, actions: dict[str, Array], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
-        terms: dict[str, Terms] = {
-            agent: {
-                name: xp.astype(xp.where(lost, 0.0, term), xp.float32)
-                for name, term in named.items()
+        terms: dict[str, Terms] = self.task.reward(facts, actions)
+        if xp.any(lost):
+            terms = {
+                agent: {name: xp.where(lost, 0.0, term) for name, term in own.items()}
+                for agent, own in terms.items()
             }
-            for agent, named in self.task.reward(facts, actions).items()
+        terms = {
+            agent: {name: xp.astype(term, xp.float32) for name, term in own.items()}
+            for agent, own in terms.items()
         }
         return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
 

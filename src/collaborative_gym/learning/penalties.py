@@ -91,9 +91,9 @@ class Penalties:
         task, sides = self._env.task, self._env.sides
         own = next(side for side, agents in sides.items() if agent in agents)
         met = success if len(sides) == 1 else success[own]
-        if task.performance_from_start:
-            return met
         performing: Any = task.performing(self._env.facts)
+        if task.performance_from_start or performing is None:
+            return met
         if len(sides) > 1:
             performing = performing[list(sides).index(own)]
         return met | performing

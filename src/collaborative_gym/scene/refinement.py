@@ -16,9 +16,8 @@ from collections.abc import Collection
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.scene.collisions import SOLREF
 from collaborative_gym.scene.contacts import depth_sensors
 from collaborative_gym.scene.handles import Arm

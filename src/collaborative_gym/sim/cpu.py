@@ -8,11 +8,10 @@ from weakref import WeakSet
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.sim.judged import CURRENT, JUDGED, Steps, Worlds
 from collaborative_gym.sim.sim import Breaks, EnvIds, Refined, Refinement
 

@@ -34,11 +34,10 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math, motion
 from collaborative_gym.control import ActionMode, Motion
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
     BAR,

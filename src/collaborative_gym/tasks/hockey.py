@@ -67,11 +67,10 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import Chains, Chart, hold, shortened
 from collaborative_gym.objects.mallet import GRIP, mallet
 from collaborative_gym.objects.mallet import HEIGHT as MALLET_HEIGHT

@@ -33,12 +33,11 @@ from operator import and_
 from typing import ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
 from collaborative_gym.errors import check_numbers
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import (
     carry,
     greatest_load,

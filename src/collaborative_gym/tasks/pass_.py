@@ -42,11 +42,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import quickest_way, reach, settling, standoff
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table

@@ -31,11 +31,10 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode, Motion
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import reach, settling, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick

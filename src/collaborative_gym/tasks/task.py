@@ -342,9 +342,12 @@ class Task(Generic[ConfigT, FactsT]):
         """
         return self.xp.where(self.success(facts), 0.0, 1.0)
 
-    def performing(self, facts: FactsT) -> Array | tuple[Array, ...]:
-        """Return in which worlds this step counts towards performance, as `success`."""
-        return self.success(facts)
+    def performing(self, facts: FactsT) -> Array | tuple[Array, ...] | None:
+        """Return in which worlds this step counts towards performance, as `success`.
+
+        Return None, as here, if that is where the goal is reached.
+        """
+        return None
 
     def score(self, facts: FactsT) -> tuple[Array, ...] | None:
         """Return the points that each side gains in this step, (num_envs,) numbers.

@@ -52,11 +52,10 @@ from operator import or_
 from typing import ClassVar
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math, motion
 from collaborative_gym.control import ActionMode, Motion
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion.loads import relief, strong_paths
 from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
 from collaborative_gym.rng import EpisodeRandom
