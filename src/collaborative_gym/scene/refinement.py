@@ -79,6 +79,8 @@ class _Rules:
         low, high = xp.asarray(self._low), xp.asarray(self._high)
         is_slow = xp.abs(qvel) <= xp.asarray(_FASTEST * self._limits)
         is_within = (qpos >= low) & (qpos <= high)
+        if xp.all(is_slow) and xp.all(is_within):  # Nearly always, and faster.
+            return xp.zeros(qpos.shape[:-1], dtype=xp.bool)
         return ~(xp.all(is_slow, axis=-1) & xp.all(is_within, axis=-1))
 
     def too_deep(self, sensordata: Array) -> Array:
