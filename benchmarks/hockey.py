@@ -89,10 +89,10 @@ def chase(env, rng: np.random.Generator) -> dict[str, np.ndarray]:
         error[:, :2] = place + 0.1 * velocity - mallets[:, i, :2]
         error[:, 2] = 0.615 - mallets[:, i, 2]
         change = (np.linalg.pinv(rows, rcond=0.05) @ error[..., None])[..., 0]
-        change /= np.maximum(np.abs(change / arm.max_change).max(axis=1), 1e-9)[:, None]
+        change /= np.maximum(np.abs(change / arm.stride).max(axis=1), 1e-9)[:, None]
         wild = rng.uniform(size=(env.num_envs, 1)) < 0.1
-        bang = np.sign(rng.uniform(-1, 1, change.shape)) * arm.max_change
-        actions[agent] = np.where(wild, bang, change) / arm.max_change
+        bang = np.sign(rng.uniform(-1, 1, change.shape)) * arm.stride
+        actions[agent] = np.where(wild, bang, change) / arm.stride
     return actions
 
 

@@ -86,12 +86,13 @@ class LiftAlone(Lift):
         posture = np.stack(
             [way.at(progress[i : i + 1])[0] for i, way in enumerate(self.ways)]
         )
-        mass = np.full(sim.num_envs, self.pot_mass)
-        goal = self.start + there * line
-        carried = carry(sim, arm, tcp=tcp, goal=goal, posture=posture, mass=mass)
-        holds = facts.gripping[self.lifter][:, None]
-        change = np.where(holds, carried, own.change)
-        motions[self.lifter] = cg.Motion(change, own.grips)
+        goal, holds = self.start + there * line, facts.gripping[self.lifter]
+        carried = carry(
+            sim, arm, tcp=tcp, goal=goal, posture=posture, is_loaded=holds | True
+        )
+        change = np.where(holds[:, None], carried, own.change)
+        mass = np.where(holds, self.pot_mass, own.mass)
+        motions[self.lifter] = cg.Motion(change, own.grips, mass=mass)
         return motions
 
 

@@ -25,11 +25,11 @@ from rich.console import Console
 from rich.table import Table
 
 from collaborative_gym import load_module
-from collaborative_gym.control import Controller, JointChanges
+from collaborative_gym.control import JointChanges
 from collaborative_gym.robots import Robot, get_robot, list_robots
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
-from collaborative_gym.timing import SUBSTEPS
+from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 AGENT = "robot_1"
 
@@ -51,23 +51,23 @@ class Bench:
                 conaffinity=0,
             )
             scene.add_tool(AGENT, "load", child=load)
+        JointChanges.add_drives(scene)
         self.model = scene.compile()
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.arm = scene.arms[AGENT]
         self.sim = CpuSim(self.model, num_envs, num_threads=1)
-        mode = JointChanges(scene.arms, gripping=False)
-        self.controller = Controller(scene, self.sim, mode)
+        self.mode = JointChanges(scene, self.sim, gripping=False)
 
     def start(self, angles: np.ndarray) -> None:
         """Put the worlds at rest at these joint angles, (num_envs, joints)."""
         self.sim.reset()
         self.sim.qpos[:, self.arm.qpos] = angles
-        self.controller.start(np.arange(self.sim.num_envs))
+        self.mode.start(np.arange(self.sim.num_envs))
         self.sim.forward()
 
     def step(self, actions: np.ndarray) -> np.ndarray:
         """Do one control step; return speeds, (num_envs, substeps, joints)."""
-        controls = self.controller.command({AGENT: actions})
+        controls = self.mode.prepare(self.mode.commands({AGENT: actions}))
         speeds = np.empty((len(actions), SUBSTEPS, actions.shape[1]))
         for i in range(SUBSTEPS):
             self.sim.step(np.ascontiguousarray(controls[:, i : i + 1]))
@@ -83,7 +83,7 @@ def follow(robot: Robot) -> dict[str, np.ndarray]:
     commands = np.concatenate([np.eye(count), -np.eye(count)])
     own = np.tile(np.arange(count), 2)
     rows = np.arange(2 * count)
-    scale, limit = bench.arm.max_change, np.array(robot.velocity_limits)
+    scale, limit = bench.arm.stride, np.array(robot.velocity_limits)
     turned, peak = [], np.zeros(2 * count)
     for sign in (1, 1, -1):
         before = bench.sim.qpos[:, bench.arm.qpos].copy()
@@ -106,7 +106,7 @@ def inertia_time(robot: Robot) -> np.ndarray:
     data = bench.sim.data(0)
     full = np.zeros((bench.model.nv, bench.model.nv))
     mujoco.mj_fullM(bench.model, data, full)
-    speed = bench.arm.max_speed
+    speed = bench.arm.stride / CONTROL_DT
     return np.diag(full)[bench.arm.dof] * speed / np.array(robot.torque_limits)
 
 

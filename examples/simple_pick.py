@@ -51,12 +51,11 @@ class SimplePick(cg.Task):
     def observe(self, facts):
         return facts.seen
 
-    def reward(self, facts, actions):
+    def reward(self, facts, commands):
         terms = {agent: {"reach": -far} for agent, far in facts.to_cube.items()}
         for agent, own in terms.items():
             own["carry"] = -facts.to_target[agent]
-            moves, _ = self.action_mode.split(actions[agent])
-            own["effort"] = -0.01 * math.norm(moves)
+            own["effort"] = -0.01 * math.norm(commands[agent].moves)
             own["grip"] = 0.1 * facts.holds[agent]
         return terms
 

@@ -124,15 +124,15 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
             for agent in self.agents
         }
 
-    def reward(self, facts, actions):
+    def reward(self, facts, commands):
         xp = array_namespace(facts.height)
         return {
             agent: {
                 "distance": -facts.distance[agent],
                 "height": xp.where(self.success(facts), 1.0, facts.height),
-                "effort": -math.dot(actions[agent], actions[agent]) / 100,
+                "effort": -math.dot(command.moves, command.moves) / 100,
             }
-            for agent in self.agents
+            for agent, command in commands.items()
         }
 
     def success(self, facts):
@@ -160,7 +160,7 @@ class Duel(Carry):
     def lead(self, facts):
         return facts.distance["robot_2"] - facts.distance["robot_1"]
 
-    def reward(self, facts, actions):
+    def reward(self, facts, commands):
         lead = self.lead(facts)
         return {"robot_1": {"lead": lead}, "robot_2": {"lead": -lead}}
 

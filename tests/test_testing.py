@@ -153,9 +153,9 @@ def test_an_observation_that_blows_up(faults):
 
 
 def test_a_reward_whose_terms_change(faults):
-    def reward(self, own, facts, actions):
-        terms = own(self, facts, actions)
-        if np.any(actions["robot_1"] > 0):
+    def reward(self, own, facts, commands):
+        terms = own(self, facts, commands)
+        if np.any(commands["robot_1"].moves > 0):
             terms["robot_1"] = {"all": sum(terms["robot_1"].values())}
         return terms
 
@@ -165,8 +165,8 @@ def test_a_reward_whose_terms_change(faults):
 
 
 def test_a_term_that_appears_late(faults):
-    def reward(self, own, facts, actions):
-        terms = own(self, facts, actions)
+    def reward(self, own, facts, commands):
+        terms = own(self, facts, commands)
         if facts.highest.max() > 0.55:
             terms["robot_2"]["late"] = facts.height
         return terms
@@ -199,7 +199,7 @@ def test_opponents_keep_promises_too(carry):
     def success(self, facts):
         return facts.height > 0.6, facts.height > 0.65
 
-    def reward(self, facts, actions):
+    def reward(self, facts, commands):
         return {
             "robot_1": {"height": facts.height},
             "robot_2": {"height": -facts.height},

@@ -136,7 +136,7 @@ def check_values(trial: Trial) -> None:
     env = trial.worlds(7)
     for step in range(20):
         actions = _episode_actions(env)
-        terms = env.task.reward(env.facts, actions)
+        terms = env.task.reward(env.facts, env.task.action_mode.commands(actions))
         for agent in env.agents:
             assert tuple(terms[agent]) == env.reward_terms[agent], (
                 f"reward() has the terms {tuple(terms[agent])} for {agent} in step"
@@ -263,10 +263,10 @@ def check_measuring(trial: Trial) -> None:
         "measure() writes into the arrays of self.memory, which are kept in case that"
         " the step fails; put new ones there: self.memory[name] = maximum(old, new)"
     )
-    actions = _episode_actions(env)
+    commands = task.action_mode.commands(_episode_actions(env))
     for name, ask in (
         ("observe", lambda: task.observe(env.facts)),
-        ("reward", lambda: task.reward(env.facts, actions)),
+        ("reward", lambda: task.reward(env.facts, commands)),
         ("success", lambda: task.success(env.facts)),
         ("score", lambda: task.score(env.facts)),
     ):

@@ -7,21 +7,20 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.control import Controller
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 @pytest.fixture
 def held(make_env):
-    """Return worlds in which both arms hold the cube, with what commands them."""
+    """Return worlds in which both arms hold the cube, with their action mode."""
 
     def make(num_envs=1):
         env = make_env(num_envs)
         env.reset(seed=0)
         ask(env, [1.0, 1.0])
         assert holds(env).all()
-        return env, Controller(env.scene, env.sim, env.task.action_mode)
+        return env, env.task.action_mode
 
     return make
 
@@ -39,14 +38,14 @@ def holds(env):
     return np.array([env.scene.holds(env.sim, agent) for agent in env.agents]).T
 
 
-def push(env, controller, force):
+def push(env, mode, force):
     """Push the cubes of the worlds upwards for a control step, in which arms grip."""
     still = {agent: np.zeros((env.num_envs, 8)) for agent in env.agents}
     for action in still.values():
         action[:, 7] = 1.0
-    controls = controller.command(still)
+    controls = mode.prepare(mode.commands(still))
     env.sim.xfrc_applied[:, env.model.body("cube/cube").id, 2] = force
-    env.sim.step(controls, breaks=controller.tears)
+    env.sim.step(controls, breaks=mode.tears)
     env.sim.xfrc_applied[:] = 0.0
 
 
@@ -65,26 +64,26 @@ def test_the_force_on_a_palm_is_that_of_its_grips(held):
 
 
 def test_a_grip_tears_above_what_its_gripper_holds(held):
-    env, controller = held(2)
+    env, mode = held(2)
     limit = env.scene.robots["robot_1"].gripper.holding_force
-    push(env, controller, [1.2 * limit, 3.0 * limit])
+    push(env, mode, [1.2 * limit, 3.0 * limit])
     assert holds(env).tolist() == [[True, True], [False, False]]
 
 
 def test_a_grip_tears_beyond_twice_its_threshold(held):
-    env, controller = held(2)
+    env, mode = held(2)
     start = int(env.model.jnt_qposadr[env.model.body("cube/cube").jntadr[0]])
     threshold = env.scene.grips[0].threshold
     env.sim.qpos[:, start + 2] += np.array([1.8, 2.2]) * threshold
     env.sim.forward()
-    push(env, controller, 0.0)
+    push(env, mode, 0.0)
     assert holds(env).tolist() == [[True, True], [False, False]]
 
 
 def test_a_torn_grip_is_taken_anew_after_a_control_step(held):
-    env, controller = held()
+    env, mode = held()
     before = env.sim.qpos.copy()
-    push(env, controller, 3000.0)
+    push(env, mode, 3000.0)
     assert not holds(env).any()
     for is_taken in (False, True):
         # The cube is within reach of both hands, both times.

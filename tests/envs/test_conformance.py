@@ -62,11 +62,10 @@ class Touch(cg.Task):
         }
         return dict.fromkeys(self.agents, blocks)
 
-    def reward(self, facts, actions):
+    def reward(self, facts, commands):
         terms = {}
-        for agent, action in actions.items():
-            moves, _ = self.action_mode.split(action)
-            effort = -0.01 * cg.math.norm(moves)
+        for agent, command in commands.items():
+            effort = -0.01 * cg.math.norm(command.moves)
             terms[agent] = {"distance": -facts["far"][agent], "effort": effort}
         return terms
 

@@ -61,7 +61,8 @@ def test_what_a_servo_asks_for_beyond_its_motor_costs_evenly_more(env, tiny):
             robot = arm.robot
             ahead = share * np.array(robot.torque_limits) / robot.stiffness
             env.sim.qvel[:, arm.dof] = 0.0
-            env.sim.act[:, arm.act] = env.sim.qpos[:, arm.qpos] + ahead
+            own = env.model.actuator_actadr[arm.servos]
+            env.sim.act[:, own] = env.sim.qpos[:, arm.qpos] + ahead
         costs.append(2.0 - charged(env, numbers, actions, actions)["robot_1"][0])
     assert costs == pytest.approx([0.0, 1.0, 3.0, 5.0, 59.0])
 

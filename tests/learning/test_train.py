@@ -376,8 +376,8 @@ def test_a_loss_that_is_not_finite_stops_the_run(
     task, reward = carry(), type(carry()).reward
     updates = []
 
-    def spoiled(self, facts, actions):
-        terms = reward(self, facts, actions)
+    def spoiled(self, facts, commands):
+        terms = reward(self, facts, commands)
         if len(updates) == 2:
             terms["robot_2"]["effort"] = terms["robot_2"]["effort"] * np.nan
         return terms

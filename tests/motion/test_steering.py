@@ -43,7 +43,7 @@ def test_steadied_motion_stops_at_its_goal_even_where_it_comes_late(scene, delay
         missing = 1.0 - sim.qpos[:, arm.qpos]
         misses.append(missing.max())
         coming.append(motion.settling(sim, arm, change=missing))
-        now = np.clip(coming.pop(0), -arm.max_change, arm.max_change)
+        now = np.clip(coming.pop(0), -arm.stride, arm.stride)
         sim.qpos[:, arm.qpos] += now
         sim.qvel[:, arm.dof] = now / CONTROL_DT
     assert min(misses) > -0.1

@@ -9,6 +9,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import robots
+from collaborative_gym.control import JointChanges
 from collaborative_gym.scene import Scene
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_arm.py"
@@ -73,6 +74,7 @@ def in_a_world():
     def make(robot, holds=None):
         scene = Scene()
         scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)), holds=holds)
+        JointChanges.add_drives(scene)
         return scene, scene.compile()
 
     return make

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.control import JointChanges
 from collaborative_gym.scene import Scene
 
 SAMPLES = json.loads(Path(__file__).with_name("fk_samples.json").read_text())
@@ -132,6 +133,7 @@ def test_home_is_well_inside_the_ranges_and_touches_nothing(robot):
 def test_servos_have_the_arms_limits(robot):
     scene = Scene()
     scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)))
+    JointChanges.add_drives(scene)
     model = scene.compile()
     for i, joint in enumerate(robot.joints):
         servo = model.actuator(f"arm/{joint}")
@@ -143,12 +145,13 @@ def test_links_float_and_fingers_do_not_stray(robot):
     """Links are gravity compensated, as real controllers do; fingers are not."""
     scene = Scene()
     scene.add_robot("arm", robot, placement=cg.Placement((0, 0, 1)))
+    JointChanges.add_drives(scene)
     model = scene.compile()
     for joint in robot.joints:
         body = model.jnt_bodyid[model.joint(f"arm/{joint}").id]
         assert model.body_gravcomp[body] == 1
     arm, data = scene.arms["arm"], mujoco.MjData(model)
-    data.qpos[arm.qpos] = data.act[arm.act] = robot.home
+    data.qpos[arm.qpos] = data.act[:] = robot.home
     data.ctrl[arm.fingers] = robot.gripper.open_position
     for joint in robot.gripper.joints:
         data.joint(f"arm/{joint}").qpos = robot.gripper.open_position

@@ -2,6 +2,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from collaborative_gym.control import JointChanges
 from collaborative_gym.objects.table import table
 from collaborative_gym.robots import get_robot
 from collaborative_gym.scene import Placement, Scene
@@ -34,6 +35,7 @@ def scene():
 
 
 def test_arms_are_found_under_their_agents_prefix(scene):
+    JointChanges.add_drives(scene)
     model = scene.compile()
     for agent in ("robot_1", "robot_2"):
         arm = scene.arms[agent]

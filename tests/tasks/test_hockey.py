@@ -169,7 +169,8 @@ def turned(env, other):
     for one, two in opposite(env):
         arm, seat = env.scene.arms[one], other.scene.arms[two]
         other.sim.qpos[:, seat.qpos] = env.sim.qpos[:, arm.qpos]
-        other.sim.act[:, seat.act] = env.sim.act[:, arm.act]
+        there, here = (env.model.actuator_actadr[own.servos] for own in (seat, arm))
+        other.sim.act[:, there] = env.sim.act[:, here]
     other.task.memory["serves"] = env.task.memory["serves"].copy()
     other.task.memory["half"] = -env.task.memory["half"]
     other.sim.forward()

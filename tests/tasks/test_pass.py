@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym import Randomization, VectorEnv
+from collaborative_gym.control import Command
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.robots import list_robots
 from collaborative_gym.scene import Scene
@@ -53,10 +54,11 @@ def situation(facts, to_cube=(0.5, 0.5), to_target=1.0, holds=(False, False)):
 
 def rewards(env, facts, grips=(0.0, 0.0)):
     """Return each robot's reward for standing still, gripping where told."""
-    actions = {a: np.zeros((1, 8)) for a in AGENTS}
-    for agent, grip in zip(AGENTS, grips, strict=True):
-        actions[agent][:, -1] = grip
-    terms = env.task.reward(facts, actions)
+    commands = {
+        agent: Command(np.zeros((1, 7)), np.array([grip > 0]))
+        for agent, grip in zip(AGENTS, grips, strict=True)
+    }
+    terms = env.task.reward(facts, commands)
     return [sum(terms[agent].values())[0] for agent in AGENTS]
 
 
@@ -120,10 +122,10 @@ def test_rewards(sawyers, to_cube, grips, expected):
 
 
 def test_moving_costs_a_hundredth_of_its_length(sawyers):
-    actions = {a: np.zeros((1, 8)) for a in AGENTS}
-    actions["robot_1"][:, :2] = 0.6, 0.8
-    actions["robot_2"][:, -1] = -1.0
-    terms = sawyers.task.reward(situation(sawyers.facts), actions)
+    open_hand, moves = np.zeros(1, bool), np.zeros((2, 1, 7))
+    moves[0, :, :2] = 0.6, 0.8
+    commands = {a: Command(m, open_hand) for a, m in zip(AGENTS, moves, strict=True)}
+    terms = sawyers.task.reward(situation(sawyers.facts), commands)
     assert terms["robot_1"]["effort"] == pytest.approx(-0.01)
     assert terms["robot_2"]["effort"] == pytest.approx(0.0)
 

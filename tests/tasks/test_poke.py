@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym import Motion, Randomization, VectorEnv, math
+from collaborative_gym.control import Command
 from collaborative_gym.motion import reach
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.stick import stick
@@ -35,7 +36,7 @@ def chase(env):
     home = np.array(arm.robot.home)
     change = reach(env.sim, arm, tcp=tcp, goal=(position, quat), posture=home)
     motions = {"robot_1": Motion(np.zeros_like(change)), "robot_2": Motion(change)}
-    return env.task.action_mode.encode(env.sim, motions)["robot_2"]
+    return env.task.action_mode.encode(motions)["robot_2"]
 
 
 @pytest.mark.parametrize(
@@ -82,8 +83,8 @@ def test_reward_and_success_of_known_states():
         cosine=math.norm(axis[:, :2]),
         is_threaded=is_threaded(offset, axis),
     )
-    actions = {agent: np.full((6, 4), 0.5) for agent in task.agents}
-    terms = task.reward(facts, actions)["robot_1"]
+    command = Command(np.full((6, 4), 0.5), np.zeros(6, bool))
+    terms = task.reward(facts, dict.fromkeys(task.agents, command))["robot_1"]
     np.testing.assert_allclose(terms["distance"], -offset[:, 2])
     np.testing.assert_allclose(terms["angle"], [0, 0, 0, 0, -0.8, -0.8 * 0.21])
     np.testing.assert_allclose(terms["effort"], -0.01)

@@ -7,7 +7,7 @@ import numpy as np
 
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.play import Cast, Outcome, play
-from collaborative_gym.control.actions import grip_columns
+from collaborative_gym.control.modes import grip_columns
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy

@@ -1,11 +1,21 @@
-"""From actions to servo commands and grips."""
+"""From actions to controls and grips: the action modes."""
 
-from collaborative_gym.control.actions import (
+from collaborative_gym.control.joints import JointChanges
+from collaborative_gym.control.modes import (
     ActionMode,
-    JointChanges,
+    Command,
     Motion,
-    check_actions,
+    get_mode,
+    list_modes,
+    register_mode,
 )
-from collaborative_gym.control.controller import Controller
 
-__all__ = ["ActionMode", "Controller", "JointChanges", "Motion", "check_actions"]
+__all__ = [
+    "ActionMode",
+    "Command",
+    "JointChanges",
+    "Motion",
+    "get_mode",
+    "list_modes",
+    "register_mode",
+]

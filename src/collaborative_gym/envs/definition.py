@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from collaborative_gym.control import Controller
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -38,7 +37,7 @@ class Definition:
     sides: dict[str, tuple[str, ...]]
 
 
-def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Definition:
+def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     """Return what follows from a task's definition, tried out at an episode's start.
 
     The worlds are as new afterwards.
@@ -47,22 +46,21 @@ def try_out(task: Task, scene: Scene, sim: Sim, controller: Controller) -> Defin
       ValueError: if the task's methods return something that cannot be used, or a
         target is out of every arm's reach; says what to change.
     """
-    name = type(task).__name__
+    name, mode = type(task).__name__, task.action_mode
     tried = np.arange(min(sim.num_envs, 2))
     task.memory = task.remember(sim.num_envs)
     task.reset(sim, tried, rng=EpisodeRandom(0 * tried, tried))
-    controller.start(tried)
+    mode.start(tried)
     sim.forward()
     _check_targets(name, task, scene, sim)
     facts = task.measure(sim)
     blocks = task.observe(facts)
     _check_blocks(name, task, blocks, tried, sim)
     action_spaces = {
-        agent: Box(-1.0, 1.0, (task.action_mode.size(agent),), np.float32)
-        for agent in task.agents
+        agent: Box(-1.0, 1.0, (mode.size(agent),), np.float32) for agent in task.agents
     }
-    idle = task.action_mode.idle(sim.num_envs)
-    terms = task.reward(facts, {a: sim.xp.asarray(rows) for a, rows in idle.items()})
+    idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
+    terms = task.reward(facts, mode.commands(idle))
     _check_terms(name, task, terms, tried, sim)
     _check_shaping(name, task, terms)
     sides = _sides(name, task)

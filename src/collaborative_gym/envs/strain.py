@@ -41,6 +41,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.control import ActionMode
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.scene.contacts import (
@@ -145,6 +146,7 @@ class Strain:
     Args:
       scene: the compiled scene, which had `add_strain_sensors`.
       sim: its worlds.
+      mode: what turns the joints.
 
     Attributes:
       depths: by kind of contact, how deep the deepest was in the physics steps that
@@ -153,14 +155,12 @@ class Strain:
       energy: what they took, (num_envs,) in J.
     """
 
-    def __init__(self, scene: Scene, sim: CpuSim):
-        self._sim, model = sim, sim.model
+    def __init__(self, scene: Scene, sim: CpuSim, mode: ActionMode):
+        self._sim, self._mode, model = sim, mode, sim.model
         arms = list(scene.arms.values())
         self._servos = np.r_[*(arm.servos for arm in arms)]
         self._dofs = np.r_[*(arm.dof for arm in arms)]
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
-        self._stiffness = np.concatenate([arm.robot.stiffness for arm in arms])
-        self._damping = np.concatenate([arm.robot.damping for arm in arms])
         sensors = depth_sensors(model).items()
         self._deep = {kind: model.sensor_adr[ids] for kind, ids in sensors}
         self._forces = {kind: _columns(model, f"{kind} net") for kind in DEPTHS}
@@ -273,7 +273,7 @@ class Strain:
           limit: the greatest torques, (1 or worlds, 1, joints).
           dt: how long a step is, in s.
         """
-        yields = self._stiffness * dt * speed + self._damping * (speed - before)
+        yields = self._mode.yields(before, speed, dt)
         # At its limit a torque does not depend on the state.
         yields = np.where(np.abs(torque) < limit, yields, 0.0)
         return math.dot(np.abs(torque - yields), np.abs(speed))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import Controller, JointChanges, check_actions
+from collaborative_gym.control import Command, get_mode
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.disturbances import Disturbances
@@ -140,26 +140,23 @@ class VectorEnv:
     def _build(self, num_threads: int, strain: bool) -> None:
         """Make the worlds, and find out what the task's definition comes to."""
         task, self.scene = self.task, Scene()
+        mode = get_mode(task.config.action)
         task.build(self.scene)
+        mode.add_drives(self.scene)
         if strain:
             add_strain_sensors(self.scene)
         self.model = self.scene.compile()
         refined = refinement(self.model, self.scene.arms.values())
         self.sim = CpuSim(self.model, self.num_envs, num_threads, refined)
-        self.strain = Strain(self.scene, self.sim) if strain else None
-        self._mode = JointChanges(self.scene.arms, task.gripping, self.sim.xp)
-        self._controller = Controller(self.scene, self.sim, self._mode)
+        self._mode = mode(self.scene, self.sim, task.gripping)
+        self.strain = Strain(self.scene, self.sim, self._mode) if strain else None
         task.setup(self.scene, self.sim, action_mode=self._mode)
-        definition = try_out(task, self.scene, self.sim, self._controller)
+        definition = try_out(task, self.scene, self.sim)
         self.observation_blocks = definition.observation_blocks
         self.single_observation_spaces = definition.observation_spaces
         self.single_action_spaces = definition.action_spaces
         self.reward_terms = definition.reward_terms
         self.sides = definition.sides
-        self._action_shapes = {
-            agent: (self.num_envs, *space.shape)
-            for agent, space in definition.action_spaces.items()
-        }
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.get_state() if self._is_started else None
@@ -256,14 +253,12 @@ class VectorEnv:
             resting = progress.has_ended
             if xp.all(resting):
                 raise RuntimeError("the episode has ended; call reset() before step()")
-            actions = check_actions(
-                actions, xp, self._action_shapes, self.task.gripping
-            )
+            actions = self._mode.check(actions)
             actions = self._disturbances.deliver(actions, resting)
-            diverged = self._advance(actions, resting)
+            commands, diverged = self._advance(actions, resting)
             facts = self.task.measure(self.sim)
             lost = resting | diverged
-            terms, rewards = self._reward(facts, actions, lost)
+            terms, rewards = self._reward(facts, commands, lost)
             success = progress.count(facts, terms, diverged)
             last = self._observe(facts)
             if xp.any(lost):
@@ -284,7 +279,7 @@ class VectorEnv:
 
         Args:
           style: one of the task's `styles`, or its usual way.
-          pace: what to multiply the joints' changes by.
+          pace: what to multiply the actions' moves by.
         """
         with self._turns.take():
             self._check_started("expert")
@@ -295,9 +290,7 @@ class VectorEnv:
             else:
                 motions = self.task.expert(*at)
             try:
-                actions = self._mode.encode(self.sim, motions, pace)
-                shapes, gripping = self._action_shapes, self.task.gripping
-                return check_actions(actions, self.sim.xp, shapes, gripping)
+                return self._mode.check(self._mode.encode(motions, pace))
             except ValueError as error:
                 name = type(self.task).__name__
                 raise ValueError(f"{name}.expert(): {error}") from None
@@ -435,11 +428,17 @@ class VectorEnv:
             self._check_open()
             raise RuntimeError(f"call reset() before {name}()")
 
-    def _advance(self, actions: dict[str, Array], resting: Array) -> Array:
-        """Step the physics; return which worlds diverged. Those are put back."""
+    def _advance(
+        self, actions: dict[str, Array], resting: Array
+    ) -> tuple[dict[str, Command], Array]:
+        """Step the physics; return what was commanded, and which worlds diverged.
+
+        Those are put back.
+        """
         sim = self.sim
         moving = _where(~resting, sim.xp) if sim.xp.any(resting) else None
-        controls = self._controller.command(actions)
+        commands = self._mode.commands(actions)
+        controls = self._mode.prepare(commands)
         self.task.disturb(sim, self._progress.next_step)
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
         length, strain = self.substeps // self._shots, self.strain
@@ -447,7 +446,7 @@ class VectorEnv:
             try:
                 records = strain.records(length) if strain else None
                 now = controls[:, start : start + length]
-                sim.step(now, records, self._controller.tears, moving)
+                sim.step(now, records, self._mode.tears, moving)
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
             if strain:
@@ -462,13 +461,13 @@ class VectorEnv:
         if sim.xp.any(diverged):
             sim.reset(diverged)
             sim.forward(diverged)
-        return diverged
+        return commands, diverged
 
     def _reward(
-        self, facts: Any, actions: dict[str, Array], lost: Array
+        self, facts: Any, commands: dict[str, Command], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
-        terms: dict[str, Terms] = self.task.reward(facts, actions)
+        terms: dict[str, Terms] = self.task.reward(facts, commands)
         if xp.any(lost):
             terms = {
                 agent: {name: xp.where(lost, 0.0, term) for name, term in own.items()}
@@ -489,7 +488,7 @@ class VectorEnv:
         for name, array in self.task.remember(len(env_ids)).items():
             self.task.memory[name][env_ids] = array
         self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))
-        self._controller.start(env_ids)
+        self._mode.start(env_ids)
         self._disturbances.start(env_ids)
         self.sim.forward(env_ids)
 

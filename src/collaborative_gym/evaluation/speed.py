@@ -18,6 +18,7 @@ from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.timing import CONTROL_DT
 
 _ROUNDS = 11
 """Alternations of bare physics and environment, whose median counts."""
@@ -163,7 +164,7 @@ def _step_bare(bare: batch.Batch, env: VectorEnv, rng: np.random.Generator) -> f
     for _ in range(_STEPS):
         control = bare.ctrl.copy()
         for arm in env.scene.arms.values():
-            greatest, size = arm.max_speed, (env.num_envs, arm.num_joints)
+            greatest, size = arm.stride / CONTROL_DT, (env.num_envs, arm.num_joints)
             control[:, arm.servos] = rng.uniform(-greatest, greatest, size)
         controls.append(control)
 

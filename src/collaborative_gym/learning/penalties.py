@@ -131,12 +131,10 @@ class Penalties:
         return np.clip(np.max(depths, axis=0), 0.0, _MOST_DEPTH)
 
     def _asked(self, agent: str) -> np.ndarray:
-        """Return what the servos ask of the motors, as a share of the torque limits."""
-        sim, arm = self._env.sim, self._env.scene.arms[agent]
-        robot = arm.robot
-        behind = sim.act[:, arm.act] - sim.qpos[:, arm.qpos]
-        torque = robot.stiffness * behind - robot.damping * sim.qvel[:, arm.dof]
-        return np.abs(torque) / np.array(robot.torque_limits)
+        """Return what the drives ask of the motors, as a share of the torque limits."""
+        limits = np.array(self._env.scene.arms[agent].robot.torque_limits)
+        torque = self._env.task.action_mode.torques(self._env.sim, agent)
+        return np.abs(torque) / limits
 
 
 def needs_strain(hyperparameters: Hyperparameters) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym.control.actions import grip_columns
+from collaborative_gym.control.modes import grip_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.learning.config import MODES, Mode

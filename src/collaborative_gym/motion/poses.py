@@ -261,7 +261,7 @@ def quickest_way(
         else:
             found = np.array(angles[1:])
             room = np.minimum(found - low, high - found).min()
-            steps = (np.abs(np.diff(found, axis=0)) / arm.max_change).max(axis=1).sum()
+            steps = (np.abs(np.diff(found, axis=0)) / arm.stride).max(axis=1).sum()
             cost = steps + (1e3 * (0.2 - room) if room < 0.2 else 0.0)
             if cost < least:
                 best, least = (i, found), cost

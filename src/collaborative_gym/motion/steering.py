@@ -5,8 +5,7 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
-from collaborative_gym.robots.data import GRAVITY
-from collaborative_gym.scene import Arm, lost_load
+from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
 
@@ -93,7 +92,7 @@ def _leaning(
     """Return joint changes that make up for an error and go a share to a posture."""
     angle = np.asarray(sim.qpos[:, arm.qpos])
     low, high = arm.joint_range
-    lean = np.clip(share[:, None] * (posture - angle), -arm.max_change, arm.max_change)
+    lean = np.clip(share[:, None] * (posture - angle), -arm.stride, arm.stride)
     room = low - angle, high - angle
     return joint_change(jacobian, error, lean=lean, room=room)
 
@@ -125,13 +124,13 @@ def carry(
     tcp: Array,
     goal: Array,
     posture: Array,
-    mass: Array,
+    is_loaded: Array,
 ) -> np.ndarray:
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
-    They make up for what the servos let go of the load's torques, and let go of what
-    arms that hold one thing exert against each other. Without a load the posture counts
-    less and less the nearer the goal is, where the arm comes to rest (`settling`).
+    They let go of what arms that hold one thing exert against each other. Without a
+    load the posture counts less and less the nearer the goal is, where the arm comes to
+    rest (`settling`).
 
     Args:
       sim: the worlds.
@@ -139,19 +138,14 @@ def carry(
       tcp: (num_envs, 3) where it is.
       goal: (num_envs, 3) where it should go, in m.
       posture: (num_envs, joints) angles to keep to, in rad.
-      mass: (num_envs,) of the load at the tcp in kg, 0 for none.
+      is_loaded: (num_envs,) where the tcp bears a load.
 
     Returns:
       (num_envs, joints) in rad, not limited.
     """
     translation, _ = sim.jacobian(arm.hand, tcp)
-    rows, is_loaded = translation[:, :, arm.dof], mass > 0
+    rows = translation[:, :, arm.dof]
     nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
     share = _KEEPING * np.where(is_loaded, 1.0, nearness)
     change = _leaning(sim, arm, rows, goal - tcp, posture, share)
-    change = settling(sim, arm, change=change)
-    # A change that a joint cannot follow becomes torque: the change times the servo's
-    # stiffness, and the speed times its damping.
-    stiffness, damping = np.array(arm.robot.stiffness), np.array(arm.robot.damping)
-    lost = lost_load(change) * GRAVITY * mass[:, None] * rows[:, 2]
-    return change + lost / (stiffness + damping / CONTROL_DT)
+    return settling(sim, arm, change=change)

@@ -1,7 +1,6 @@
 """Robots and objects put together into one compiled world."""
 
 from collaborative_gym.scene.collisions import STOP
-from collaborative_gym.scene.drives import lost_load
 from collaborative_gym.scene.handles import SHOULDER, Arm, Grip, Placement
 from collaborative_gym.scene.refinement import refinement
 from collaborative_gym.scene.scene import Scene
@@ -13,6 +12,5 @@ __all__ = [
     "Grip",
     "Placement",
     "Scene",
-    "lost_load",
     "refinement",
 ]

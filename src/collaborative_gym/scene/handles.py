@@ -45,11 +45,10 @@ class Arm:
       robot: the machine.
       qpos: its joint angles in `qpos`.
       dof: its joint speeds in `qvel`, and its columns in Jacobians.
-      servos: its servos in `ctrl`; their integrated targets in `act`.
+      servos: what turns its joints, in `ctrl`; empty in a world without drives.
       fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
       joint_range: lower and upper joint angles, (2, joints), in rad.
-      max_speed: joint speeds that an action may ask for, (joints,), in rad/s.
-      max_change: how far that turns the joints in a control step, (joints,), in rad.
+      stride: how far its joints turn in a control step at most, (joints,), in rad.
       tcp: site id of its tool centre point.
       hand: id of the body that carries the tcp.
     """
@@ -58,11 +57,9 @@ class Arm:
     qpos: slice
     dof: slice
     servos: slice
-    act: slice
     fingers: slice
     joint_range: np.ndarray
-    max_speed: np.ndarray
-    max_change: np.ndarray
+    stride: np.ndarray
     tcp: int
     hand: int
 
@@ -107,12 +104,14 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
       ValueError: if its joints are not one after the other in the model.
     """
     joints = [model.joint(f"{agent}/{name}") for name in robot.joints]
-    servos = [model.actuator(f"{agent}/{name}").id for name in robot.joints]
-    fingers = [
-        actuator
-        for name in robot.gripper.joints
-        if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
-    ]
+    servos, fingers = (
+        [
+            actuator
+            for name in names
+            if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
+        ]
+        for names in (robot.joints, robot.gripper.joints)
+    )
     tcp = model.site(f"{agent}/{robot.tcp}")
     limits = np.array(robot.velocity_limits)
     return Arm(
@@ -120,11 +119,9 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
         qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
         dof=_as_slice([int(joint.dofadr[0]) for joint in joints]),
         servos=_as_slice(servos),
-        act=_as_slice([int(model.actuator_actadr[i]) for i in servos]),
-        fingers=_as_slice(fingers) if fingers else slice(0, 0),
+        fingers=_as_slice(fingers),
         joint_range=np.array([joint.range for joint in joints]).T,
-        max_speed=np.minimum(MAX_CHANGE / CONTROL_DT, limits),
-        max_change=np.minimum(MAX_CHANGE, limits * CONTROL_DT),
+        stride=np.minimum(MAX_CHANGE, limits * CONTROL_DT),
         tcp=tcp.id,
         hand=int(tcp.bodyid[0]),
     )
@@ -136,6 +133,8 @@ def _actuator_id(model: mujoco.MjModel, name: str) -> int:
 
 def _as_slice(ids: list[int]) -> slice:
     """Return consecutive ids as a slice, which reads arrays without a copy."""
+    if not ids:
+        return slice(0, 0)
     if ids != list(range(ids[0], ids[0] + len(ids))):
         raise ValueError(
             f"the arm's joints are not one after the other in its model file: {ids};"

@@ -1,9 +1,10 @@
 """Robots and objects put together into one compiled world.
 
-A `Scene` is filled by a task's `build` and compiled once. Everything of an arm is under
-its agent's prefix (`robot_1/joint1`, `robot_1/tcp`), everything of an object under the
-object's (`pot/handle_1`). Nothing is recompiled afterwards: grips are switched and
-targets moved through the state of each world.
+A `Scene` is filled by a task's `build`, gets its drives from an action mode, and is
+compiled once. Everything of an arm is under its agent's prefix (`robot_1/joint1`,
+`robot_1/tcp`), everything of an object under the object's (`pot/handle_1`). Nothing is
+recompiled afterwards: grips are switched and targets moved through the state of each
+world.
 """
 
 from collections.abc import Sequence
@@ -29,7 +30,6 @@ from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
 from collaborative_gym.scene.contacts import add_depth_sensors
-from collaborative_gym.scene.drives import add_brakes, add_finger, add_servos
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
@@ -42,6 +42,7 @@ class Scene:
     Attributes:
       spec: the model under construction.
       robots: the arms that were added, by agent.
+      placements: where their bases are.
       grips: the grips that were added.
       tools: names of what was fixed to an arm, by agent.
       arms: after `compile`, each agent's arm in the compiled arrays.
@@ -51,6 +52,7 @@ class Scene:
         self.spec = mujoco.MjSpec()
         self.spec.compiler.degree = False
         self.robots: dict[str, Robot] = {}
+        self.placements: dict[str, Placement] = {}
         self.grips: list[Grip] = []
         self.tools: dict[str, list[str]] = {}
         self.arms: dict[str, Arm] = {}
@@ -75,7 +77,9 @@ class Scene:
         holds: float | None = None,
         stand: bool = True,
     ) -> None:
-        """Mount an arm with its stand and servos under the prefix `agent/`.
+        """Mount an arm with its stand under the prefix `agent/`.
+
+        What turns its joints comes from the action mode, once the world is complete.
 
         Args:
           agent: the agent that will command it.
@@ -104,18 +108,13 @@ class Scene:
             pos=placement.position, quat=placement.quat
         )
         self.spec.attach(child, frame=frame, prefix=f"{agent}/")
-        self.robots[agent] = robot
+        self.robots[agent], self.placements[agent] = robot, placement
         if stand:
             self._add_stand(agent, robot, placement)
         for name, armature in zip(robot.joints, robot.armature, strict=True):
             joint = self.spec.joint(f"{agent}/{name}")
             joint.armature = armature
             set_stops(joint)
-        add_servos(self.spec, agent, robot)
-        add_brakes(self.spec, agent, robot)
-        if holds is None:
-            for joint in gripper.joints:
-                add_finger(self.spec, f"{agent}/{joint}", force=gripper.force)
 
     def add(
         self,

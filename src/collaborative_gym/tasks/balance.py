@@ -36,7 +36,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math, motion
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
@@ -295,7 +295,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return dict.fromkeys(self.agents, blocks)
 
     def reward(
-        self, facts: BalanceFacts, actions: dict[str, Array]
+        self, facts: BalanceFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
         xp = array_namespace(facts.distance)
         terms = {

@@ -69,7 +69,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import Chains, Chart, hold, shortened
 from collaborative_gym.objects.mallet import GRIP, mallet
@@ -351,7 +351,9 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         own, other = self.sides if self._turns[agent] > 0 else self.sides[::-1]
         return tuple(each for each in (*own, *other) if each != agent)
 
-    def reward(self, facts: HockeyFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+    def reward(
+        self, facts: HockeyFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.puck), {}
         for agent, way in self._turns.items():
             place, quat = facts.mallet[agent]
@@ -365,7 +367,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
                 "near": xp.where(way * facts.half < 0.0, -0.3 * far, 0.0),
                 "height": -2.0 * xp.where(height < 0.3, height, 0.3),
                 "upright": -0.3 * (1.0 + math.axis_z(quat)[:, 2]),
-                "effort": -0.01 * math.norm(actions[agent]),
+                "effort": -0.01 * math.norm(commands[agent].moves),
             }
         return terms
 
@@ -422,7 +424,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             place, rotation, jacobian = kinematics(there, rows)
             lever = MALLET_HEIGHT * rotation[:, :, 2]
             turned = math.cross(jacobian[:, 3:].transpose(0, 2, 1), lever[:, None])
-            moves = (jacobian[:, :3] + turned.transpose(0, 2, 1)) * arm.max_change
+            moves = (jacobian[:, :3] + turned.transpose(0, 2, 1)) * arm.stride
             if i == 0:
                 goal[:, :2] = (place + lever)[:, :2] + way
             square = moves @ moves.transpose(0, 2, 1) + _SOFT * np.eye(3)
@@ -433,7 +435,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
                 most = np.maximum(np.abs(share).max(axis=1), 1.0)[:, None]
                 goal[:, :2] += (1.0 / most - 1.0) * way
                 share = share / most
-            there = there + arm.max_change * share
+            there = there + arm.stride * share
         return there - angles
 
 

@@ -35,7 +35,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import (
@@ -280,18 +280,19 @@ class Lift(Task[LiftConfig, LiftFacts]):
         }
         return dict.fromkeys(self.agents, blocks)
 
-    def reward(self, facts: LiftFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+    def reward(
+        self, facts: LiftFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
         xp = array_namespace(facts.to_target)
         terms = {}
         for agent in self.agents:
-            moves, grips = self.action_mode.split(actions[agent])
-            near = facts.to_handle[agent]
-            wants = grips & (near < self.config.picking_threshold)
+            command, near = commands[agent], facts.to_handle[agent]
+            wants = command.grips & (near < self.config.picking_threshold)
             terms[agent] = {
                 "reach": -near,
                 "lift": -2.0 * facts.to_target,
                 "tilt": -0.2 * facts.tilt,
-                "effort": -0.01 * math.norm(moves),
+                "effort": -0.01 * math.norm(command.moves),
                 "grip": 0.1 * xp.astype(wants, near.dtype),
             }
         return terms
@@ -357,10 +358,15 @@ class Lift(Task[LiftConfig, LiftFacts]):
             goal = np.where(lifting[:, None], goals[agent], goal)
             mass = np.where(lifting, self.pot_mass * self.weighing.shares[i], 0.0)
             change = carry(
-                sim, arm, tcp=tcp, goal=goal, posture=way.at(progress), mass=mass
+                sim,
+                arm,
+                tcp=tcp,
+                goal=goal,
+                posture=way.at(progress),
+                is_loaded=mass > 0.0,
             )
             near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
-            motions[agent] = Motion(change, near & (lifting | stands))
+            motions[agent] = Motion(change, near & (lifting | stands), mass=mass)
         return motions
 
     def _lifted_handles(self, facts: LiftFacts) -> dict[str, np.ndarray]:

@@ -44,7 +44,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import quickest_way, reach, settling, standoff
 from collaborative_gym.objects.cube import cube
@@ -244,18 +244,20 @@ class Pass(Task[PassConfig, PassFacts]):
         }
         return {a: {"joints": facts.joints[a], **shared} for a in self.agents}
 
-    def reward(self, facts: PassFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+    def reward(
+        self, facts: PassFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
         xp = array_namespace(facts.target)
         giver, taker = self.agents
         zero = xp.zeros_like(facts.to_target)
         picking = facts.to_cube[giver] < self.config.picking_threshold
         handing = facts.to_cube[taker] < self.config.handover_threshold
         grip, shared = {}, {}
-        for agent, action in actions.items():
-            moves, grips = self.action_mode.split(action)
+        for agent, command in commands.items():
+            effort = -0.01 * math.norm(command.moves)
             arrived = xp.where(self.success(facts), zero + 1.0, zero)
-            shared[agent] = {"effort": -0.01 * math.norm(moves), "success": arrived}
-            grip[agent] = xp.where(grips, zero + 0.1, zero)
+            shared[agent] = {"effort": effort, "success": arrived}
+            grip[agent] = xp.where(command.grips, zero + 0.1, zero)
         incentive = xp.where(picking, grip[giver], zero)
         return {
             giver: {

@@ -33,7 +33,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import reach, settling, solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
@@ -181,7 +181,9 @@ class Poke(Task[TaskConfig, PokeFacts]):
             for agent in self.agents
         }
 
-    def reward(self, facts: PokeFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+    def reward(
+        self, facts: PokeFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
         xp = array_namespace(facts.distance)
         is_inside = (facts.distance < _INSIDE_DISTANCE) & (
             facts.cosine < _INSIDE_COSINE
@@ -190,7 +192,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
             agent: {
                 "distance": -facts.distance,
                 "angle": -0.8 * facts.cosine,
-                "effort": -0.01 * math.norm(actions[agent]),
+                "effort": -0.01 * math.norm(commands[agent].moves),
                 "inside": xp.where(is_inside, 1.0, 0.0),
             }
             for agent in self.agents

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion, get_mode
 from collaborative_gym.errors import check_count, check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -105,14 +105,19 @@ class TaskConfig:
       randomization: how episode starts are drawn.
       placements: where the arms are mounted, or None for the task's rule.
       max_episode_steps: control steps of an episode.
+      action: what actions mean, by the name of an action mode: "joints" for changes of
+        joint angles.
     """
 
     randomization: Randomization = field(default_factory=Randomization)
     placements: tuple[Placement, ...] | None = None
     max_episode_steps: int = 200
+    action: str = "joints"
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_kind("action", self.action, str, "the name of an action mode")
+        get_mode(self.action)
         check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
         check_kind(
             "randomization", self.randomization, Randomization, "a Randomization"
@@ -246,7 +251,7 @@ class Task(Generic[ConfigT, FactsT]):
         Args:
           scene: the compiled scene.
           sim: its worlds.
-          action_mode: what actions mean; its `split` tells moves from grips.
+          action_mode: what actions mean; its `torques` tell what arms exert.
         """
         self.scene = scene
         self.model = sim.model
@@ -322,8 +327,14 @@ class Task(Generic[ConfigT, FactsT]):
         """Return each agent's observation as named blocks."""
         raise self._missing("observe")
 
-    def reward(self, facts: FactsT, actions: dict[str, Array]) -> dict[str, Terms]:
-        """Return each agent's reward as named terms; their sum is the reward."""
+    def reward(self, facts: FactsT, commands: dict[str, Command]) -> dict[str, Terms]:
+        """Return each agent's reward as named terms; their sum is the reward.
+
+        Args:
+          facts: of the state after the control step.
+          commands: what each agent's action asked of its arm, in the same terms
+            whatever actions mean: `moves` and `grips`.
+        """
         raise self._missing("reward")
 
     def success(self, facts: FactsT) -> Array | tuple[Array, ...]:

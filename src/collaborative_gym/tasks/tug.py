@@ -54,7 +54,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math, motion
-from collaborative_gym.control import ActionMode, Motion
+from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion.loads import relief, strong_paths
 from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
@@ -208,7 +208,7 @@ class Tug(Task[TugConfig, TugFacts]):
         super().setup(scene, sim, action_mode=action_mode)
         self._chains = motion.Chains(sim.model, list(scene.arms.values()))
         self._bar = sim.model.body("bar/bar").id
-        self._knob, self._approach, self._posture, self._servos = {}, {}, {}, {}
+        self._knob, self._approach, self._posture = {}, {}, {}
         for agent, knob in zip(self.agents, KNOBS, strict=True):
             arm, robot = scene.arms[agent], self.robots[agent]
             inwards = 0.0, -self._way[agent] * np.cos(_SLOPE), -np.sin(_SLOPE)
@@ -218,8 +218,6 @@ class Tug(Task[TugConfig, TugFacts]):
             self._posture[agent] = motion.solve_pose(
                 sim.model, arm, goal=goal, start=robot.home
             )
-            gains = robot.stiffness, robot.damping, robot.torque_limits
-            self._servos[agent] = tuple(map(sim.xp.asarray, gains))
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -255,10 +253,9 @@ class Tug(Task[TugConfig, TugFacts]):
         xp, place = sim.xp, sim.pose("bar")[0]
         speeds, loads, missing = {}, {}, {}
         for agent, arm in self.scene.arms.items():
-            stiffness, damping, limit = self._servos[agent]
             speeds[agent] = xp.asarray(sim.qvel[:, arm.dof], copy=True)
-            lag = sim.act[:, arm.act] - sim.qpos[:, arm.qpos]
-            share = (stiffness * lag - damping * speeds[agent]) / limit
+            asked = self.action_mode.torques(sim, agent)
+            share = asked / xp.asarray(arm.robot.torque_limits)
             loads[agent] = xp.minimum(xp.maximum(share, -1.0), 1.0)
             missing[agent] = self.lines[agent] - self._way[agent] * place[:, 1]
         return TugFacts(
@@ -296,7 +293,7 @@ class Tug(Task[TugConfig, TugFacts]):
         way, (x, y, z) = self._way[agent], (vector[:, i] for i in range(3))
         return array_namespace(vector).stack([-way * y, way * x, z], axis=1)
 
-    def reward(self, facts: TugFacts, actions: dict[str, Array]) -> dict[str, Terms]:
+    def reward(self, facts: TugFacts, commands: dict[str, Command]) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.bar), {}
         for agent in self.agents:
             [other] = [each for each in self.agents if each != agent]
@@ -305,7 +302,7 @@ class Tug(Task[TugConfig, TugFacts]):
             terms[agent] = {
                 "win": won - lost,
                 "way": 2.0 * self._way[agent] * facts.velocity[:, 1],
-                "effort": -0.01 * math.norm(actions[agent]),
+                "effort": -0.01 * math.norm(commands[agent].moves),
             }
         return terms
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.control import Controller, JointChanges
+from collaborative_gym.control import JointChanges
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.cpu import CpuSim
 
@@ -114,9 +114,10 @@ def test_a_payload_is_held_at_rest_and_sinks_slowly_in_motion(name, nudge, least
     body = load.worldbody.add_body(name="load")
     body.add_geom(size=[0.03, 0, 0], mass=robot.payload, contype=0, conaffinity=0)
     scene.add_tool("arm", "load", child=load)
+    JointChanges.add_drives(scene)
     model = scene.compile()
     arm, sim = scene.arms["arm"], CpuSim(model, 8, num_threads=1)
-    controller = Controller(scene, sim, JointChanges(scene.arms, gripping=False))
+    mode = JointChanges(scene, sim, gripping=False)
     rng = np.random.default_rng(0)
     # Postures of which joint torques leave 30 % to spare.
     sim.qpos[:, arm.qpos] = robot.home
@@ -128,11 +129,13 @@ def test_a_payload_is_held_at_rest_and_sinks_slowly_in_motion(name, nudge, least
             torque = np.abs(levers) * robot.payload * 9.81
             if np.all(torque < 0.7 * np.array(robot.torque_limits)):
                 break
-    controller.start(np.arange(8))
+    mode.start(np.arange(8))
     sim.forward()
     heights = [sim.pose("arm/tcp")[0][:, 2].copy()]
     for i in range(16):
-        sim.step(controller.command({"arm": np.full((8, 7), nudge * (-1) ** i)}))
+        sim.step(
+            mode.prepare(mode.commands({"arm": np.full((8, 7), nudge * (-1) ** i)}))
+        )
         heights.append(sim.pose("arm/tcp")[0][:, 2].copy())
     sunk = -np.diff(heights, axis=0)
     # The first steps take the load on; from then on the servos carry all or most of it.
@@ -148,13 +151,14 @@ def test_what_arms_exert_against_each_other_dies_away_as_they_move(nudge, least,
     arm = env.scene.arms["robot_1"]
     # Both play the same episode, but one arm of the second presses against the board.
     env.set_state(env.get_state([0]), [1])
-    stiffness = np.array(arm.robot.stiffness)
-    env.sim.act[1, arm.act] += 0.5 * np.array(arm.robot.torque_limits) / stiffness
+    # Its targets come first, and lead its angles.
+    lead = 0.5 * np.array(arm.robot.torque_limits) / arm.robot.stiffness
+    env.sim.act[1, : arm.num_joints] += lead
     pressed = []
     for i in range(8):
         nudges = {a: each + nudge * (-1) ** i for a, each in env.idle().items()}
         env.step(nudges)
-        torque = stiffness * (env.sim.act[:, arm.act] - env.sim.qpos[:, arm.qpos])
+        torque = env.task.action_mode.torques(env.sim, "robot_1")
         pressed.append(np.abs(torque[1] - torque[0]).max())
     assert pressed[0] > 5.0 and least <= pressed[-1] / pressed[0] < most
 
@@ -175,8 +179,7 @@ def test_random_actions_seldom_pass_a_speed_limit_by_a_tenth(free, speeds, robot
 @pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])
 def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
     env = free(8, *robots)
-    controller = Controller(env.scene, env.sim, env.task.action_mode)
-    data = mujoco.MjData(env.model)
+    mode, data = env.task.action_mode, mujoco.MjData(env.model)
     rng = np.random.default_rng(1)
     # Half of the worlds push steadily into their ranges, the others to and fro.
     steady = rng.choice([-1.0, 1.0], size=(2, 4, 8))
@@ -185,7 +188,7 @@ def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
         signs = np.concatenate([steady, to_and_fro], axis=1)
         actions = dict(zip(env.agents, signs, strict=True))
         before, world = env.get_state(), step % 8
-        controls = controller.command(actions)[world]
+        controls = mode.prepare(mode.commands(actions))[world]
         mujoco.mj_setState(env.model, data, env.sim.get_state([world])[0], STATE)
         env.set_state(before)
         for control in controls:
@@ -237,10 +240,8 @@ def test_new_episodes_begin_with_open_grips_and_holding_servos(make_env):
     assert env.sim.eq_active.any()
     env.reset()
     assert not env.sim.eq_active.any()
-    for arm in env.scene.arms.values():
-        np.testing.assert_array_equal(
-            env.sim.act[:, arm.act], env.sim.qpos[:, arm.qpos]
-        )
+    for agent, arm in env.scene.arms.items():
+        assert not env.task.action_mode.torques(env.sim, agent).any()
         np.testing.assert_array_equal(env.sim.ctrl[:, arm.servos], 0.0)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.control import JointChanges, Motion
-from collaborative_gym.control.actions import grip_columns
+from collaborative_gym.control.modes import grip_columns
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 
@@ -19,24 +19,24 @@ def env(make_env):
 def motions(env, *changes, **options):
     """Return motions of all joints alike, by so much of what a step allows."""
     return {
-        agent: Motion(np.tile(share * arm.max_change, (2, 1)), **options)
+        agent: Motion(np.tile(share * arm.stride, (2, 1)), **options)
         for share, (agent, arm) in zip(changes, env.scene.arms.items(), strict=True)
     }
 
 
 def test_actions_are_changes_of_joint_angles_and_a_grip(env):
     robot, mode = cg.get_robot("panda"), env.task.action_mode
-    expected = np.minimum(MAX_CHANGE, np.array(robot.velocity_limits) * CONTROL_DT)
-    changes = mode.changes(env.sim, "robot_1", np.ones((2, 7)))
-    np.testing.assert_allclose(changes, [expected, expected])
-    assert mode.size("robot_1") == 8
-    assert JointChanges(env.scene.arms, gripping=False).size("robot_1") == 7
+    most = np.minimum(MAX_CHANGE, np.array(robot.velocity_limits) * CONTROL_DT)
+    asked = Motion(np.array([0.5 * most, -most]), grips=np.array([True, False]))
+    action = mode.encode(dict.fromkeys(env.agents, asked))["robot_1"]
+    np.testing.assert_allclose(action, [[0.5] * 7 + [1.0], [-1.0] * 8])
+    assert JointChanges(env.scene, env.sim, gripping=False).size("robot_1") == 7
 
 
 @pytest.mark.parametrize("gripping", [True, False])
 def test_an_action_divides_into_moves_and_a_grip(env, gripping):
     action = np.array([[0.1, 0.2, 0.0], [0.3, 0.4, 0.5]])
-    moves, grips = JointChanges(env.scene.arms, gripping).split(action)
+    moves, grips = JointChanges(env.scene, env.sim, gripping).split(action)
     assert moves.tolist() == action[:, : 2 if gripping else 3].tolist()
     assert grips.tolist() == [False, gripping]
     assert grip_columns(3, gripping).tolist() == [False, False, gripping]
@@ -56,7 +56,7 @@ def test_idle_robots_hold_still_and_grip_nothing(env):
     assert (alone["robot_1"][:, -1] == -1.0).all() and (
         alone["robot_2"][:, -1] == 1.0
     ).all()
-    still = JointChanges(env.scene.arms, gripping=False).idle(3)["robot_1"]
+    still = JointChanges(env.scene, env.sim, gripping=False).idle(3)["robot_1"]
     assert still.tolist() == np.zeros((3, 7)).tolist()
 
 
@@ -64,8 +64,8 @@ def test_a_motion_that_is_too_fast_keeps_its_direction(env):
     change = np.zeros((2, 7))
     change[0, :2], change[1, :2] = (0.5, 0.25), (0.1, 0.2)
     both = {agent: Motion(change) for agent in env.agents}
-    action = env.task.action_mode.encode(env.sim, both)["robot_1"]
-    limits = env.scene.arms["robot_1"].max_change[:2]
+    action = env.task.action_mode.encode(both)["robot_1"]
+    limits = env.scene.arms["robot_1"].stride[:2]
     share = change[:, :2] / limits
     np.testing.assert_allclose(action[0, :2], share[0] / share[0].max())
     np.testing.assert_allclose(action[1, :2], share[1])
@@ -75,10 +75,10 @@ def test_a_motion_that_is_too_fast_keeps_its_direction(env):
 def test_arms_in_step_go_at_the_pace_of_the_slowest(env):
     encode = env.task.action_mode.encode
     grips = np.array([True, False])
-    alone = encode(env.sim, motions(env, 4.0, 1.0, grips=grips))
+    alone = encode(motions(env, 4.0, 1.0, grips=grips))
     np.testing.assert_allclose(alone["robot_2"][:, :7], 1.0)
     assert alone["robot_2"][:, 7].tolist() == [1.0, -1.0]
-    together = encode(env.sim, motions(env, 4.0, 1.0, in_step=True))
+    together = encode(motions(env, 4.0, 1.0, in_step=True))
     np.testing.assert_allclose(together["robot_1"][:, :7], 1.0)
     np.testing.assert_allclose(together["robot_2"][:, :7], 0.25)
 
