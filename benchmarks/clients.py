@@ -104,7 +104,6 @@ def torch_clients(
     skrl = SkrlEnv(cg.make_vec(env_id, num_envs, num_threads=1))
     skrl.reset()
     yield "SkrlEnv", num_envs, lambda: skrl.step(tensors)
-    yield from tianshou_client(env_id, num_envs, actions)
     try:
         from collaborative_gym.adapters.torchrl import TorchRLEnv
     except ImportError:
@@ -119,26 +118,6 @@ def torch_clients(
         _, state["now"] = torchrl.step_and_maybe_reset(now)
 
     yield "TorchRLEnv", num_envs, step_torchrl
-
-
-def tianshou_client(
-    env_id: str, num_envs: int, actions: dict[str, np.ndarray]
-) -> Iterator[tuple[str, int, Step]]:
-    """Yield Tianshou's batch, which asks for the starts of episodes itself."""
-    try:
-        from collaborative_gym.adapters.tianshou import TianshouEnv
-    except ImportError:
-        return
-    env = TianshouEnv(cg.make_vec(env_id, num_envs, num_threads=1))
-    env.reset()
-    joined = np.concatenate([*actions.values()], axis=1)
-
-    def step() -> None:
-        _, _, terminated, truncated, _ = env.step(joined)
-        if (ended := np.flatnonzero(terminated | truncated)).size:
-            env.reset(ended)
-
-    yield "TianshouEnv", num_envs, step
 
 
 def rate(step: Step, seconds: float) -> float:

@@ -7,8 +7,8 @@ One agent commands all robots. Gymnasium's vector wrappers count the episodes an
 normalize what the agent sees and earns. As these wrappers need it, a world starts anew
 in the step after its episode's end. So the observation after a step is always the
 episode's own, and its value is the right one to bootstrap from. The steps that only
-start a world are left out of the loss. Writes the policy with its normalization as
-TorchScript, and evaluates that file.
+start a world are left out of the loss. Evaluates the policy behind its
+normalization, as a function.
 """
 
 from dataclasses import dataclass
@@ -51,8 +51,6 @@ class Args:
     """largest change of an action's probability that pays"""
     episodes: int = 100
     """to evaluate"""
-    output: str = "policy.pt"
-    """file of the policy"""
 
 
 class Agent(nn.Module):
@@ -161,8 +159,22 @@ class Normalized(nn.Module):
         return self.policy((rows - self.mean) / self.scale)
 
 
+def playing(policy: nn.Module, worlds: gymnasium.vector.VectorEnv):
+    """Return a network's policy, from rows by robot to rows by robot."""
+    spaces = worlds.unwrapped.vector_env.single_action_spaces
+    ends = np.cumsum([space.shape[0] for space in spaces.values()])[:-1]
+
+    def act(observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        rows = np.concatenate([*observations.values()], axis=1)
+        with torch.no_grad():
+            actions = policy(torch.as_tensor(rows)).clamp(-1, 1).numpy()
+        return dict(zip(spaces, np.split(actions, ends, axis=1), strict=True))
+
+    return act
+
+
 def main(args: Args) -> None:
-    """Train, write the policy and evaluate it."""
+    """Train a policy and evaluate it."""
     torch.manual_seed(0)
     worlds = gymnasium.make_vec(
         args.env, num_envs=args.num_envs, autoreset_mode="NextStep"
@@ -184,9 +196,9 @@ def main(args: Args) -> None:
         update(agent, optimizer, rollout, gains, args)
         if counted.return_queue:
             print(f"{steps:,} steps: return {np.mean(counted.return_queue):.1f}")
+    policy = playing(Normalized(agent.policy, normalized), worlds)
+    print(cg.evaluate(args.env, policy, episodes=args.episodes).to_markdown())
     envs.close()
-    torch.jit.script(Normalized(agent.policy, normalized)).save(args.output)
-    print(cg.evaluate(args.env, args.output, episodes=args.episodes).to_markdown())
 
 
 if __name__ == "__main__":

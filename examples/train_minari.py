@@ -6,7 +6,7 @@
 All episodes are played at once. Minari's own `DataCollector` plays them one after the
 other, and needs JAX. The dataset is in `datasets/`, or where `MINARI_DATASETS_PATH`
 says, and is made once. It knows its environment, and each episode its seed. The copy
-is written as TorchScript and evaluated from that file.
+is evaluated as a function.
 """
 
 import os
@@ -100,6 +100,20 @@ def clone(data: minari.MinariDataset, updates: int) -> nn.Sequential:
     return policy.eval()
 
 
+def playing(policy: nn.Module, env: str):
+    """Return a network's policy, from rows by robot to rows by robot."""
+    spaces = cg.make_vec(env, 1).single_action_spaces
+    ends = np.cumsum([space.shape[0] for space in spaces.values()])[:-1]
+
+    def act(observations: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        with torch.no_grad():
+            actions = policy(torch.as_tensor(joined(observations))).clamp(-1, 1)
+        rows = np.split(actions.numpy(), ends, axis=1)
+        return dict(zip(spaces, rows, strict=True))
+
+    return act
+
+
 def main(
     env: str = "PokeTaskSawyers-v0",
     episodes: int = 100,
@@ -125,8 +139,8 @@ def main(
     data = minari.load_dataset(dataset_id)
     print(f"{data.total_episodes} episodes, {data.total_steps:,} steps")
     print("replayed to the bit" if replayed(data) else "replayed otherwise")
-    torch.jit.script(clone(data, updates)).save("clone.pt")
-    print(cg.evaluate(env, "clone.pt", episodes=tests).to_markdown())
+    policy = playing(clone(data, updates), env)
+    print(cg.evaluate(env, policy, episodes=tests).to_markdown())
 
 
 if __name__ == "__main__":

@@ -77,7 +77,6 @@ RUNS = {
     "train_cleanrl.py": Run(
         (r"1,680 steps: return -[\d.]+", r"\| return \| -"),
         "--total-steps 1680 --num-envs 4 --rollout 210 --episodes 2",
-        writes=("policy.pt",),
         needs=("torch",),
         is_slow=True,
     ),
@@ -88,7 +87,7 @@ RUNS = {
             r"\| return \| -",
         ),
         "--episodes 4 --updates 20 --tests 2",
-        writes=("clone.pt", "datasets/PokeTaskSawyers/expert-v0/data/main_data.hdf5"),
+        writes=("datasets/PokeTaskSawyers/expert-v0/data/main_data.hdf5",),
         needs=("minari", "h5py", "torch"),
         is_slow=True,
     ),
@@ -120,12 +119,6 @@ RUNS = {
         ("4 rows, 2 of each robot", r"\| return \| -"),
         "--total-steps 400 --num-envs 2 --episodes 2",
         needs=("supersuit", "stable_baselines3"),
-        is_slow=True,
-    ),
-    "train_tianshou.py": Run(
-        (r"\d s of training", r"\| return \| -"),
-        "--total-steps 400 --num-envs 4 --episodes 2",
-        needs=("tianshou",),
         is_slow=True,
     ),
 }

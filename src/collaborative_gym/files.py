@@ -2,6 +2,7 @@
 
 import errno
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -30,6 +31,32 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise
         with naming(path):
             os.replace(folder / path.name, path)
+
+
+def check_regular(path: str | Path) -> None:
+    """Raise unless it is a file. Who reads a pipe or a device may wait for ever.
+
+    Raises:
+      FileNotFoundError: if there is nothing.
+      IsADirectoryError: if it is a folder.
+      ValueError: if it is neither a file nor a folder.
+    """
+    mode = os.stat(path).st_mode
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise ValueError(f"{path} is a pipe or a device; give a file")
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Return what is in a file.
+
+    Raises:
+      Exception: as `check_regular` does.
+      OSError: if it cannot be read.
+    """
+    check_regular(path)
+    return Path(path).read_bytes()
 
 
 def check_writable(path: str | Path) -> None:

@@ -74,7 +74,7 @@ def test_a_setting_that_older_runs_lack_is_no_difference(write_run, tmp_path):
     write_run("new", (1,))
     old = write_run("old", (1,), seed=1) / "config.json"
     content = json.loads(old.read_text())
-    del content["hyperparameters"]["dense_share"], content["start_from"]
+    del content["hyperparameters"]["lost_grips"], content["start_from"]
     old.write_text(json.dumps(content))
     assert len(group(tmp_path).groups) == 1
 

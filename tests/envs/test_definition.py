@@ -45,23 +45,6 @@ def test_a_reward_that_is_no_number(broken):
         broken("reward", wrong)
 
 
-@pytest.mark.parametrize(
-    ("shaping", "message"),
-    [
-        (
-            ("heigth",),
-            "Carry.shaping: no term 'heigth' .did you mean 'height'.*; terms: ",
-        ),
-        ("height", "Carry.shaping is 'height'; give a tuple of names"),
-    ],
-)
-def test_shaping_that_names_no_term(carry, monkeypatch, shaping, message):
-    task = carry()
-    monkeypatch.setattr(type(task), "shaping", shaping)
-    with pytest.raises(ValueError, match=message):
-        cg.VectorEnv(task, 2, num_threads=1)
-
-
 def test_an_observation_that_is_not_finite(broken):
     wrong = every(lambda blocks: blocks | {"cube": np.log(0.0 * blocks["cube"])})
     with (

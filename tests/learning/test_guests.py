@@ -10,13 +10,12 @@ import collaborative_gym as cg
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import Casting, make_casting
 from collaborative_gym.learning.collector import Collector, Job
-from collaborative_gym.learning.config import FAULTS, Hyperparameters
+from collaborative_gym.learning.config import FAULTS
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import Sizes, make_learners
 
 WORLDS, STEPS = 8, 30
-FADING = Hyperparameters(dense_share=0.5)
 NOTHING = Assistance(0.0)
 
 
@@ -270,7 +269,6 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
         ),
         (False, {"partner": "idle", "mode": "centralized"}, "no seat for a partner"),
         (False, {"partner": "population", "mode": "centralized"}, "no seat for a part"),
-        (False, {"hyperparameters": FADING}, "no terms of its reward that are shap"),
         (False, {"partner": "population"}, "4 worlds are too few for 9 casts"),
     ],
 )

@@ -270,7 +270,7 @@ def test_actions_that_gain_nothing_shrink_if_they_cost_something(make, price):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("weight", [0.0, 30.0])
 def test_the_experts_advice_is_learned_as_far_as_it_counts(make, mode, weight):
-    learning = {"learning_rate": 3e-3, "target_kl": 0.0, "imitation": 30.0}
+    learning = {"learning_rate": 3e-3, "target_kl": 0.0, "imitation": weight}
     learners, rng = make(mode, num_envs=64, **learning), np.random.default_rng(0)
     for _ in range(30):
         observations = drawn(rng, 64)
@@ -284,7 +284,6 @@ def test_the_experts_advice_is_learned_as_far_as_it_counts(make, mode, weight):
             rows[::2] = np.nan
         noise = {agent: np.float32(rng.normal(size=64)) for agent in AGENTS}
         for learner in learners:
-            learner.imitate(weight)
             learner.act(observations, given)
             learner.record(noise, observations, never(64), never(64))
             learner.update(observations)

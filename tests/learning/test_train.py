@@ -14,7 +14,6 @@ from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import MODES, PRICES, Hyperparameters, Resources
 from collaborative_gym.learning.folder import BEST, LAST
-from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.learning.seeds import training_seed, validation_seed
 from collaborative_gym.policies.network import NetworkPolicy
 
@@ -134,22 +133,6 @@ def test_noise_shrinks_over_the_last_steps(read_progress, train_tiny, tiny):
     actor = Checkpoint.load(folder / LAST).backend["learners"]["team"]["policy"]
     last = actor["actor.log_std"].exp().mean()
     assert float(last) == pytest.approx(0.25 * first, rel=1e-5)
-
-
-def test_the_experts_advice_fades_over_a_share_of_the_steps(train_tiny, tiny, tmp_path):
-    weights, imitate = [], SkrlLearner.imitate
-
-    def told(learner, weight):
-        weights.append(weight)
-        imitate(learner, weight)
-
-    numbers = {"validation_interval": 0, "imitation": 8.0}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SkrlLearner, "imitate", told)
-        for share in (0.5, 0.0):
-            given = tiny(**numbers, imitation_share=share)
-            train_tiny(tmp_path / f"{share}", hyperparameters=given)
-    assert weights == [8.0, 4.0, 0.0, 0.0] + [8.0] * 4
 
 
 def test_noise_of_a_longer_run_ends_where_it_says(read_progress, train_tiny, tiny):

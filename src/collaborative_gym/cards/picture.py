@@ -1,23 +1,17 @@
-"""The pictures of a report card: what is done, when, and what disturbs it."""
+"""The picture of a report card: when episodes succeed, and what disturbs them."""
 
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from collaborative_gym.cards.card import ReportCard
-from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.files import replacing
-from collaborative_gym.policies import AnyPolicy, as_policy
-from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_FRAMES = 4
-_SIZE = 320, 240
 _PLOT = 4.2, 3.2
 """Width and height of a panel, in inches."""
 
@@ -88,42 +82,3 @@ def _draw_robustness(axes: "Axes", card: ReportCard) -> None:
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.set_xlabel("completion in %, by what disturbs")
-
-
-def draw_strip(task: Task, policy: AnyPolicy, path: str | Path, seed: int = 0) -> None:
-    """Draw the first episode of a seed, from its start to success, into a PNG.
-
-    If it never succeeds, the strip goes to its end.
-
-    Args:
-      task: what to do.
-      policy: who plays.
-      path: the file.
-      seed: which episode.
-
-    Raises:
-      ImportError: if the extra `train` is not installed.
-      OSError: if the file cannot be written.
-      RuntimeError: if no off-screen renderer can start.
-    """
-    try:
-        from matplotlib.image import imsave
-    except ImportError:
-        raise ImportError("pictures of report cards need matplotlib") from None
-    env = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
-    with closing(env):
-        act = as_policy(policy, env, any_env=True)
-        observations, infos = env.reset()
-        states = [env.get_state()]
-        while not infos["ended"][0]:
-            observations, *_, infos = env.step(act(observations))
-            states.append(env.get_state())
-            if np.any(infos["metrics"]["completion"]):
-                break
-        width, height = _SIZE
-        frames = []
-        for i in np.linspace(0, len(states) - 1, _FRAMES).astype(int):
-            env.set_state(states[i])
-            frames.append(env.render(width=width, height=height))
-    with replacing(path) as partial:
-        imsave(partial, np.concatenate(frames, axis=1), format="png")

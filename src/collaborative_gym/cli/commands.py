@@ -64,9 +64,9 @@ class _Policy(Command):
       policy: who commands the robots: expert (also in another style, such as
         expert:late), random, baseline (the trained policy that is shipped), ego (a
         shipped one that works with partners of many kinds), a path to a policy file, to
-        one of ONNX or TorchScript or to a training folder, or one of idle, gripping and
-        frozen, which hold still (with an open grip, with a closed grip, with the grip
-        as it is). Or one for each robot, such as robot_1=baseline robot_2=idle.
+        one of ONNX or to a training folder, or one of idle, gripping and frozen, which
+        hold still (with an open grip, with a closed grip, with the grip as it is). Or
+        one for each robot, such as robot_1=baseline robot_2=idle.
     """
 
     policy: Policies = ("expert",)

@@ -41,7 +41,7 @@ class Report(Played):
         leaves them out.
       num_envs: worlds that play at the same time; the results do not depend on it.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
-      output: folder for the pages, ENV.md with ENV.json and pictures.
+      output: folder for the pages, ENV.md with ENV.json and ENV.png.
       json: file for all numbers; - for standard output.
     """
 
@@ -91,27 +91,21 @@ class Report(Played):
             tell(Markdown(card.to_markdown()), besides=besides)
         put(self.json, plain_to_json({n: card.plain() for n, card in cards.items()}))
         for task, page in pages.items():
-            self._write(page, task, cards[task.name])
+            self._write(page, cards[task.name])
 
     def _page(self, task: "Task") -> Path:
         """Return the file of an environment's page."""
         return (self.output or Path()) / f"{task.name.replace('/', '_')}.md"
 
-    def _write(self, page: Path, task: "Task", card: "ReportCard") -> None:
-        """Write a card's page, numbers and pictures, as far as these can be drawn."""
-        from collaborative_gym.cards.picture import draw_card, draw_strip
+    def _write(self, page: Path, card: "ReportCard") -> None:
+        """Write a card's page and numbers, and its picture, if it can be drawn."""
+        from collaborative_gym.cards.picture import draw_card
 
         put(page.with_suffix(".json"), card.to_json())
-        pictures, but = [], ""
+        chart, but = page.with_suffix(".png"), ""
         try:
-            for i, policy in enumerate(read_policies(self.policies)):
-                strip = page.with_name(f"{page.stem}_{i + 1}.png")
-                draw_strip(task, policy, strip, seed=self.seed)
-                pictures.append(strip.name)
-            chart = page.with_suffix(".png")
             draw_card(card, chart)
-            pictures.append(chart.name)
-        except (ImportError, RuntimeError) as error:
-            but = f", but not all pictures: {error}"
-        put(page, card.to_markdown(pictures))
+        except ImportError as error:
+            but = f", but no picture: {error}"
+        put(page, card.to_markdown([] if but else [chart.name]))
         tell(f"wrote {page}{but}", besides=(self.json,))

@@ -62,7 +62,6 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
     terms = task.reward(facts, mode.commands(idle))
     _check_terms(name, task, terms, tried, sim)
-    _check_shaping(name, task, terms)
     sides = _sides(name, task)
     for method in ("success", "performing"):
         given = getattr(task, method)(facts)
@@ -145,15 +144,6 @@ def _check_terms(
                 f" each world, ({sim.num_envs},)"
             )
         _check_finite(what, values, tried, sim)
-
-
-def _check_shaping(name: str, task: Task, terms: Mapping[str, Terms]) -> None:
-    own = dict.fromkeys(term for named in terms.values() for term in named)
-    if not isinstance(task.shaping, tuple):
-        raise ValueError(f"{name}.shaping is {task.shaping!r}; give a tuple of names")
-    for term in task.shaping:
-        if term not in own:
-            raise ValueError(f"{name}.shaping: {unknown('term', term, own)}")
 
 
 def _each(

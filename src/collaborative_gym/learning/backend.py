@@ -90,7 +90,6 @@ class Backend:
         collected = self.collect(invitation)
         episodes = [row for each in collected for row in each.episodes]
         self._assistance.adapt(episodes)
-        self._imitate()
         critic_alone = self._has_policy and self._iteration < _CRITIC_ALONE
         updates = {
             name: learner.learn(
@@ -124,14 +123,6 @@ class Backend:
             states = [each.state_dict() for each in self._of(like)]
         for learner, state in zip(self._of(member), states, strict=True):
             learner.load_state_dict(deepcopy(state))
-
-    def _imitate(self) -> None:
-        """Let the expert's advice count as much as it should now."""
-        numbers = self._hyperparameters
-        fading = numbers.imitation_share * numbers.total_steps
-        left = max(1.0 - self.steps / fading, 0.0) if fading else 1.0
-        for learner in self._learners.values():
-            learner.imitate(left * numbers.imitation)
 
     def _quieten(self) -> None:
         """Let the noise shrink as far as it should have by now, and never grow."""

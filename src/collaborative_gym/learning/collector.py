@@ -14,7 +14,7 @@ from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.guests import NOBODY, Guests, Invitation
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
-from collaborative_gym.learning.penalties import Penalties, needs_strain
+from collaborative_gym.learning.penalties import Penalties
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner, Sizes
 from collaborative_gym.learning.worlds import (
@@ -278,7 +278,7 @@ class Collector:
             share,
             seed=seed,
             num_threads=job.num_threads,
-            strain=needs_strain(job.hyperparameters),
+            strain=job.hyperparameters.contact_penalty > 0.0,
         )
         self._players = [
             Player(learner, job, job.casting.worlds(learner, share))
@@ -326,7 +326,6 @@ class Collector:
             observations, rewards, *ends, infos = self._step(
                 actions, rng, assistance.demand
             )
-            rewards = self._faded(rewards, infos["reward_terms"], iteration)
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
             for world, row in full_episodes(infos).items():
@@ -408,33 +407,10 @@ class Collector:
             fails = rng.random(count) < np.where(holds, lost, missed)
             done[agent][fails & self._learns[agent], -1] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
-        rewards = self._penalties.charge(
-            rewards,
-            chosen,
-            previous=self._previous,
-            success=infos["success"],
-            share=demand,
-        )
+        rewards = self._penalties.charge(rewards, infos["success"], demand)
         fresh, idle = infos["ended"][:, None], self.env.idle()
         self._previous = {a: np.where(fresh, idle[a], chosen[a]) for a in chosen}
         return observations, rewards, *ends, infos
-
-    def _faded(
-        self,
-        rewards: Mapping[str, np.ndarray],
-        terms: Mapping[str, Mapping[str, np.ndarray]],
-        iteration: int,
-    ) -> dict[str, np.ndarray]:
-        """Return rewards without the faded part of the shaping terms."""
-        numbers = self._job.hyperparameters
-        if not numbers.dense_share:
-            return dict(rewards)
-        fading = numbers.dense_share * numbers.total_steps
-        gone = min(1.0, iteration * numbers.steps_per_update / fading)
-        return {
-            agent: earned - gone * sum(terms[agent][n] for n in self._job.task.shaping)
-            for agent, earned in rewards.items()
-        }
 
     def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
         """Start episodes that no collector has played."""

@@ -40,10 +40,7 @@ Activation = Literal["relu", "elu", "tanh"]
 
 PRICES = (
     "torque_penalty",
-    "change_penalty",
     "contact_penalty",
-    "internal_penalty",
-    "energy_penalty",
     "miss_penalty",
     "range_penalty",
     "action_penalty",
@@ -110,23 +107,14 @@ class Hyperparameters:
         completed. In validations the simulator carries nothing.
       torque_penalty: price of torque. In each control step a robot pays this times the
         mean square of the torque that its servos ask for, as a share of their limits;
-        beyond a limit the price grows linearly.
-      change_penalty: price of jerky actions. In each control step a robot pays this
-        times the mean square of the change of its action. No reported return contains
-        penalties. These two, those of contacts, internal force, energy and missed
-        goals, late actions and grips that fail begin at zero. They grow by 2 % after
-        each rollout in which half of the episodes are completed.
+        beyond a limit the price grows linearly. No reported return contains penalties.
+        This one, those of contacts and missed goals, late actions and grips that fail
+        begin at zero. They grow by 2 % after each rollout in which half of the episodes
+        are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
         arm or with fixed things count, and contacts of loose things above 1 mm.
         Measuring it makes collecting about a quarter slower.
-      internal_penalty: price of internal force. In each control step all robots pay
-        this for every 10 N that arms spend against each other on what they hold (see
-        `internal_force` among the measures of strain), the mean of the step, at most
-        100 N. It is measured as contacts are.
-      energy_penalty: price of energy. In each control step all robots pay this for
-        every J that their joints spend together (see `energy` among the measures of
-        strain). It is measured as contacts are.
       miss_penalty: price of a goal that is not met, paid in each control step in which
         it is not. A task's reward may hardly tell the goal from what is near it.
       range_penalty: price of joints at the ends of their ranges. In each control step a
@@ -142,8 +130,6 @@ class Hyperparameters:
         2018, arXiv 1803.03835). So a policy learns what it would not find by chance.
         Beside a partner or opponent that does not learn, its own policy for the
         learner's place advises instead, if it has one.
-      imitation_share: PPO: share of the total steps over which this weight fades
-        linearly; 0 keeps it.
       delayed: share of the worlds in which each action is done one control step late.
         In validations no action is late. Guests are never late, and no grip of theirs
         fails: opponents and partners may not have been trained for that.
@@ -153,9 +139,6 @@ class Hyperparameters:
       missed_grips: how likely a robot that holds nothing fails to grip in a control
         step, whatever it asks for. So it learns to bring its hand well within reach and
         to keep it there. In validations no grip is missed.
-      dense_share: share of the total steps over which the task's shaping terms fade out
-        linearly; 0 keeps them. (Bansal et al. 2017, arXiv 1710.03748, fade the other
-        terms in meanwhile; here these count from the first step.)
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
@@ -213,19 +196,14 @@ class Hyperparameters:
     grip_persistence: float = bounded(0.9, 0.0, 0.999)
     assistance: float = bounded(0.0, 0.0, 1.0)
     torque_penalty: float = bounded(0.0, 0.0, 1e3)
-    change_penalty: float = bounded(0.0, 0.0, 1e3)
     contact_penalty: float = bounded(0.0, 0.0, 1e3)
-    internal_penalty: float = bounded(0.0, 0.0, 1e3)
-    energy_penalty: float = bounded(0.0, 0.0, 1e3)
     miss_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
     imitation: float = bounded(0.0, 0.0, 1e3)
-    imitation_share: float = bounded(0.0, 0.0, 1.0)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     missed_grips: float = bounded(0.0, 0.0, 1.0)
-    dense_share: float = bounded(0.0, 0.0, 1.0)
     population: int = bounded(3, 2, 64)
     league_main_share: float = bounded(0.5, 0.1, 0.9)
     league_self: float = bounded(0.35, 0.0, 0.8)
@@ -439,7 +417,6 @@ _OWN: Mapping[str, Sequence[str]] = {
         "quiet_share",
         "action_penalty",
         "imitation",
-        "imitation_share",
     ),
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
 }

@@ -114,10 +114,6 @@ class SkrlLearner(ABC):
         """Multiply the standard deviation of the actions."""
         self._policy.actor.log_std.data += math.log(factor)
 
-    def imitate(self, weight: float) -> None:
-        """Let the expert's advice count this much from now on."""
-        self._policy.imitation = weight
-
     def weights(self) -> dict[str, Weights]:
         """Return the policy's networks as arrays, by name."""
         return self._policy.actor.weights(*self._normalization())

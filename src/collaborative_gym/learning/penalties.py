@@ -12,20 +12,16 @@ _FREE_DEPTH, _MOST_DEPTH = 1.0, 10.0
 """Depth in mm up to which contacts of things cost nothing, because they rest so deep on
 what holds them; and how much more of any contact is counted."""
 
-_UNIT_FORCE, _MOST_FORCE = 10.0, 100.0
-"""The internal force that costs the price once, and how much of it is counted, in N."""
-
 _INNER = 0.9
 """Share of a joint's range, around its middle, in which a posture costs nothing."""
 
 
 class Penalties:
-    """What each robot pays for its acts, and all for contacts, force and energy.
+    """What each robot pays for its acts, and all for contacts.
 
     They steer what is learned and are in no episode's return. Torque is looked at as a
     control step ends; where that ended an episode, the next one's start costs nothing.
-    Contacts, internal force and energy are looked at in every physics step, whoever is
-    in them or spends it.
+    Contacts are looked at in every physics step, whoever is in them.
 
     A goal that counts only once it has been kept for a time, as BalancePath's, would
     cost the same whatever robots do until then. So a goal counts as met wherever a step
@@ -33,26 +29,20 @@ class Penalties:
     ended an episode, the next one's start counts.
 
     Args:
-      env: the worlds, which measure strain if `needs_strain` says so.
+      env: the worlds, which measure strain if contacts are charged.
       hyperparameters: what is charged.
     """
 
     def __init__(self, env: VectorEnv, hyperparameters: Hyperparameters):
         self._env = env
         self._torque = hyperparameters.torque_penalty
-        self._change = hyperparameters.change_penalty
         self._contact = hyperparameters.contact_penalty
-        self._internal = hyperparameters.internal_penalty
-        self._energy = hyperparameters.energy_penalty
         self._range = hyperparameters.range_penalty
         self._miss = hyperparameters.miss_penalty
 
     def charge(
         self,
         rewards: Mapping[str, np.ndarray],
-        actions: Mapping[str, np.ndarray],
-        *,
-        previous: Mapping[str, np.ndarray],
         success: Any,
         share: float = 1.0,
     ) -> dict[str, np.ndarray]:
@@ -60,14 +50,12 @@ class Penalties:
 
         Args:
           rewards: of the task, (num_envs,) by agent.
-          actions: what each robot chose, (num_envs, k) in [-1, 1] by agent.
-          previous: what it chose one control step earlier, in the same form.
           success: where the goal was met, as the worlds' infos tell it.
           share: of the costs that is charged. That of joints is always charged whole:
             arms that come to the ends of their ranges while they learn stay there.
         """
         charged = dict(rewards)
-        together = share * self._together() if share else 0.0
+        deep = self._contact * self._depth() if share and self._contact else 0.0
         for agent in charged:
             if self._range:
                 charged[agent] = charged[agent] - self._range * self._ends(agent)
@@ -76,14 +64,10 @@ class Penalties:
             if self._torque:
                 cost = share * self._torque * _mean_torque(self._asked(agent))
                 charged[agent] = charged[agent] - cost
-            if self._change:
-                change = actions[agent] - previous[agent]
-                cost = share * self._change * _mean_square(change)
-                charged[agent] = charged[agent] - cost
             if self._miss:
                 missed = ~self._met(agent, success)
                 charged[agent] = charged[agent] - share * self._miss * missed
-            charged[agent] = charged[agent] - together
+            charged[agent] = charged[agent] - share * deep
         return charged
 
     def _met(self, agent: str, success: Any) -> np.ndarray:
@@ -106,20 +90,6 @@ class Penalties:
         away = np.abs(self._env.sim.qpos[:, arm.qpos] - middle) / (high - middle)
         return _mean_square(np.maximum(away - _INNER, 0.0) / (1.0 - _INNER))
 
-    def _together(self) -> np.ndarray | float:
-        """Return what all pay alike."""
-        cost = 0.0
-        if self._contact:
-            cost = self._contact * self._depth()
-        if self._internal:
-            assert self._env.strain is not None
-            force = np.minimum(self._env.strain.internal_force, _MOST_FORCE)
-            cost = cost + self._internal * force / _UNIT_FORCE
-        if self._energy:
-            assert self._env.strain is not None
-            cost = cost + self._energy * self._env.strain.energy
-        return cost
-
     def _depth(self) -> np.ndarray:
         """Return how deep the deepest contact was that costs something, in mm."""
         assert self._env.strain is not None
@@ -135,12 +105,6 @@ class Penalties:
         limits = np.array(self._env.scene.arms[agent].robot.torque_limits)
         torque = self._env.task.action_mode.torques(self._env.sim, agent)
         return np.abs(torque) / limits
-
-
-def needs_strain(hyperparameters: Hyperparameters) -> bool:
-    """Return whether prices need worlds that measure strain."""
-    measured = ("contact_penalty", "internal_penalty", "energy_penalty")
-    return any(getattr(hyperparameters, name) for name in measured)
 
 
 def _mean_square(columns: np.ndarray) -> np.ndarray:

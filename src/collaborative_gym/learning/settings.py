@@ -329,11 +329,6 @@ def _check_seats(settings: Settings, task: Task) -> None:
             " without partner"
         )
     settings.learners(task)
-    if settings.hyperparameters.dense_share and not task.shaping:
-        raise ValueError(
-            f"{task.name} has no terms of its reward that are shaping, so that nothing"
-            " can fade; leave out dense_share"
-        )
     casting = settings.casting(task)
     by_turns = len(task.sides) == 1 and len(casting.learned(casting.members[0])) > 1
     if settings.mode == "centralized" and by_turns:

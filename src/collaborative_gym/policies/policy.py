@@ -10,8 +10,8 @@ from gymnasium.spaces import Box
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, look_up, shown, unknown
 from collaborative_gym.math import Array
-from collaborative_gym.policies.exported import KINDS, ExportedNetwork
 from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
 from collaborative_gym.policies.predicting import predicting
 from collaborative_gym.policies.scripted import (
     RandomPolicy,
@@ -61,10 +61,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         `Task.styles`); "random", uniform actions, the same for an episode of a seed in
         any batch; "idle", which holds still with an open grip; "gripping", which holds
         still with a closed grip; "frozen", which holds still and keeps what it holds; a
-        path to a network of another library, in ONNX (`.onnx`) or TorchScript (`.pt`),
-        from the observations of the robots side by side, in the order of the agents, to
-        their actions; a function from observations to actions; or a model of
-        Stable-Baselines3 that commands all robots.
+        path to a network of another library in ONNX (`.onnx`), from the observations of
+        the robots side by side, in the order of the agents, to their actions; a
+        function from observations to actions; or a model of Stable-Baselines3 that
+        commands all robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3. The policy
         then takes and returns the observations and actions of that contract. Without
@@ -76,6 +76,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
       FileNotFoundError: if there is no such file, or no such policy is shipped for the
         environment.
       KeyError: if there is no such policy or agent.
+      TimeoutError: if a network in ONNX does not answer.
       TypeError: if it is of another kind, or needs an environment.
       ValueError: if a file is damaged, is for another environment or has no network for
         an agent, or an agent has no policy.
@@ -156,7 +157,7 @@ def commanding(
     if isinstance(policy, str):
         style = _style(policy)
         return expert_policy(env, style) if style else _BY_ENV[policy](env)
-    if isinstance(policy, ExportedNetwork):
+    if isinstance(policy, OnnxNetwork):
         return policy.commanding(agents, env)
     if isinstance(policy, NetworkPolicy):
         policy = policy.serving(agents)
@@ -198,7 +199,7 @@ def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
     return {agent: actions[agent] for agent in agents}
 
 
-def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
+def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
     """Return the policy of an environment id or a path."""
     if name in list_envs():
         return _load_shipped("baseline", str(name))
@@ -211,9 +212,7 @@ def _load_file(name: str | Path) -> NetworkPolicy | ExportedNetwork:
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
-        return (
-            ExportedNetwork(path) if path.suffix in KINDS else NetworkPolicy.load(path)
-        )
+        return OnnxNetwork(path) if path.suffix == SUFFIX else NetworkPolicy.load(path)
     players = (path.parent / _PLAYERS).glob("*.safetensors")
     if names := {file.stem: file for file in players}:
         return NetworkPolicy.load(look_up("player", path.name, names))

@@ -154,7 +154,6 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     config_class = HockeyConfig
     performance_from_start = True
     units: ClassVar[Mapping[str, str]] = {"clock": "s"}
-    shaping = ("drive", "near", "height", "upright", "effort")
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:

@@ -172,8 +172,6 @@ class Task(Generic[ConfigT, FactsT]):
       styles: other ways of the expert, a sentence for each by its name.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
-      shaping: names of the reward's terms that are there to lead learners, and that
-        training may fade out. Those of opponents that are not shaping add up to zero.
       units: of the facts that are single numbers, by their names; viewers show them.
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
@@ -188,7 +186,6 @@ class Task(Generic[ConfigT, FactsT]):
     success_after: int = 0
     performance_from_start: bool = False
     styles: ClassVar[Mapping[str, str]] = {}
-    shaping: tuple[str, ...] = ()
     units: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):

@@ -142,7 +142,6 @@ class Tug(Task[TugConfig, TugFacts]):
     config_class = TugConfig
     performance_from_start = True
     units: ClassVar[Mapping[str, str]] = {"missing": "m"}
-    shaping = ("way", "effort")
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:

@@ -9,8 +9,8 @@ from typing import Any
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, naming, shown, unknown
 from collaborative_gym.policies import AnyPolicy, Policy, name_policy
-from collaborative_gym.policies.exported import KINDS
 from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.onnx import SUFFIX
 from collaborative_gym.policies.policy import commanding, read_policy
 
 
@@ -118,6 +118,6 @@ def _key(policy: Any) -> Any:
 def _mark(given: Any, found: Policy) -> str | None:
     if isinstance(found, NetworkPolicy):
         return found.digest
-    if isinstance(given, str | Path) and Path(given).suffix in KINDS:
+    if isinstance(given, str | Path) and Path(given).suffix == SUFFIX:
         return hashlib.sha256(Path(given).read_bytes()).hexdigest()
     return str(given) if isinstance(given, str | Path) else None

@@ -1,0 +1,198 @@
+"""Networks of other libraries, in files of ONNX."""
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import how_to_install
+from collaborative_gym.files import check_regular
+from collaborative_gym.math import Array
+
+SUFFIX = ".onnx"
+"""Of the files."""
+
+MOST_SECONDS = 10.0
+"""How long a file may take to load, and its network for the actions of one control
+step. Networks of robots need milliseconds; a loop in a file may never end."""
+
+_CPU = ["CPUExecutionProvider"]
+
+_QUIET = 4
+"""The runtime writes nothing beside its errors, which are raised."""
+
+_DTYPES = {
+    "tensor(float)": np.float32,
+    "tensor(double)": np.float64,
+    "tensor(float16)": np.float16,
+}
+"""What inputs observations are given to, by ONNX Runtime's names."""
+
+_T = TypeVar("_T")
+
+
+class OnnxNetwork:
+    """A network that gets observations of some robots side by side.
+
+    Its first input is those of all robots that it commands, (num_envs, n) of floats, in
+    the order of the agents, and its first output their actions, (num_envs, k), in the
+    same order. Actions outside of -1 to 1 are clipped.
+
+    Args:
+      path: the file.
+
+    Raises:
+      ImportError: if ONNX Runtime is not installed.
+      TimeoutError: if loading takes more than `MOST_SECONDS`.
+      ValueError: if it is not such a file.
+    """
+
+    def __init__(self, path: Path):
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise ImportError(
+                f"{path} needs ONNX Runtime; {how_to_install('onnx')}"
+            ) from error
+        check_regular(path)
+        self.path = path
+        runtime: Any = onnxruntime
+        self._options = runtime.RunOptions
+        options = runtime.SessionOptions()
+        # Networks of this size gain nothing from more.
+        options.intra_op_num_threads = 1
+        options.log_severity_level = _QUIET
+        try:
+            self._session = self._in_time(
+                lambda: runtime.InferenceSession(path, options, providers=_CPU)
+            )
+        except TimeoutError:
+            raise
+        except Exception as error:
+            raise ValueError(
+                f"{path} is not an ONNX file, or is damaged: {_last_line(error)}"
+            ) from error
+
+    def commanding(
+        self, agents: Sequence[str], env: VectorEnv
+    ) -> Callable[[Mapping[str, Array]], dict[str, np.ndarray]]:
+        """Return the policy of these agents.
+
+        Raises:
+          TimeoutError: if it takes more than `MOST_SECONDS`, here or when it is called.
+          ValueError: if the network does not take their observations, or gives more or
+            fewer actions.
+        """
+        spaces = env.single_observation_spaces, env.single_action_spaces
+        sees, does = (sum(own[agent].shape[0] for agent in agents) for own in spaces)
+        ends = np.cumsum([spaces[1][agent].shape[0] for agent in agents])[:-1]
+        who = " and ".join(agents)
+        dtype = self._check_input(env.num_envs, sees, who)
+
+        def act(observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
+            rows = [np.asarray(observations[agent], dtype) for agent in agents]
+            actions = self._run(np.concatenate(rows, axis=1))
+            actions = np.clip(actions, -1.0, 1.0)
+            return dict(zip(agents, np.split(actions, ends, axis=1), strict=True))
+
+        try:
+            given = self._run(np.zeros((env.num_envs, sees), dtype)).shape
+        except TimeoutError:
+            raise
+        except Exception as error:  # The runtime has many errors of its own.
+            raise ValueError(
+                f"{self.path} does not take the {sees} numbers that {who} observe:"
+                f" {_last_line(error)}"
+            ) from error
+        if given != (env.num_envs, does):
+            raise ValueError(
+                f"{self.path} returns an array of shape {given} for {env.num_envs}"
+                f" worlds; the actions of {who} have shape {(env.num_envs, does)}"
+            )
+        return act
+
+    def _check_input(self, num_envs: int, sees: int, who: str) -> Any:
+        """Return the dtype of the first input.
+
+        Raises:
+          ValueError: if observations do not fit it.
+        """
+        first = self._session.get_inputs()[0]
+        if first.type not in _DTYPES:
+            raise ValueError(
+                f"{self.path} takes a {first.type}, and observations are floats; export"
+                " it with an input of float32"
+            )
+        # A free dimension has a name, or none.
+        sizes = [size if isinstance(size, int) else None for size in first.shape]
+        if len(sizes) == 2 and sizes[1] not in (None, sees):
+            raise ValueError(
+                f"{self.path} takes {sizes[1]} numbers; {who} observe {sees}"
+            )
+        if sizes and sizes[0] not in (None, num_envs):
+            raise ValueError(
+                f"{self.path} was exported for {sizes[0]} rows at once, and here are"
+                f" {num_envs} worlds; export it with a free first dimension, or play"
+                f" it with num_envs={sizes[0]} (--num-envs {sizes[0]})"
+            )
+        return _DTYPES[first.type]
+
+    def _run(self, rows: np.ndarray) -> np.ndarray:
+        """Return what the network makes of rows."""
+        options = self._options()
+        options.log_severity_level = _QUIET
+        given = {self._session.get_inputs()[0].name: rows}
+
+        def end() -> None:
+            options.terminate = True
+
+        def run() -> np.ndarray:
+            return np.asarray(self._session.run(None, given, options)[0])
+
+        return self._in_time(run, end)
+
+    def _in_time(
+        self, work: Callable[[], _T], end: Callable[[], object] = lambda: None
+    ) -> _T:
+        """Return what a function returns that may never end.
+
+        It runs in a thread of its own, so that Ctrl-C is heard meanwhile.
+
+        Args:
+          work: the function.
+          end: called when it takes too long; what does not heed it is left behind.
+
+        Raises:
+          TimeoutError: if it takes more than `MOST_SECONDS`.
+        """
+        found: list[_T] = []
+        errors: list[Exception] = []
+
+        def run() -> None:
+            try:
+                found.append(work())
+            except Exception as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        try:
+            thread.join(MOST_SECONDS)
+        finally:
+            if thread.is_alive():
+                end()
+        if thread.is_alive():
+            raise TimeoutError(
+                f"{self.path} gave no answer within {MOST_SECONDS:g} s, where networks"
+                " of robots take milliseconds; it may have a loop that never ends"
+            )
+        if errors:
+            raise errors[0]
+        return found[0]
+
+
+def _last_line(error: Exception) -> str:
+    return (str(error).strip() or repr(error)).splitlines()[-1]
