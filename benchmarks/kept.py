@@ -3,10 +3,11 @@
 Their numbers are in docs/tables/NAME.json, from which docs/tables/NAME.md is written.
 """
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from collaborative_gym.files import read_sealed, sealed, write_text
 
 _TABLES = Path(__file__).parents[1] / "docs" / "tables"
 
@@ -23,10 +24,11 @@ def keep(
       page: returns the page, as Markdown, from all numbers.
     """
     path = _TABLES / f"{name}.json"
-    numbers = json.loads(path.read_text()) if path.exists() else {}
+    remedy = "fetch it again from the repository"
+    numbers = read_sealed(path, remedy) if path.exists() else {}
     rows = numbers
     for key in keys[:-1]:
         rows = rows.setdefault(key, {})
     rows[keys[-1]] = row
-    path.write_text(json.dumps(numbers, indent=1) + "\n")
-    path.with_suffix(".md").write_text(page(numbers))
+    write_text(path, sealed(numbers, indent=1))
+    write_text(path.with_suffix(".md"), page(numbers))

@@ -204,7 +204,7 @@ def read_progress():
     def read_progress(folder):
         with (folder / "progress.csv").open() as file:
             return [
-                {name: float(cell) for name, cell in row.items() if cell}
+                {n: float(cell) for n, cell in row.items() if cell and n != "digest"}
                 for row in csv.DictReader(file)
             ]
 

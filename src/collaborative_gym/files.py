@@ -1,12 +1,20 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and that know if they are damaged."""
 
+import csv
 import errno
+import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from hashlib import sha256
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+DIGEST = "digest"
+"""Name of a digest: the entry of a JSON file, and the column of a CSV file."""
 
 
 @contextmanager
@@ -84,6 +92,127 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def sealed(content: Mapping[str, Any], indent: int | None = 2) -> str:
+    """Return content as JSON that has a digest of itself.
+
+    Args:
+      content: what fits into JSON, by name.
+      indent: of its lines; None for one line.
+    """
+    whole = {**content, DIGEST: _digest(content)}
+    return json.dumps(whole, indent=indent) + "\n"
+
+
+def read_sealed(path: Path, remedy: str) -> dict[str, Any]:
+    """Return the content of a file that `sealed` wrote.
+
+    Args:
+      path: the file.
+      remedy: what to do where it is damaged, for the error.
+
+    Raises:
+      OSError: if it cannot be read.
+      ValueError: if it is damaged or has no digest; names it.
+    """
+    text = read_bytes(path)
+    try:
+        content = json.loads(text)
+        own = content.pop(DIGEST, None)
+    except Exception as error:  # A file may be spoilt in any way.
+        raise _damaged(path, "it is not what was written", remedy) from error
+    if own is None:
+        raise _damaged(path, "it has no digest", remedy)
+    if own != _digest(content):
+        raise _damaged(path, "its content does not match its digest", remedy)
+    return content
+
+
+class SealedRows:
+    """Lines of a CSV file that each have a digest of themselves and those before.
+
+    So lines can be appended one by one, and none but the last ones can be lost, doubled
+    or moved unseen. The digest is a number, as what stands beside it.
+
+    Args:
+      columns: names of the columns.
+    """
+
+    def __init__(self, columns: Iterable[str]):
+        self.columns = tuple(columns)
+        self._last = 0
+
+    @property
+    def header(self) -> str:
+        """The first line."""
+        return _line([*self.columns, DIGEST])
+
+    def line(self, cells: Mapping[str, str]) -> str:
+        """Return the next line.
+
+        Args:
+          cells: by column; a column without one stays empty.
+        """
+        self._last = self._next(cells)
+        own = [cells.get(name, "") for name in self.columns]
+        return _line([*own, str(self._last)])
+
+    def _next(self, cells: Mapping[str, str]) -> int:
+        # A float holds 53 bits exactly, where somebody reads all columns as numbers.
+        given = {name: cell for name, cell in cells.items() if cell}
+        return int(_digest([self._last, given])[:13], 16)
+
+    @classmethod
+    def read(cls, path: Path, remedy: str) -> list[dict[str, str]]:
+        """Return the cells of a file's lines, without the empty ones.
+
+        Args:
+          path: the file.
+          remedy: what to do where it is damaged, for the error.
+
+        Raises:
+          OSError: if it cannot be read.
+          ValueError: if it is damaged or has no digests; names it, and the line.
+        """
+        text, found = read_bytes(path), []
+        lines = StringIO(text.decode(errors="replace"), newline="")
+        reader = csv.DictReader(lines, strict=True)
+        try:
+            *columns, last = reader.fieldnames or [""]
+            if last != DIGEST:
+                raise ValueError("it has no digests")
+            rows = cls(columns)
+            for row in reader:
+                if None in row or None in row.values():
+                    raise ValueError("it has more or fewer cells than the first line")
+                own = row.pop(DIGEST)
+                cells = {name: cell for name, cell in row.items() if cell}
+                rows._last = rows._next(cells)
+                if str(rows._last) != own:
+                    raise ValueError("its content does not match its digest")
+                found.append(cells)
+            if not text.endswith(b"\n"):
+                raise ValueError("it does not end")
+        except (csv.Error, ValueError) as error:
+            what = f"line {max(reader.line_num, 1)}: {error}"
+            raise _damaged(path, what, remedy) from error
+        return found
+
+
+def _digest(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return sha256(text.encode()).hexdigest()
+
+
+def _line(cells: Iterable[str]) -> str:
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerow(cells)
+    return text.getvalue()
+
+
+def _damaged(path: Path, what: str, remedy: str) -> ValueError:
+    return ValueError(f"{path} is damaged, or of an earlier version ({what}); {remedy}")
 
 
 @contextmanager

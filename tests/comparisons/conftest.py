@@ -5,11 +5,35 @@ from copy import deepcopy
 
 import pytest
 
+from collaborative_gym.files import SealedRows, read_sealed, sealed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.settings import Settings
 from collaborative_gym.tasks.identity import Identity
 
 COLUMNS = "steps,core_seconds,return,validation/return,validation/completion"
+
+
+def write_progress(path, rows):
+    """Write the lines of a run, as dictionaries of cells."""
+    lines = SealedRows(dict.fromkeys(name for row in rows for name in row))
+    path.write_text(lines.header + "".join(map(lines.line, rows)))
+
+
+@pytest.fixture
+def alter():
+    """Return a function that changes what a run's file says, as another run's would."""
+
+    def alter(path, change):
+        if path.suffix == ".json":
+            content = read_sealed(path, "")
+            change(content)
+            path.write_text(sealed(content))
+        else:
+            rows = SealedRows.read(path, "")
+            change(rows)
+            write_progress(path, rows)
+
+    return alter
 
 
 @pytest.fixture
@@ -47,12 +71,14 @@ def write_run(contents, tmp_path):
         content["hyperparameters"] |= numbers
         folder = tmp_path / name
         folder.mkdir(parents=True)
-        (folder / "config.json").write_text(json.dumps(content))
-        lines = [COLUMNS, "50,1.0,-3.0,,"]
+        (folder / "config.json").write_text(sealed(content))
+        rows = [(50, 1.0, -3.0, "", "")]
         for i, completion in enumerate(completions):
             steps = 100 * (i + 1)
-            lines.append(f"{steps},{2.5 * (i + 1)},-1.0,{10 * completion},{completion}")
-        (folder / "progress.csv").write_text("\n".join(lines) + "\n")
+            rows.append((steps, 2.5 * (i + 1), -1.0, 10 * completion, completion))
+        columns = COLUMNS.split(",")
+        cells = [dict(zip(columns, map(str, row), strict=True)) for row in rows]
+        write_progress(folder / "progress.csv", cells)
         return folder
 
     return write_run

@@ -63,9 +63,9 @@ def test_when_runs_learned_is_a_median_in_which_never_counts(two_modes):
     }
 
 
-def test_core_seconds_that_were_not_measured_are_not_told(two_modes):
+def test_core_seconds_that_were_not_measured_are_not_told(two_modes, alter):
     for file in two_modes.rglob("progress.csv"):
-        file.write_text(file.read_text().replace("core_seconds", "seconds"))
+        alter(file, lambda rows: [row.pop("core_seconds") for row in rows])
     compared = cg.compare(two_modes)
     reached = compared.reached(compared.groups[0])
     assert reached.steps.value == 300.0 and math.isnan(reached.core_seconds.value)
@@ -185,13 +185,16 @@ def test_damaged_runs_and_unknown_measures_are_named(write_run, tmp_path):
     folder = write_run("run", (1,))
     with pytest.raises(KeyError, match=r"no measure 'complete' .did you mean 'comp"):
         cg.compare(folder, measure="complete")
-    for name in ("config.json", "progress.csv"):
+    spoilt = {
+        "config.json": ("{", '{"seed": ' + "[" * 10**5, "{}", "\0", "[1]"),
+        "progress.csv": ("", "a,b\n1,2,3\n", '"', "\0", "digest\n1e999\n", "x" * 10**6),
+    }
+    for name, texts in spoilt.items():
         whole = (folder / name).read_text()
-        (folder / name).write_text(whole.replace("1", "x"))
-        with pytest.raises(
-            ValueError, match=f"{name} is not from a training run, or is dam"
-        ):
-            cg.compare(folder)
+        for text in (*texts, whole.replace("1", "2"), whole.replace("1", "nan")):
+            (folder / name).write_text(text)
+            with pytest.raises(ValueError, match=rf"{name} is damaged.*--resume"):
+                cg.compare(folder)
         (folder / name).write_text(whole)
     write_run("begun/run", ())
     with pytest.raises(ValueError, match="no validation yet in 1 of 1 runs; let"):

@@ -1,7 +1,5 @@
 """What runs differ in, found from their settings."""
 
-import json
-
 import pytest
 
 from collaborative_gym.comparisons.grouping import group_runs
@@ -56,13 +54,17 @@ def test_of_many_settings_a_name_has_those_that_tell_the_groups_apart(
     assert {*grouping.differences} == {"mode", "total_steps", *alike}
 
 
-def test_environments_of_one_name_are_told_apart_by_what_differs(write_run, tmp_path):
+def test_environments_of_one_name_are_told_apart_by_what_differs(
+    write_run, alter, tmp_path
+):
     write_run("one", (1,))
     other = write_run("other", (1,)) / "config.json"
-    content = json.loads(other.read_text())
-    content["identity"]["config"]["randomization"]["joint_noise"] = 0.5
-    content["identity"]["robots"]["robot_1"] = {"name": "jaco", "digest": "0"}
-    other.write_text(json.dumps(content))
+
+    def change(content):
+        content["identity"]["config"]["randomization"]["joint_noise"] = 0.5
+        content["identity"]["robots"]["robot_1"] = {"name": "jaco", "digest": "0"}
+
+    alter(other, change)
     titles = [each.title for each in group(tmp_path).groups]
     assert titles == [
         "CarryPandas-v0 (robot_1 panda, joint_noise 0.05)",
@@ -70,12 +72,14 @@ def test_environments_of_one_name_are_told_apart_by_what_differs(write_run, tmp_
     ]
 
 
-def test_a_setting_that_older_runs_lack_is_no_difference(write_run, tmp_path):
+def test_a_setting_that_older_runs_lack_is_no_difference(write_run, alter, tmp_path):
     write_run("new", (1,))
     old = write_run("old", (1,), seed=1) / "config.json"
-    content = json.loads(old.read_text())
-    del content["hyperparameters"]["lost_grips"], content["start_from"]
-    old.write_text(json.dumps(content))
+
+    def change(content):
+        del content["hyperparameters"]["lost_grips"], content["start_from"]
+
+    alter(old, change)
     assert len(group(tmp_path).groups) == 1
 
 
@@ -106,9 +110,9 @@ def test_a_run_counts_once(write_run, tmp_path):
         group(tmp_path)
 
 
-def test_runs_without_a_common_validation_are_refused(write_run, tmp_path):
+def test_runs_without_a_common_validation_are_refused(write_run, alter, tmp_path):
     write_run("one", (1,))
     late = write_run("other", (0, 1), seed=1) / "progress.csv"
-    late.write_text(late.read_text().replace("\n100,", "\n150,").replace("200", "250"))
+    alter(late, lambda rows: [row.update(steps=row["steps"] + "1") for row in rows])
     with pytest.raises(ValueError, match="one validation_interval"):
         group(tmp_path)

@@ -12,6 +12,7 @@ pytest.importorskip("matplotlib", reason="needs the extra train")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from collaborative_gym.evaluation.report import Score, Statistic
+from collaborative_gym.files import SealedRows
 from collaborative_gym.learning import curve, monitor
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve, learning_curve
@@ -121,7 +122,7 @@ def test_progress_stays_a_rectangle_where_columns_come_late(start, tmp_path):
     monitor.log(row(2, **{"team/kl": 0.25, "validation/return": -3.0}))
     monitor.log(row(3))
     lines = (tmp_path / "progress.csv").read_text().splitlines()
-    assert lines == [
+    assert [line.rpartition(",")[0] for line in lines] == [
         "steps,return,robot_1/return,team/kl,validation/return",
         "1,,,0.5,",
         "2,-0.5,0.1,0.25,-3.0",
@@ -133,7 +134,9 @@ def test_numbers_become_plain(start, tmp_path):
     monitor = start()
     monitor.log({"steps": np.int64(5), "return": np.float64(0.25)})
     assert [type(value) for value in monitor.rows[0].values()] == [int, float]
-    assert (tmp_path / "progress.csv").read_text() == "steps,return\n5,0.25\n"
+    assert SealedRows.read(tmp_path / "progress.csv", "") == [
+        {"steps": "5", "return": "0.25"}
+    ]
 
 
 def test_resumed_run_drops_what_came_after_its_checkpoint(

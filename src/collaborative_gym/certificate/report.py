@@ -1,6 +1,5 @@
 """What came of trying a task with one arm still, as values, JSON and Markdown."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_count, check_number, shown
+from collaborative_gym.files import read_sealed, sealed
 from collaborative_gym.tasks.identity import Identity
 
 PLAYERS = {
@@ -163,7 +163,7 @@ class Certificate:
             "settings": self.settings,
             "trials": [asdict(trial) for trial in self.trials],
         }
-        return json.dumps(content, indent=2) + "\n"
+        return sealed(content)
 
     @classmethod
     def load(cls, path: Path) -> "Certificate":
@@ -173,20 +173,17 @@ class Certificate:
           OSError: if it cannot be read.
           ValueError: if it is damaged or of another format.
         """
+        content = read_sealed(path, "remove it to start again")
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
             if content["format"] != _FORMAT:
                 raise ValueError(f"its format is {content['format']}, not {_FORMAT}")
             Identity.from_dict(content["settings"]["identity"])
             trials = tuple(map(_checked, content["trials"]))
             return cls(str(content["environment"]), content["settings"], trials)
-        except OSError:
-            raise
-        except Exception as error:  # A file may be spoilt in any way.
+        except (LookupError, TypeError, ValueError) as error:
             reason = str(error).partition("\n")[0]
             raise ValueError(
-                f"{path} is not a certificate, or is damaged: {reason}; remove it to"
-                " start again"
+                f"{path} is not a certificate: {reason}; remove it to start again"
             ) from error
 
     def to_markdown(self) -> str:

@@ -1,6 +1,5 @@
 """Runs that are there, read from their folders, and what they differ in."""
 
-import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_kind
+from collaborative_gym.files import SealedRows, read_sealed
 from collaborative_gym.learning.config import foreign
 from collaborative_gym.learning.folder import CONFIG, PROGRESS
 
 VALIDATION = "validation/"
 """Begins the columns of what a validation measured."""
+
+_REMEDY = (
+    "continue the run, which writes it anew (train --resume), or leave the run out"
+)
+"""What to do about a damaged file."""
 
 _NO_SETTINGS = ("seed", "observation_sizes", "action_sizes", "start.metadata")
 """Settings that follow from others, or that shall not tell runs apart."""
@@ -50,17 +55,15 @@ class TrainedRun:
           OSError: if a file is missing or cannot be read.
           ValueError: if one is damaged; names it.
         """
-        path = folder / CONFIG
+        content = read_sealed(folder / CONFIG, _REMEDY)
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
             seed, identity = int(content["seed"]), dict(content.pop("identity"))
             total = int(content["hyperparameters"]["total_steps"])
-            path = folder / PROGRESS
-            rows = tuple(_validations(path))
         except (LookupError, TypeError, ValueError) as error:
             raise ValueError(
-                f"{path} is not from a training run, or is damaged: {error!r}"
+                f"{folder / CONFIG} is not from a training run: {error!r}"
             ) from None
+        rows = tuple(_validations(folder / PROGRESS))
         algorithm = content.get("algorithm", "ppo")
         unused = {f"hyperparameters.{name}" for name in foreign(algorithm)}
         settings = {
@@ -143,13 +146,11 @@ def told(value: Any) -> str:
 
 def _validations(path: Path) -> Iterator[Mapping[str, float]]:
     """Yield what a run's file tells of its validations."""
-    with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            kept = {
-                name: float(cell)
-                for name, cell in row.items()
-                if cell
-                and (name in ("steps", "core_seconds") or name.startswith(VALIDATION))
-            }
-            if any(name.startswith(VALIDATION) for name in kept):
-                yield kept
+    for row in SealedRows.read(path, _REMEDY):
+        kept = {
+            name: float(cell)
+            for name, cell in row.items()
+            if name in ("steps", "core_seconds") or name.startswith(VALIDATION)
+        }
+        if any(name.startswith(VALIDATION) for name in kept):
+            yield kept

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.report import Report
-from collaborative_gym.files import naming, write_text
+from collaborative_gym.files import SealedRows, naming, write_text
 from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve
 from collaborative_gym.learning.folder import CURVE, PROGRESS
@@ -120,9 +120,7 @@ class Monitor:
         self.rows = [_plain(row) for row in rows]
         self._folder = Path(folder)
         self._title = title
-        self._columns: list[str] = []
-        for row in self.rows:
-            self._columns = _joined(self._columns, row)
+        self._lines = SealedRows(())
         self._rewrite()
         # Hides the events of a run that went further before it was resumed.
         purge_step = int(self.rows[-1]["steps"]) + 1 if self.rows else 0
@@ -137,11 +135,9 @@ class Monitor:
         """
         row = _plain(row)
         self.rows.append(row)
-        columns = _joined(self._columns, row)
-        if columns == self._columns:
+        if row.keys() <= set(self._lines.columns):
             self._append(row)
         else:
-            self._columns = columns
             self._rewrite()
         with naming(self._folder):  # TensorBoard's errors name no file.
             for name, value in row.items():
@@ -165,7 +161,11 @@ class Monitor:
 
     def _rewrite(self) -> None:
         """Write all rows anew, under a header that knows all columns."""
-        lines = [",".join(self._columns) + "\n", *map(self._line, self.rows)]
+        columns: list[str] = []
+        for row in self.rows:
+            columns = _joined(columns, row)
+        self._lines = SealedRows(columns)
+        lines = [self._lines.header, *map(self._line, self.rows)]
         with naming(self._path):
             write_text(self._path, "".join(lines))
 
@@ -175,8 +175,7 @@ class Monitor:
 
     def _line(self, row: Row) -> str:
         """Return a row's line; its numbers read back exactly."""
-        cells = (repr(row[name]) if name in row else "" for name in self._columns)
-        return ",".join(cells) + "\n"
+        return self._lines.line({name: repr(value) for name, value in row.items()})
 
     def _draw(self) -> None:
         started = time.monotonic()

@@ -1,6 +1,5 @@
 """The call that trains: a new run, or one that goes on."""
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -24,7 +23,7 @@ except ImportError as error:
     ) from error
 
 from collaborative_gym.evaluation.machine import cores
-from collaborative_gym.files import write_text
+from collaborative_gym.files import sealed, write_text
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import (
     Algorithm,
@@ -144,7 +143,7 @@ def train(
             )
         folder = folder or _begin(settings, output, stack)
         # Also of a run that goes on, whose total_steps may have grown.
-        write_text(folder / CONFIG, json.dumps(settings.to_dict(), indent=2) + "\n")
+        write_text(folder / CONFIG, sealed(settings.to_dict()))
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
         pressed = stack.enter_context(ctrl_c(f"continue with --resume {folder}"))

@@ -20,7 +20,7 @@ from collaborative_gym.errors import (
 )
 from collaborative_gym.evaluation.play import part_of, play_episodes, worlds_for
 from collaborative_gym.evaluation.report import without_nan
-from collaborative_gym.files import check_writable, write_text
+from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
 from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.rng import check_seed
@@ -293,8 +293,8 @@ class _Kept:
         path = self._folder / _file_name(cast)
         if not path.exists():
             return None
+        found = read_sealed(path, "remove it, and it is played again")
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
             if found["format"] != _FORMAT:
                 raise ValueError(f"its format is {found['format']}, not {_FORMAT}")
             columns = {
@@ -302,9 +302,9 @@ class _Kept:
                 for name, column in found["columns"].items()
             }
             differs = list(self._differences(found, cast))
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except (LookupError, TypeError, ValueError) as error:
             raise ValueError(
-                f"{path} is damaged: {error}; remove it, and it is played again"
+                f"{path} is no pairing: {error}; remove it, and it is played again"
             ) from error
         if differs:
             raise ValueError(
@@ -330,7 +330,7 @@ class _Kept:
         if self._folder is not None:
             content = {"format": _FORMAT, **self._settings, "players": _marks(cast)}
             content |= {"columns": without_nan(dict(pairing.columns))}
-            write_text(self._folder / _file_name(cast), json.dumps(content) + "\n")
+            write_text(self._folder / _file_name(cast), sealed(content, indent=None))
 
 
 def _marks(cast: _Cast) -> dict[str, str | None]:
