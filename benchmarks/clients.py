@@ -21,6 +21,7 @@ from gymnasium.wrappers.vector import (
 )
 
 import collaborative_gym as cg
+from collaborative_gym.evaluation.table import markdown_table
 
 Step = Callable[[], object]
 SINGLES = 4
@@ -149,9 +150,8 @@ def main(
         rates = {name: worlds * rate(step, seconds) for name, worlds, step in steps}
         for name, own in rates.items():
             shares[name].append(own / rates["VectorEnv"])
-    print("| client | share of VectorEnv's speed |\n|---|---:|")
-    for name, own in shares.items():
-        print(f"| {name} | {100 * np.median(own):.0f} % |")
+    lines = [[name, f"{100 * np.median(own):.0f} %"] for name, own in shares.items()]
+    print(markdown_table(["client", "share of VectorEnv's speed"], lines, words=1))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.tournaments.result import format_measure
 from kept import keep
 
@@ -52,23 +53,19 @@ def told(means: dict[str, float]) -> str:
 def section(env: str, found: dict) -> list[str]:
     """Return an environment's part of the page."""
     names, means = found["players"], found["means"]
-    lines = [
-        f"### {env}",
-        "",
-        f"| {' / '.join(found['seats'])} | {' | '.join(names)} |",
-    ]
-    lines.append("|---|" + "---:|" * len(names))
+    cells, partners = [], []
     for i, name in enumerate(names):
-        cells = [told({m: means[m][i][j] for m in means}) for j in range(len(names))]
-        lines.append(f"| **{name}** | {' | '.join(cells)} |")
-    lines += ["", "| player | self-play | cross-play | worst partner |"]
-    lines.append("|---|---:|---:|---|")
+        row = [told({m: means[m][i][j] for m in means}) for j in range(len(names))]
+        cells.append([f"**{name}**", *row])
     for name, own in found["standings"].items():
         cross = told({m: mean for m, (mean, _, _) in own["cross-play"].items()})
-        lines.append(
-            f"| {name} | {told(own['self-play'])} | {cross} | {own['worst']} |"
-        )
-    lines.append("")
+        partners.append([name, own["worst"], told(own["self-play"]), cross])
+    heads = ["player", "worst partner", "self-play", "cross-play"]
+    tables = (
+        markdown_table([" / ".join(found["seats"]), *names], cells, words=1),
+        markdown_table(heads, partners, words=2),
+    )
+    lines = [f"### {env}", *(line for table in tables for line in ("", table)), ""]
     for seat, lists in found["conventions"].items():
         listed = "; ".join(", ".join(f"`{name}`" for name in own) for own in lists)
         lines.append(f"- groups of partners that the same {seat} suits: {listed}")

@@ -20,6 +20,7 @@ from rich.progress import Progress
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.machine import describe_machine
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.learning.baselines import training_commands
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import Resources
@@ -79,18 +80,16 @@ def card(run: Path, steps: dict[str, int], result: cg.Tournament) -> str:
         f"Everybody against everybody from each seat, {result.settings['episodes']}"
         " episodes of seed 0 each; ratings, 95 % bootstrap intervals over episodes:",
         "",
-        "| player | steps | rating | wins | draws | losses |",
-        "|---|---:|---:|---:|---:|---:|",
     ]
+    table = []
     for name, standing in result.standings.items():
         rating = result.ratings[name]
         when = f"{steps.get(name, done) / 1e6:.2f} M" if name != "expert" else ""
-        lines.append(
-            f"| {name} | {when} | {rating.mean:.0f} ({rating.low:.0f} to"
-            f" {rating.high:.0f}) | {standing.wins} | {standing.draws} |"
-            f" {standing.losses} |"
-        )
-    return "\n".join(lines) + "\n"
+        told = f"{rating.mean:.0f} ({rating.low:.0f} to {rating.high:.0f})"
+        counts = standing.wins, standing.draws, standing.losses
+        table.append([name, when, told, *map(str, counts)])
+    heads = ["player", "steps", "rating", "wins", "draws", "losses"]
+    return "\n".join([*lines, markdown_table(heads, table, words=1)]) + "\n"
 
 
 def main() -> None:

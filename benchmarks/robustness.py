@@ -11,6 +11,7 @@ import argparse
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.shipped import is_shipped
 from kept import keep
 
@@ -42,17 +43,17 @@ def main() -> None:
 
 def table(rows: dict[str, dict]) -> str:
     """Return the rows as Markdown, in the order of the environments."""
-    cells = [["environment", "policy", *DISTURBANCES], ["---"] * 2]
-    cells[1] += ["---:"] * len(DISTURBANCES)
+    cells = []
     for name in sorted(rows, key=lambda each: cg.list_envs().index(each.split()[0])):
         shares = (rows[name][each] for each in DISTURBANCES)
         told = (" / ".join(f"{100 * share:.0f}" for share in pair) for pair in shares)
         cells.append([*name.split(), *told])
-    lines = [f"| {' | '.join(line)} |" for line in cells]
+    heads = ["environment", "policy", *DISTURBANCES]
     counts = sorted({row["episodes"] for row in rows.values()})
     low = 100 * wilson(1.0, counts[0])[0]
     told = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
-    lines += [
+    lines = [
+        markdown_table(heads, cells, words=2),
         "",
         f"Completion and performance in %, over {told} episodes of each cell. For"
         f" 100 % of {counts[0]} episodes, the 95 % interval is {low:.0f} to 100 %"

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.network import NetworkPolicy
 from kept import keep
 
@@ -42,6 +43,10 @@ def main() -> None:
         row = measured(env, policy, options.episodes, options.late_episodes)
         row["steps"] = [run["steps"] for run in runs[::-1]]
         keep("seeds", (env, seed), row, table)
+
+
+COLUMNS = ("environment", "seed", "steps of its runs, M", "completion")
+COLUMNS += ("performance", "return", "late", "torque limits", "energy")
 
 
 def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
@@ -73,17 +78,13 @@ def table(rows: dict[str, dict[str, dict]]) -> str:
 
 def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     """Yield the lines of the page, in the order of the environments."""
-    yield (
-        "| environment | seed | steps of its runs, M | completion | performance |"
-        " return | late | torque limits | energy |"
-    )
-    yield "| --- | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
-    counts = []
+    table, counts = [], []
     for env in sorted(rows, key=cg.list_envs().index):
         for seed in sorted(rows[env], key=order):
-            yield line(env, seed, rows[env][seed])
+            table.append(line(env, seed, rows[env][seed]))
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
+    yield markdown_table(COLUMNS, table, words=2)
     yield ""
     episodes, late = next(iter(next(iter(rows.values())).values()))["episodes"]
     yield (
@@ -104,9 +105,9 @@ def is_enough(row: dict) -> bool:
     return row["completion"] >= COMPLETION and row["performance"] >= PERFORMANCE
 
 
-def line(env: str, seed: str, row: dict) -> str:
-    """Return a seed's line."""
-    cells = [
+def line(env: str, seed: str, row: dict) -> list[str]:
+    """Return the cells of a seed's line."""
+    return [
         env,
         seed,
         " + ".join(f"{length / 1e6:.1f}" for length in row["steps"]),
@@ -117,7 +118,6 @@ def line(env: str, seed: str, row: dict) -> str:
         f"{100 * row['torque_limit_share']:.1f} %",
         f"{row['energy']:.0f} J",
     ]
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

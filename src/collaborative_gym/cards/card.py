@@ -14,6 +14,7 @@ from collaborative_gym.evaluation.report import (
     plain_to_json,
 )
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.evaluation.table import escaped, markdown_table
 from collaborative_gym.policies import AnyPolicy, name_policy
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
@@ -64,11 +65,11 @@ class ReportCard:
         Args:
           pictures: files to show on it, as they are called from the page.
         """
-        parts = [f"# {self.environment}"]
+        parts = [f"# {escaped(self.environment)}"]
         parts += [f"![{name}]({name})" for name in pictures]
         for name, report in self.reports.items():
             settings = report.settings
-            parts.append(f"## {name}")
+            parts.append(f"## {escaped(name)}")
             parts.append(
                 f"{settings['episodes']} episodes of seed {settings['seed']}, in which"
                 " nothing is trained. Intervals are of 95 %, Wilson's of completion and"
@@ -97,7 +98,7 @@ class ReportCard:
                         for score in report.sides.values()
                     ]
                     lines[name].append(", ".join(told))
-        text = _table(heads, list(lines.values()))
+        text = markdown_table(heads, lines.values())
         return f"{text}\n\n{count} episodes with each, drawn as `hard` draws them."
 
     def _matrices(self, played: Tournament) -> list[str]:
@@ -109,16 +110,13 @@ class ReportCard:
                 [row, *(format_estimate(measure, each) for each in cells.values())]
                 for row, cells in played.matrices[measure].items()
             ]
-            parts.append(f"**{measure}**\n\n{_table([head, *played.players], lines)}")
+            table = markdown_table([head, *played.players], lines)
+            parts.append(f"**{measure}**\n\n{table}")
         count = played.settings["episodes"]
         parts.append(f"{count} episodes of each pairing, of the same starts.")
-        parts += [f"{title} left out: {why}" for title, why in played.left_out.items()]
+        left_out = played.left_out.items()
+        parts += [escaped(f"{title} left out: {why}") for title, why in left_out]
         return parts
-
-
-def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    rows = [heads, ["---"] * len(heads), *lines]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
 
 
 def report_card(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.errors import check_count, check_number, shown
+from collaborative_gym.evaluation.table import escaped, markdown_table
 from collaborative_gym.files import read_sealed, sealed
 from collaborative_gym.tasks.identity import Identity
 
@@ -228,13 +229,10 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
 
 def certificates_to_markdown(certificates: Sequence[Certificate]) -> str:
     """Return one Markdown table of certificates, and their statements below it."""
-    table = [
-        f"| {' | '.join(COLUMNS)} |",
-        f"|---|---|{'---:|' * (len(COLUMNS) - 2)}",
-        *(f"| {' | '.join(line)} |" for each in certificates for line in lines(each)),
-        "",
-        *(f"- {each.statement}" for each in certificates),
-        "",
+    table = [line for each in certificates for line in lines(each)]
+    parts = [
+        markdown_table(COLUMNS, table, words=2),
+        "\n".join(f"- {escaped(each.statement)}" for each in certificates),
         CERTIFICATE_NOTE,
     ]
-    return "\n".join(table) + "\n"
+    return "\n\n".join(parts) + "\n"

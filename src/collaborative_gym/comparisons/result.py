@@ -16,6 +16,7 @@ from collaborative_gym.comparisons.grouping import Group, Grouping
 from collaborative_gym.comparisons.runs import VALIDATION
 from collaborative_gym.evaluation.bootstrap import Estimate, estimate, iqm
 from collaborative_gym.evaluation.report import format_interval, without_nan
+from collaborative_gym.evaluation.table import escaped, markdown_table
 
 _GOAL = 0.9
 """Completion that counts as learned."""
@@ -294,11 +295,9 @@ class Comparison:
 
     def to_markdown(self) -> str:
         """Return the statement and the tables as Markdown."""
-        parts = [self.statement.replace("\n", "\n\n")]
+        parts = [escaped(line) for line in self.statement.split("\n")]
         for title, heads, lines in self.tables():
-            rows = [heads, ["---"] * len(heads), *lines]
-            text = "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
-            parts += [f"**{title}**", text]
+            parts += [f"**{escaped(title)}**", markdown_table(heads, lines)]
         return "\n\n".join(parts) + "\n"
 
     def to_csv(self) -> str:

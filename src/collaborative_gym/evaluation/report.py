@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample, wilson
+from collaborative_gym.evaluation.table import escaped, markdown_table
 
 ACTION_CHANGE = "action_change"
 """How much what moves the arms in an action changes from one control step to the next,
@@ -209,7 +210,7 @@ class Report:
         """Return the statistics as Markdown: what was played, and tables."""
         count, seed = (self.settings[name] for name in ("episodes", "seed"))
         told = f"{self.environment}, {told_episodes(count)} of seed {seed}"
-        return f"{told}:\n\n{markdown_tables(self)}"
+        return f"{escaped(told)}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
         """Return what a notebook shows."""
@@ -273,27 +274,24 @@ def markdown_tables(report: Report) -> str:
         *_measures(report, "performance", True),
         *_measures(report, "time_to_success", unit=" s"),
     ]
+    heads = ["measure", "mean (95 % interval)", "median", "interquartile mean"]
     lines = [
-        "| measure | mean (95 % interval) | median | interquartile mean |",
-        "|---|---|---|---|",
-    ]
-    for name, statistic, percent, unit in measures:
-        cells = (
+        [
             name,
             format_statistic(statistic, percent=percent, unit=unit),
             format_number(statistic.median, percent=percent, unit=unit),
             format_number(statistic.iqm, percent=percent, unit=unit),
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", *strain_rows(report)]
-    lines += [line for note in one_episode_notes([report]) for line in ("", note)]
-    return "\n".join(lines) + "\n"
+        ]
+        for name, statistic, percent, unit in measures
+    ]
+    parts = [markdown_table(heads, lines), strain_table(report)]
+    return "\n\n".join([*parts, *map(escaped, one_episode_notes([report]))]) + "\n"
 
 
-def strain_rows(report: Report) -> list[str]:
-    """Return the lines of a Markdown table of the strain."""
-    lines = ["| strain | mean | worst | in episode |", "|---|---|---|---|"]
-    return lines + [f"| {' | '.join(cells)} |" for cells in strain_lines(report)]
+def strain_table(report: Report) -> str:
+    """Return a Markdown table of the strain."""
+    heads = ["strain", "mean", "worst", "in episode"]
+    return markdown_table(heads, strain_lines(report))
 
 
 def one_episode_notes(reports: Sequence[Report]) -> list[str]:

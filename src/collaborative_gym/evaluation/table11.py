@@ -13,6 +13,7 @@ from collaborative_gym.evaluation.report import (
     format_number,
     without_nan,
 )
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies import load_policy
 from collaborative_gym.policies.shipped import is_shipped
 
@@ -176,8 +177,7 @@ class Table11:
     def to_markdown(self) -> str:
         """Return the table, how it was made, and the verdict as Markdown."""
         heads = ["environment", "measure", "thesis", *column_names()]
-        rows = [heads, ["---", "---", *["---:"] * (len(heads) - 2)], *self.lines()]
-        table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+        table = markdown_table(heads, self.lines(), words=2)
         return f"{table}\n\n{self.about()}\n{NOTE}\n\n{self.verdict}\n"
 
     def about(self) -> str:

@@ -11,8 +11,9 @@ from collaborative_gym.evaluation.machine import describe_machine
 from collaborative_gym.evaluation.report import (
     format_number,
     format_statistic,
-    strain_rows,
+    strain_table,
 )
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.files import replacing, write_text
 from collaborative_gym.learning.config import (
     Hyperparameters,
@@ -32,6 +33,9 @@ each action is done one control step late."""
 
 _CHOICE_EPISODES, _CHOICE_SEED = 200, 1
 """Other episodes, by which the run is chosen that is shipped."""
+
+_COLUMNS = ("seed", "steps", "time", "start", "mean reward", "median", "completion")
+_COLUMNS += ("performance", "time to success")
 
 
 @dataclass(frozen=True)
@@ -155,13 +159,14 @@ def write_card(
         " Where starts are all the same there is one deterministic episode, and no"
         " interval. Where they are late, each action is done one control step late.",
         "",
-        "| seed | steps | time | start | mean reward | median | completion |"
-        " performance | time to success |",
-        "|---|---|---|---|---|---|---|---|---|",
+        markdown_table(
+            _COLUMNS, [row for each in candidates for row in _rows(each, each is best)]
+        ),
+        "",
+        "The strain of the shipped one on `default`:",
+        "",
+        strain_table(best.reports["default"]),
     ]
-    lines += [row for each in candidates for row in _rows(each, each is best)]
-    lines += ["", "The strain of the shipped one on `default`:", ""]
-    lines += strain_rows(best.reports["default"])
     return "\n".join(lines) + "\n"
 
 
@@ -171,10 +176,10 @@ def _episodes() -> str:
     )
 
 
-def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
+def _rows(candidate: Candidate, is_best: bool) -> Iterator[list[str]]:
     """Yield the lines of a card's table that tell of a run."""
     for starts, report in candidate.reports.items():
-        cells = [
+        yield [
             f"{candidate.result.settings.seed}" + " (shipped)" * is_best,
             f"{candidate.result.steps / 1e6:.1f} M",
             f"{candidate.result.seconds / 60:.0f} min",
@@ -185,7 +190,6 @@ def _rows(candidate: Candidate, is_best: bool) -> Iterator[str]:
             format_statistic(report.performance, percent=True),
             format_statistic(report.time_to_success, unit=" s"),
         ]
-        yield f"| {' | '.join(cells)} |"
 
 
 def _curriculum(hyperparameters: Hyperparameters) -> str:
