@@ -444,7 +444,7 @@ def _help(*command: str) -> str:
     os.environ["COLUMNS"] = str(_WIDTH)
     try:
         with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-            main([*command, "--help"])
+            main([*command, "--help-all" if command == ("train",) else "--help"])
     finally:
         os.environ.pop("COLUMNS")
         if before is not None:

@@ -15,9 +15,16 @@ from collaborative_gym.errors import (
     look_up,
     naming,
     shown,
+    unknown,
 )
 
 NO_NUMBERS = [True, np.True_, "1", None, 1j, [1], np.ones(2), np.timedelta64(1, "s")]
+
+
+def test_of_many_names_the_nearest_are_listed():
+    told = unknown("door", "door77", [f"door {i}" for i in range(99)])
+    assert "did you mean 'door 77'?); doors: " in told
+    assert len(told) < 200 and "and 91 others" in told
 
 
 @pytest.mark.parametrize("given", [3, np.int8(3), np.uint64(3)])

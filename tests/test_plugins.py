@@ -25,6 +25,7 @@ def wave(tmp_path, monkeypatch, carry_id):
     """Return the path of a file that registers a task; it is forgotten afterwards."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(plugins, "_loaded", {})
+    monkeypatch.setattr(plugins, "_registering", set())
     (tmp_path / "my_settings.py").write_text("REACH = 0.5\n")
     path = tmp_path / "my_wave.py"
     path.write_text(TASK)
@@ -86,6 +87,8 @@ def test_the_command_line_tells_where_a_file_is_wrong(
     [
         ("nowhere.py", FileNotFoundError, "there is no module nowhere.py"),
         ("no_such.module", KeyError, "no module 'no_such.module' is installed"),
+        ("os", ValueError, "module os registers no task, environment or arm"),
+        ("x\0.py", ValueError, "module must be a path"),
     ],
 )
 def test_a_module_that_is_missing(name, error, message):
@@ -100,9 +103,13 @@ def test_a_file_named_as_a_library(wave):
         cg.load_module(str(other))
 
 
-def test_a_file_that_fails_can_be_mended(wave):
-    wave.write_text("import nothing_of_this_name\n")
-    with pytest.raises(ModuleNotFoundError, match="nothing_of_this_name"):
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [("import nothing_of_this_name\n", ModuleNotFoundError), ("x = 1\n", ValueError)],
+)
+def test_a_file_that_fails_or_registers_nothing_can_be_mended(wave, text, error):
+    wave.write_text(text)
+    with pytest.raises(error, match=r"nothing_of_this_name|registers no task"):
         cg.load_module(str(wave))
     wave.write_text(TASK)
     assert cg.load_module(str(wave)).Wave.reach == 0.5

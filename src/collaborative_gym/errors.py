@@ -18,6 +18,9 @@ MOST_ENVS = 10**6
 MOST_THREADS = 1024
 """More threads than any machine runs well."""
 
+_LISTED = 12
+"""As many names as an error lists; of more it lists the eight nearest."""
+
 _REMEDIES = {
     "mass and inertia of moving bodies": "give it a mass in kg and an inertia in kg m2",
     "A + B >= C": "no body has this inertia: give it in kg m2, about the mass's centre",
@@ -55,9 +58,10 @@ class UnknownOption(UnknownName, TypeError):
 def how_to_install(extra: str) -> str:
     """Return the command that installs an extra of this package, in a clone of it.
 
-    What PyPI calls `collaborative-gym` is another project.
+    What PyPI calls `collaborative-gym` is another project. Without the constraints, pip
+    may take versions that were not tried, and a torch of several gigabytes.
     """
-    return f"pip install -e '.[{extra}]'"
+    return f"pip install --constraint constraints.txt --editable '.[{extra}]'"
 
 
 @contextmanager
@@ -93,7 +97,8 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
       valid: every name that would have been accepted.
 
     Returns:
-      One sentence that suggests the nearest name and lists all of them.
+      One sentence that suggests the nearest name and lists all of them, or the nearest
+      ones of many.
     """
     names = sorted(valid)
     lower = {name.lower(): name for name in names}
@@ -101,6 +106,10 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     # Before the list, which may be long.
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+    if len(names) > _LISTED:
+        close = difflib.get_close_matches(str(given).lower(), lower, 8, 0.0)
+        left = len(names) - len(close)
+        names = [*sorted(lower[name] for name in close), f"and {left} others"]
     return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names)}"
 
 
@@ -138,8 +147,9 @@ def look_up_registered(kind: str, given: object, table: Mapping[str, T]) -> T:
         return look_up(kind, given, table)
     except UnknownName as error:
         # Whoever resumes the training of an own task easily forgets its file.
+        how = " (`collaborative-gym list` shows all)" if len(table) > _LISTED else ""
         raise UnknownName(
-            f"{error}; for one of your own, import its file (--module FILE)"
+            f"{error}{how}; for one of your own, import its file (--module FILE)"
         ) from None
 
 

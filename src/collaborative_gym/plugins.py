@@ -21,6 +21,18 @@ _loaded: dict[Path, ModuleType] = {}
 _tried: set[Path] = set()
 """Those, and the ones that failed."""
 
+_registering: set[str] = set()
+"""The modules that have registered something while they were imported."""
+
+
+def note_registration() -> None:
+    """Remember the modules that are imported now as modules that register something."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        if frame.f_code.co_name == "<module>":
+            _registering.add(frame.f_globals.get("__name__", ""))
+        frame = frame.f_back
+
 
 def load_modules(names: Iterable[str]) -> None:
     """Import each of the modules, as `load_module` does."""
@@ -41,12 +53,16 @@ def load_module(name: str) -> ModuleType:
       FileNotFoundError: if there is no such file.
       KeyError: if there is no such module.
       TypeError: if the name is not a string.
-      ValueError: if another module of that name is loaded already, or the file is not
-        valid Python.
+      ValueError: if another module of that name is loaded already, the file is not
+        valid Python, or nothing was registered when it was imported.
     """
     check_name("module", name)
+    if "\0" in name:
+        raise ValueError(f"module must be a path or a dotted name, got {name!r}")
     if not name.endswith(".py"):
-        return _import(name)
+        module = _import(name)
+        _check_registers(name, name)
+        return module
     path = Path(name).resolve()
     if path in _loaded:
         return _loaded[path]
@@ -68,6 +84,7 @@ def load_module(name: str) -> ModuleType:
     sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)
+        _check_registers(name, path.stem)
     except BaseException as error:
         del sys.modules[path.stem]
         if isinstance(error, SyntaxError):
@@ -107,6 +124,15 @@ def load_entry_points() -> None:
                 f"the tasks of {package} ({entry.value}) cannot be loaded: {error!r}",
                 stacklevel=2,
             )
+
+
+def _check_registers(name: str, module: str) -> None:
+    """Raise ValueError unless a module, or one within it, has registered something."""
+    if not any(f"{own}.".startswith(f"{module}.") for own in _registering):
+        raise ValueError(
+            f"module {name} registers no task, environment or arm; it must call"
+            " register_task, register_env or register_robot as it is imported"
+        )
 
 
 def _told(name: str, error: SyntaxError) -> str:

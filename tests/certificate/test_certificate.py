@@ -8,6 +8,8 @@ import pytest
 
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.report import Certificate, Trial, upper_bound
+from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.registry import make_task
 
 
 @pytest.mark.parametrize(
@@ -35,12 +37,14 @@ def test_a_row_tells_the_best_and_the_surest():
         Trial(*idle, "search", 32, 0, 0.4),
         Trial(*frozen, "search", 32, 8, 0.1),
     )
-    certificate = Certificate("Some-v0", {}, trials)
+    identity = Identity.of(make_task("Pass", ("panda", "jaco"))).to_dict()
+    certificate = Certificate("Some-v0", {"identity": identity}, trials)
     assert certificate.best == {idle: trials[0], frozen: trials[3]}
     table = certificate.to_markdown()
     assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | 0.6% | 0.40 |" in table
     assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | 4" in table
-    assert "with one arm still: 0.0% (up to 0.6%) if from the start on, 25.0%" in table
+    assert "- Pass with panda, jaco, with one arm still: 0.0% (up to 0.6%)" in table
+    assert "if from the start on, 25.0%" in table
     assert "25.0% (up to 40.6%) if from 50 % of the way on" in table
 
 

@@ -1,10 +1,12 @@
 import json
 import os
+import re
 import runpy
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from functools import partial
 from importlib.metadata import version
 from multiprocessing import dummy
@@ -20,6 +22,7 @@ from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import progress_bars, read_policies
 from collaborative_gym.evaluation import table11
+from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.pictures import recording
 from collaborative_gym.policies.shipped import SHIPPED
 from collaborative_gym.tasks.identity import Identity
@@ -363,6 +366,19 @@ def test_help_fits_a_terminal(capsys, command):
     assert "usage: collaborative-gym" in capsys.readouterr().out
 
 
+def test_the_help_of_train_is_short_and_names_all_options(capsys):
+    told = {}
+    for asked in ("--help", "--help-all"):
+        with pytest.raises(SystemExit, match="0"):
+            main(["train", asked])
+        told[asked] = capsys.readouterr().out
+    assert told["--help"].count("\n") < 120
+    assert "price of torque" in told["--help-all"]
+    options = {f"--{each.name.replace('_', '-')}" for each in fields(Hyperparameters)}
+    for text in told.values():
+        assert options <= {*re.findall(r"--[a-z-]+", text)}
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window may open")
 @pytest.mark.parametrize(
     "flag", [["--env", "Carry"], ["--env=Carry"], ["view", "Carry"]]
@@ -382,7 +398,7 @@ def test_view_without_display_and_extra_says_what_to_do(
     printed = capsys.readouterr()
     assert "no display to open a window on" in printed.out
     assert printed.err.startswith("error: the viewer in the browser needs viser")
-    assert "pip install -e '.[view]'" in printed.err
+    assert "--constraint constraints.txt --editable '.[view]'" in printed.err
     assert "collaborative-gym record" in printed.err
 
 

@@ -5,8 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import collaborative_gym as cg
+from collaborative_gym.cli.tables import reports_table, strain_table
 from collaborative_gym.evaluation.report import (
     Statistic,
     format_statistic,
@@ -56,7 +58,7 @@ def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
 
 def test_markdown_is_a_table_of_all_statistics(report):
     title, table, strain = report.to_markdown().split("\n\n")
-    assert title == "Carry, 5 episodes of seed 0:"
+    assert title == "Carry with panda, panda, 5 episodes of seed 0:"
     assert told_episodes(1) == "1 episode"
     head, rule, *rows = table.splitlines()
     lines = [head, rule, *rows, *strain.splitlines()]
@@ -131,3 +133,13 @@ def test_episodes_that_start_alike_are_one_without_an_interval(report):
     assert "one deterministic episode" in again.to_markdown()
     assert "one deterministic episode" not in report.to_markdown()
     assert json.loads(again.to_json())["LiftTaskSawyers-v0"]["is_one_episode"] is True
+
+
+def test_what_people_read_names_the_arms(carry):
+    """Other arms than an environment's own do not go under its name alone."""
+    own = carry(robots=("panda", "jaco"))
+    report = cg.evaluate(own, episodes=2, num_threads=1)
+    console = Console(width=100, file=io.StringIO())
+    console.print(reports_table([report]), strain_table([report]))
+    for told in (report.to_markdown(), console.file.getvalue(), report.to_csv()):
+        assert "panda" in told and "jaco" in told

@@ -264,6 +264,6 @@ def test_curve_is_a_picture_of_eight_by_six_inches(tmp_path, count):
 
 def test_missing_extra_is_said_before_the_run(start, tmp_path, monkeypatch):
     monkeypatch.setattr(monitor, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"pip install -e .\.\[train\]"):
+    with pytest.raises(ImportError, match=r"pip install .* --editable .\.\[train\]"):
         start()
     assert not list(tmp_path.iterdir())

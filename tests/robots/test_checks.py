@@ -42,11 +42,15 @@ WRONG_VALUES = [
         "bodies 'upper_arm' and 'left_finger' touch at home; give a home where they do",
     ),
     ({"velocity_limits": ()}, "has 6 joints but 0 values in velocity_limits"),
-    ({"velocity_limits": (0.0,) + (1.0,) * 5}, "must be above 0, got 0.0"),
-    ({"velocity_limits": (120.0,) * 6}, "at most 30 rad/s, got 120; give rad/s, not"),
+    (
+        {"velocity_limits": (0.0,) + (1.0,) * 5},
+        "velocity_limits of joint 'joint_1' must be",
+    ),
+    ({"velocity_limits": (120.0,) * 6}, "to 30 rad/s, got 120; give rad/s, not"),
     ({"torque_limits": (-5.0,) + (1.0,) * 5}, "torque_limits of joint 'joint_1' must"),
     ({"damping": (np.inf,) + (1.0,) * 5}, r"damping\[0\] must be finite, got inf"),
-    ({"armature": (-1.0,) + (1.0,) * 5}, "must be at least 0, got -1.0"),
+    ({"armature": (-1.0,) + (1.0,) * 5}, "must be 0 to 1000 kg m2, got -1"),
+    ({"stiffness": (1e300,) + (1.0,) * 5}, "stiffness of joint 'joint_1' must be"),
     ({"payload": 0.0}, "payload must be above 0, got 0.0"),
     ({"payload": 5000.0}, "payload of 5000 kg weighs 49050.0 N, but its gripper's hol"),
     ({"reach": -1.0}, "reach must be above 0, got -1.0"),
@@ -139,6 +143,37 @@ WRONG_FILES = [
         "a joint without a name, of body 'base', that nothing",
     ),
 ]
+
+
+def in_joint(attribute):
+    return '<joint name="joint_1"', f'<joint {attribute} name="joint_1"'
+
+
+# A world with any of these would diverge at every step.
+WRONG_NUMBERS = [
+    (in_joint('frictionloss="nan"'), "joint 'joint_1' must be finite, got nan"),
+    (in_joint('armature="-1"'), "joint 'joint_1' must be 0 to 1000 kg m2"),
+    (in_joint('damping="1e300"'), "joint 'joint_1' must be 0 to 100000 N m s/rad"),
+    (in_joint('stiffness="-5"'), "joint 'joint_1' must be 0 to"),
+    (in_joint('springref="inf"'), "joint 'joint_1' must be finite, got inf"),
+    (in_joint('solreflimit="nan 1"'), "joint 'joint_1' must be finite, got nan"),
+    (in_joint('pos="0 0 nan"'), "must be finite, got nan"),
+    (('mass="3.6"', 'mass="1e300"'), "body 'shoulder' must be 0 to 10000 kg, got 1e"),
+    (('mass="3.6"', 'mass="inf"'), "body 'shoulder' must be finite, got inf"),
+    (("0 0 -0.0108", "0 0 1e9"), "ipos of body 'shoulder' must be -10 to 10 m, got 1e"),
+    (("0 0 -0.0108", "0 0 nan"), "ipos of body 'shoulder' must be finite"),
+    (
+        ('size="0.012 0.006 0.035"', 'size="0.012 0.006 0.035" friction="nan 1 1"'),
+        "geom .* must be finite, got nan",
+    ),
+    (("-70 70", "-1e300 1e300"), "torque_limits of joint 'joint_3' must be"),
+]
+
+
+@pytest.mark.parametrize(("edit", "message"), WRONG_NUMBERS)
+def test_numbers_that_no_arm_can_have_are_refused(edited, edit, message):
+    with pytest.raises(ValueError, match=message):
+        edited(edit, torque_limits=())
 
 
 @pytest.mark.parametrize(("edit", "message"), WRONG_FILES)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym.errors import SimulationDiverged
+from collaborative_gym.quiet import quiet
 from collaborative_gym.sim.cpu import CpuSim
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -151,3 +152,29 @@ sim.forward()
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="it cannot fork")
 def test_a_forked_process_ends_though_it_has_none_of_the_threads():
     subprocess.run([sys.executable, "-c", FORK], check=True, timeout=60)
+
+
+def test_worlds_that_diverge_are_quiet_and_other_simulations_are_not(
+    env, capfd, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    env.sim.qvel[1] = 1e12
+    with pytest.raises(SimulationDiverged):
+        env.sim.step(controls(env))
+    assert not capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+    data = mujoco.MjData(env.model)
+    data.qvel[:] = 1e12
+    mujoco.mj_step(env.model, data)
+    assert "unstable" in capfd.readouterr().err
+    assert (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_what_is_quiet_in_two_threads_warns_again_after_both():
+    first, second = quiet(), quiet()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert not mujoco.MjLogConfig.get().logto_console
+    second.__exit__(None, None, None)
+    assert mujoco.MjLogConfig.get().logto_console

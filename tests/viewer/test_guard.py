@@ -405,22 +405,37 @@ def test_uploads_fill_no_memory(page, tab, wait_until):
     assert grown < 16 * 1024 * (1 if sys.platform == "linux" else 1024)
 
 
-def test_connections_beyond_a_number_are_refused(page, wait_until):
+def test_connections_beyond_a_number_are_refused(page, monkeypatch):
+    monkeypatch.setattr(guard, "_MOST", 2)
+    tabs = [join(page) for _ in range(2)]
+    with pytest.raises(REFUSED):
+        join(page)
+    for tab in tabs:
+        tab.ping().wait(10)
+        tab.close()
+
+
+def test_silent_connections_lock_no_tab_out(page):
     address = "127.0.0.1", port_of(page)
     silent = [socket.create_connection(address) for _ in range(guard._MOST)]
-    with pytest.raises(REFUSED):
-        connect(page.url.replace("http", "ws"), subprotocols=[PROTOCOL])
+    with closing(join(page)) as tab:
+        assert tab.ping().wait(10)
     for each in silent:
         each.close()
 
-    def joins():
-        try:
-            join(page).close()
-        except REFUSED:
-            return False
-        return True
 
-    wait_until(joins)
+def test_a_tab_without_height_joins(page, wait_until, capfd):
+    with closing(join(page)) as tab:
+        send(tab, {**CAMERA, "image_height": 0, "image_width": 0})
+        wait_until(lambda: page._server.get_clients())
+        (client,) = page._server.get_clients().values()
+        wait_until(lambda: client.camera.image_height == 1)
+    assert "ZeroDivisionError" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("path", ["/" + "x" * 5000, "/%00", "/" + "a/" * 2000])
+def test_a_path_that_no_file_can_have_is_missing(page, path):
+    assert get(page.url, path) == 404
 
 
 def test_two_start_at_once_and_both_are_guarded(make_page):

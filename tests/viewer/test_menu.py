@@ -53,6 +53,9 @@ def test_what_a_link_does_not_say_is_as_usual(menu):
         (f"env={LIFT}&policies=idle&policies=/etc/passwd", "no policy '/etc/passwd'"),
         (f"env={LIFT}&randomization=wild", "no randomization 'wild'"),
         (f"env={LIFT}&seed=x", "invalid literal"),
+        (f"env={LIFT}&seed=-1", "seed must be at least 0"),
+        (f"env={LIFT}&episode=-1", "episode must be at least 0"),
+        (f"env={LIFT}&episode={2**63}", "episode must be at most"),
     ],
 )
 def test_a_link_to_what_may_not_be_chosen_is_refused(menu, link, told):

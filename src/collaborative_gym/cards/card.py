@@ -65,7 +65,8 @@ class ReportCard:
         Args:
           pictures: files to show on it, as they are called from the page.
         """
-        parts = [f"# {escaped(self.environment)}"]
+        reports = list(self.reports.values())
+        parts = [f"# {escaped(reports[0].title)}"]
         parts += [f"![{name}]({name})" for name in pictures]
         for name, report in self.reports.items():
             settings = report.settings
@@ -80,7 +81,7 @@ class ReportCard:
             parts += ["## Robustness", self._robustness()]
         if self.cross_play:
             parts += ["## Cross-play", *self._matrices(self.cross_play)]
-        versions = next(iter(self.reports.values())).settings["identity"]["versions"]
+        versions = reports[0].settings["identity"]["versions"]
         told = ", ".join(f"{name} {version}" for name, version in versions.items())
         parts.append(f"Versions: {told}.")
         return "\n\n".join(parts) + "\n"

@@ -126,6 +126,11 @@ class Certificate:
     trials: tuple[Trial, ...] = ()
 
     @property
+    def title(self) -> str:
+        """What was tried: the environment and its arms."""
+        return Identity.from_dict(self.settings["identity"]).title
+
+    @property
     def rows(self) -> dict[tuple[str, str, float], tuple[Trial, ...]]:
         """The trials of each still arm."""
         found: dict[tuple[str, str, float], tuple[Trial, ...]] = {}
@@ -154,7 +159,7 @@ class Certificate:
             found.append(
                 f"{most.completion:.1%} (up to {most.bound:.1%}) if from {since} on"
             )
-        return f"{self.environment} with one arm still: {', '.join(found)}"
+        return f"{self.title}, with one arm still: {', '.join(found)}"
 
     def to_json(self) -> str:
         """Return everything as JSON."""
@@ -223,7 +228,7 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
         best, nearest = certificate.best[row], min(trial.nearest for trial in trials)
         cells = (counts.get(player, "-") for player in PLAYERS)
         ends = f"{best.bound:.1%}", f"{nearest:.2f}"
-        found.append((certificate.environment, best.still, *cells, *ends))
+        found.append((certificate.title, best.still, *cells, *ends))
     return found
 
 

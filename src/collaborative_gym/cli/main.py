@@ -30,7 +30,7 @@ from collaborative_gym.cli.compare import Compare
 from collaborative_gym.cli.report import Report
 from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, tell
 from collaborative_gym.cli.tournament import Tournament
-from collaborative_gym.cli.train import Train
+from collaborative_gym.cli.train import BriefTrain, Train
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
 
@@ -121,10 +121,16 @@ def _run(arguments: list[str]) -> None:
         return
     verb = arguments[0] if arguments else ""
     if verb in _VERBS:  # Reading the options of one command is quicker.
+        kind, description, rest = _VERBS[verb], None, arguments[1:]
+        if kind is Train and "--help-all" in rest:
+            rest = ["--help"]
+        elif kind is Train and {"-h", "--help"} & {*rest}:
+            kind, description = BriefTrain, BriefTrain.description()
         command = tyro.cli(
-            _VERBS[verb],
+            kind,
             prog=f"collaborative-gym {verb}",
-            args=arguments[1:],
+            description=description,
+            args=rest,
             registry=PLAIN_WORDS,
         )
     elif verb[:1] not in ("", "-"):

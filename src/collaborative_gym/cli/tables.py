@@ -1,6 +1,7 @@
 """Tables that the command line prints."""
 
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from rich.table import Table
 from rich.text import Text
@@ -42,7 +43,7 @@ def reports_table(reports: Sequence[Report]) -> Table:
             own = "-" if score.score is None else _two_lines(score.score)
             median = f"\nmedian {format_number(score.mean_reward.median)}"
             table.add_row(
-                report.environment + (f"\n{side}" if len(report.sides) > 1 else ""),
+                _played(report) + (f"\n{side}" if len(report.sides) > 1 else ""),
                 *[own] * has_score,
                 _two_lines(score.mean_reward).append(median, "dim"),
                 _two_lines(score.completion, percent=True),
@@ -59,13 +60,18 @@ def reports_table(reports: Sequence[Report]) -> Table:
     return table
 
 
+def _played(report: Report) -> str:
+    return report.title.replace(" with ", "\nwith ")
+
+
 def strain_table(reports: Sequence[Report]) -> Table:
     """Return what arms did to one another, to things and to themselves."""
     table = new_table("environment", "strain", "mean", "worst", "in episode")
     table.columns[1].justify = "left"
     for report in reports:
-        for i, cells in enumerate(strain_lines(report)):
-            table.add_row("" if i else report.environment, *cells)
+        heads = _played(report).split("\n")
+        for head, cells in zip_longest(heads, strain_lines(report), fillvalue=""):
+            table.add_row(head, *cells)
     table.caption = "The greatest value in each episode; for the clearance, the least."
     return table
 
@@ -170,6 +176,7 @@ def _tournament_caption(tournament: Tournament) -> str:
     lines = [f"{told_episodes(episodes)} for each pairing, of the same starts."]
     if tournament.is_one_episode:
         lines = ["All starts are alike: one deterministic episode, no intervals."]
+    lines[0] = f"{tournament.title}. {lines[0]}"
     diverged = sum(sum(each.columns["diverged"]) for each in tournament.pairings)
     if diverged:
         lines.append(f"{diverged:.0f} episodes diverged.")
@@ -207,7 +214,7 @@ def certificates_table(certificates: Sequence[Certificate]) -> Table:
     heads = (name.replace(" for ", "\nfor ") for name in COLUMNS[2:])
     table = new_table("still arm", *heads)
     for certificate in certificates:
-        table.add_row(Text(certificate.environment, "bold"))
+        table.add_row(Text(certificate.title, "bold"))
         for _, still, *cells in lines(certificate):
             table.add_row(f"  {still}", *(cell.replace(" of ", "/") for cell in cells))
     table.caption = CERTIFICATE_NOTE

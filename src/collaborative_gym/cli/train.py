@@ -1,6 +1,8 @@
 """The command that trains."""
 
+import inspect
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -55,6 +57,7 @@ class Train(Command):
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.
+      help_all: like --help, with what each hyperparameter does.
       all: train the baselines of all environments, or of those named, each with
         several seeds, and write their cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
@@ -99,6 +102,7 @@ class Train(Command):
     """
 
     envs: Envs = ()
+    help_all: tyro.conf.FlagCreatePairsOff[bool] = False
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     mode: Annotated[Mode | None, tyro.conf.arg(metavar="MODE"), _Own] = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
@@ -255,6 +259,27 @@ class Train(Command):
             return list(
                 finish(plans, jobs=jobs, resources=self.resources, on_row=display.show)
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BriefTrain(Train):
+    """What `train --help` shows: hyperparameters and resources by their names alone."""
+
+    resources: tyro.conf.Suppress[Resources] = field(default_factory=Resources)
+    hyperparameters: tyro.conf.Suppress[Hyperparameters] = field(
+        default_factory=Hyperparameters
+    )
+
+    @classmethod
+    def description(cls) -> str:
+        """Return what stands above the options."""
+        text = inspect.cleandoc(Train.__doc__ or "").partition("\n\nAttributes:")[0]
+        for what, kind in (("resources", Resources), ("how to learn", Hyperparameters)):
+            names = [f"--{each.name.replace('_', '-')}" for each in fields(kind)]
+            more = f"More options, {what} (see --help-all): {', '.join(names)}."
+            lines = textwrap.wrap(more, 80, break_on_hyphens=False)
+            text += "\n\n" + "\n".join(lines)
+        return text
 
 
 def _tell_failures(outcomes: "Sequence[Outcome]") -> None:

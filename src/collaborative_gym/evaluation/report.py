@@ -12,6 +12,7 @@ import numpy as np
 
 from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample, wilson
 from collaborative_gym.evaluation.table import escaped, markdown_table
+from collaborative_gym.tasks.identity import Identity
 
 ACTION_CHANGE = "action_change"
 """How much what moves the arms in an action changes from one control step to the next,
@@ -148,6 +149,15 @@ class Report:
     strain: dict[str, Worst] = field(default_factory=dict)
 
     @property
+    def title(self) -> str:
+        """What was played: the environment and its arms."""
+        return self._identity.title
+
+    @property
+    def _identity(self) -> Identity:
+        return Identity.from_dict(self.settings["identity"])
+
+    @property
     def is_one_episode(self) -> bool:
         """Whether all episodes are the same one, because they start alike."""
         return len(self.episodes) > 1 and are_one_episode(self.episodes)
@@ -209,7 +219,7 @@ class Report:
     def to_markdown(self) -> str:
         """Return the statistics as Markdown: what was played, and tables."""
         count, seed = (self.settings[name] for name in ("episodes", "seed"))
-        told = f"{self.environment}, {told_episodes(count)} of seed {seed}"
+        told = f"{self.title}, {told_episodes(count)} of seed {seed}"
         return f"{escaped(told)}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
@@ -249,7 +259,11 @@ def plain_to_json(content: Any) -> str:
 def reports_to_csv(reports: Sequence[Report]) -> str:
     """Return all episodes of the reports as one CSV; what a row lacks is empty."""
     rows = [
-        {"environment": report.environment, **without_nan(row)}
+        {
+            "environment": report.environment,
+            "robots": " ".join(report._identity.robot_names),
+            **without_nan(row),
+        }
         for report in reports
         for row in report.episodes
     ]
@@ -297,7 +311,7 @@ def strain_table(report: Report) -> str:
 def one_episode_notes(reports: Sequence[Report]) -> list[str]:
     """Return a sentence for each report whose episodes are all the same one."""
     return [
-        f"{report.environment}: one deterministic episode; all"
+        f"{report.title}: one deterministic episode; all"
         f" {len(report.episodes)} start alike, and there is no interval."
         for report in reports
         if report.is_one_episode

@@ -1,6 +1,7 @@
 """The arms, by name."""
 
 from collaborative_gym.errors import check_kind, look_up_registered
+from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
@@ -33,6 +34,7 @@ def register_robot(robot: Robot) -> None:
             f"robot {robot.name!r} is registered already; give yours another name"
         )
     _ROBOTS[robot.name] = robot
+    note_registration()
 
 
 def list_robots() -> tuple[str, ...]:

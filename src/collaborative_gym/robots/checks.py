@@ -5,6 +5,8 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
+from collaborative_gym.quiet import quiet
+from collaborative_gym.robots.bounds import check_numbers, check_places
 from collaborative_gym.robots.data import (
     GRAVITY,
     RobotData,
@@ -52,6 +54,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
         model = spec.compile()
     except ValueError as error:
         raise compile_error(robot, error) from error
+    check_numbers(robot, model)
     _check_joints(robot, model)
     _check_ranges(robot, model)
     _check_chain(robot, model)
@@ -59,6 +62,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     _check_reach(robot, model, data)
     _check_mounting(robot, model, data)
     _check_shapes(robot, model)
+    check_places(robot, model)
     _check_tcp(robot, model, data)
     if len(robot.gripper.joints) > 1:
         _check_fingers(robot, model)
@@ -72,7 +76,8 @@ def at_home(robot: RobotData, model: mujoco.MjModel, fingers: float) -> mujoco.M
         data.joint(joint).qpos = angle
     for joint in robot.gripper.joints:
         data.joint(joint).qpos = fingers
-    mujoco.mj_forward(model, data)
+    with quiet():
+        mujoco.mj_forward(model, data)
     return data
 
 

@@ -26,14 +26,16 @@ _FASTEST = 30.0
 _WIDEST = 1.0
 """Gaps of a gripper above this, in m, are millimetres."""
 
-_PER_JOINT = (
-    "home",
-    "velocity_limits",
-    "torque_limits",
-    "armature",
-    "damping",
-    "stiffness",
-)
+_PER_JOINT = {
+    "home": (-np.inf, np.inf, ""),
+    "velocity_limits": (1e-9, _FASTEST, " rad/s"),
+    "torque_limits": (1e-9, 1e5, " N m"),
+    "armature": (0.0, 1e3, " kg m2"),
+    "damping": (1e-9, 1e5, " N m s/rad"),
+    "stiffness": (1e-9, 1e6, " N m/rad"),
+}
+"""Least and greatest values of a joint, and their unit. Those that no law of physics
+gives are our choice: a hundred times what the heaviest industrial arms have."""
 
 _GRIPPER_NUMBERS = (
     "open_position",
@@ -81,7 +83,8 @@ class Gripper:
         freeze(self, joints=_names(self.joints))
         for field_name in _GRIPPER_NUMBERS:
             given = getattr(self, field_name)
-            freeze(self, **{field_name: check_number(field_name, given)})
+            value = check_number(field_name, given, at_least=-1e6, at_most=1e6)
+            freeze(self, **{field_name: value})
         _check_gripper(self)
 
     def position(self, gap: float) -> float:
@@ -136,7 +139,8 @@ class RobotData:
             values = check_numbers(field_name, getattr(self, field_name))
             freeze(self, **{field_name: values})
         for field_name in ("payload", "reach"):
-            value = check_number(field_name, getattr(self, field_name), above=0)
+            given = getattr(self, field_name)
+            value = check_number(field_name, given, above=0, at_most=1e4)
             freeze(self, **{field_name: value})
         _check_values(self)
 
@@ -207,19 +211,20 @@ def _check_values(robot: RobotData) -> None:
                 f"robot {robot.name!r} has {count} joints but {len(values)} values in"
                 f" {name}; give one per joint"
             )
-        for joint, value in zip(robot.joints, values, strict=True):
-            if name == "velocity_limits" and value > _FASTEST:
-                raise robot_error(
-                    robot,
-                    f"velocity_limits of joint {joint!r} must be at most {_FASTEST:g}"
-                    f" rad/s, got {value:g}; give rad/s, not degrees",
-                )
-            least = {"home": -np.inf, "armature": 0.0}.get(name, 1e-9)
-            if value < least:
-                bound = "at least 0" if name == "armature" else "above 0"
-                raise robot_error(
-                    robot, f"{name} of joint {joint!r} must be {bound}, got {value}"
-                )
+        check_per_joint(robot, name)
+
+
+def check_per_joint(robot: RobotData, name: str) -> None:
+    """Raise ValueError if a joint cannot have its value in this field."""
+    low, high, unit = _PER_JOINT[name]
+    hint = "; give rad/s, not degrees" if name == "velocity_limits" else ""
+    for joint, value in zip(robot.joints, getattr(robot, name), strict=True):
+        if not low <= value <= high:
+            raise robot_error(
+                robot,
+                f"{name} of joint {joint!r} must be {low:g} to {high:g}{unit}, got"
+                f" {value:g}{hint}",
+            )
 
 
 def freeze(value: Any, **fields: Any) -> None:

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.errors import naming, told_by_mujoco, unknown
+from collaborative_gym.quiet import quiet
 from collaborative_gym.robots.data import (
     RobotData,
     compile_error,
@@ -92,7 +93,7 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
             f"robot {robot.name!r}: there is no model file {path}; model_file is the"
             " path of an MJCF (.xml) or URDF (.urdf) file"
         )
-    with naming(f"robot {robot.name!r}: {path.name} cannot be loaded"):
+    with naming(f"robot {robot.name!r}: {path.name} cannot be loaded"), quiet():
         if path.suffix.lower() == ".urdf":
             return read_urdf(path)
         if path.suffix.lower() != ".xml":

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import mujoco
 
 from collaborative_gym.robots.checks import check_payload, compile_alone, overlaps
-from collaborative_gym.robots.data import RobotData, freeze
+from collaborative_gym.robots.data import RobotData, check_per_joint, freeze
 from collaborative_gym.robots.model_file import load_model
 from collaborative_gym.robots.servos import armatures, dampings, torque_limits
 
@@ -68,6 +68,7 @@ class Robot(RobotData):
         spec = self.spec()
         if not self.torque_limits:
             freeze(self, torque_limits=torque_limits(self, spec))
+            check_per_joint(self, "torque_limits")
         pull = _HOLDING * max(self.torque_limits) / self.reach
         if not self.gripper.holding_force:
             freeze(self, gripper=replace(self.gripper, holding_force=pull))

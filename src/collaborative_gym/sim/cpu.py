@@ -12,6 +12,7 @@ from mujoco import batch
 
 from collaborative_gym.errors import SimulationDiverged, UnknownName, unknown
 from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.quiet import quiet
 from collaborative_gym.sim.judged import CURRENT, JUDGED, Steps, Worlds
 from collaborative_gym.sim.sim import Breaks, EnvIds, Refined, Refinement
 
@@ -65,6 +66,7 @@ class CpuSim:
             sensors[model.sensor(i).name] = self.sensordata[:, start : start + size]
         return sensors
 
+    @quiet()
     def step(
         self,
         controls: Array,
@@ -101,6 +103,7 @@ class CpuSim:
     def _size(self, name: str) -> int:
         return self._batch.bind(name).shape[1]
 
+    @quiet()
     def forward(self, env_ids: EnvIds = None) -> None:
         self._batch.forward(env_ids, stage=CURRENT)
 
@@ -116,6 +119,7 @@ class CpuSim:
         self._batch.state[rows] = state
         self.forward(env_ids)
 
+    @quiet()
     def vary(self, env_ids: EnvIds, factors: Mapping[str, np.ndarray]) -> None:
         for name, factor in factors.items():
             varied = self._batch.expand(name)
@@ -174,7 +178,8 @@ class CpuSim:
 
     def data(self, env_id: int) -> mujoco.MjData:
         data = self._batch.get_data(env_id)
-        mujoco.mj_forward(self.model, data)
+        with quiet():
+            mujoco.mj_forward(self.model, data)
         return data
 
 

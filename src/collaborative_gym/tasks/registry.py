@@ -17,6 +17,7 @@ from collaborative_gym.errors import (
     shown,
     unknown,
 )
+from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task, TaskConfig
@@ -54,6 +55,7 @@ def register_task(name: str, task: type[Task]) -> None:
     if name in _TASKS:
         raise ValueError(f"task {name!r} is registered already")
     _TASKS[name] = task
+    note_registration()
 
 
 def register_env(spec: EnvSpec) -> None:
@@ -83,6 +85,7 @@ def register_env(spec: EnvSpec) -> None:
         kwargs={"env_id": spec.env_id},
     )
     _ENVS[spec.env_id] = spec
+    note_registration()
 
 
 def list_envs() -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def tournament_figure(tournament: Tournament) -> "Figure":
     if tournament.is_divided:
         _draw_ratings(axes[-1], tournament, players)
     episodes = tournament.settings["episodes"]
-    title = f"{tournament.environment}, {episodes} episodes for each pairing"
+    title = f"{tournament.title}, {episodes} episodes for each pairing"
     figure.suptitle(title, x=0.01, horizontalalignment="left")
     return figure
 

@@ -17,6 +17,7 @@ from collaborative_gym.evaluation.report import (
     format_number,
     without_nan,
 )
+from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tournaments.ratings import bradley_terry, cyclic_triples
 
 SHARES = ("points", "completion")
@@ -110,6 +111,11 @@ class Tournament:
     pairings: tuple[Pairing, ...]
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What was played: the environment and its arms."""
+        return Identity.from_dict(self.settings["identity"]).title
 
     @property
     def is_divided(self) -> bool:

@@ -1,5 +1,6 @@
 """A page's server. It answers no other page, and takes only its users' input."""
 
+import asyncio
 import ipaddress
 import logging
 import re
@@ -26,7 +27,8 @@ _LARGEST = 2**14
 """Size of the largest message that is read, in bytes; a tab's have some hundred."""
 
 _MOST = 64
-"""How many connections may be open; a tab has one, and some while it loads."""
+"""How many connections may be open; a tab has one, and some while it loads. Beyond it,
+one that has asked for nothing yet makes room."""
 
 _FAR = 1e3
 """Bound of a mouse's and a camera's place, in m."""
@@ -108,6 +110,7 @@ class _Guard:
             name = socket.gethostname().lower()
             self._names |= {name, f"{name}.local"}
         self._open = 0
+        self._silent: dict[asyncio.Transport, None] = {}
 
     def serve(
         self,
@@ -119,10 +122,14 @@ class _Guard:
         self.has_served = True
 
         def answer(connection: Any, request: Request) -> Response | None:
+            self._silent.pop(connection.transport, None)
             refusal = self._refuse(connection, request)
             if refusal is None and request.path.startswith(self._links):
                 refusal = self._follow(connection, request)
-            response = refusal or process_request(connection, request)
+            try:
+                response = refusal or process_request(connection, request)
+            except (OSError, ValueError):  # No file can have such a name.
+                response = connection.respond(HTTPStatus.NOT_FOUND, "NOT FOUND\n")
             if response is not None:
                 # Nor may a foreign page show ours, and lead its reader's clicks to it.
                 response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
@@ -135,10 +142,23 @@ class _Guard:
         settings |= {"process_request": answer, "create_connection": Connection}
         return _serve(*arguments, **settings)
 
-    def count(self, change: int) -> bool:
-        """Return whether so many connections may be open, one more or one less."""
-        self._open += change
-        return self._open <= _MOST
+    def enter(self, transport: asyncio.Transport) -> None:
+        """Count a connection in, and end one if there are too many.
+
+        That is the oldest that has asked for nothing: a program that opens many and
+        keeps silent does not lock tabs out. Where all are tabs, it is the new one.
+        """
+        self._open += 1
+        self._silent[transport] = None
+        if self._open > _MOST:
+            oldest = next(iter(self._silent))
+            del self._silent[oldest]
+            oldest.abort()
+
+    def leave(self, transport: asyncio.Transport) -> None:
+        """Count a connection out."""
+        self._open -= 1
+        self._silent.pop(transport, None)
 
     def takes(self, sent: "_Input | _Drag | _Camera") -> bool:
         """Return whether a message fits what the page has."""
@@ -201,11 +221,10 @@ class _Connection(websockets.ServerConnection):
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        if not self.guard.count(+1):
-            transport.abort()
+        self.guard.enter(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.guard.count(-1)
+        self.guard.leave(self.transport)
         super().connection_lost(exc)
 
     async def recv(self, decode: bool | None = None) -> Any:
@@ -269,6 +288,11 @@ class _Camera(_Message, tag="ViewerCameraMessage"):
     image_width: _Size
     look_at: _Place
     up_direction: _Place
+
+    def __post_init__(self) -> None:
+        # A page that is hidden, or not yet laid out, has no height.
+        self.image_height = max(1, self.image_height)
+        self.image_width = max(1, self.image_width)
 
 
 def _fits(own: Any, value: bool | float | str) -> bool:

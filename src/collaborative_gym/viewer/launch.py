@@ -51,6 +51,7 @@ def view(
       OSError: if the server cannot listen there.
     """
     task = make_task(env_id, robots, randomization)
+    tell(f"building the world of {env_id} ...")
     env = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
     with closing(env):
         act = as_policy(policy, env, any_env=any_env)

@@ -6,11 +6,12 @@ from typing import Any
 from urllib.parse import parse_qs, urlencode
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import look_up
+from collaborative_gym.errors import check_count, look_up
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
 from collaborative_gym.policies.policy import Policy
 from collaborative_gym.policies.scripted import STYLES
 from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
+from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import list_envs, make_task
@@ -152,8 +153,8 @@ class Menu:
             robots=robots,
             policies=("expert",) * len(robots),
             randomization=_one_of("randomization", drawn, self.randomizations),
-            seed=int(parts.get("seed", ["0"])[0]),
-            episode=int(parts.get("episode", ["0"])[0]),
+            seed=check_seed(int(parts.get("seed", ["0"])[0])),
+            episode=check_count("episode", int(parts.get("episode", ["0"])[0]), 0),
         )
         names, able = parts.get("policies", choice.policies), self.policies(choice)
         if len(names) != len(robots):
