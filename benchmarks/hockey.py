@@ -135,7 +135,7 @@ def attack(env, steps: int, shot: float) -> dict[str, float]:
             put(env, place, shot * way)
             last.clear()
         env.step(chase(env, rng))
-        if (env.task.memory["call"] != 0).any():
+        if (env.sim.memory["call"] != 0).any():
             last.clear()
     env.watch(None)
     return worst

@@ -85,18 +85,18 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
             self.scene.bend(
                 sim, env_ids, agent=agent, angles=np.array(arm.robot.home) + draw
             )
-        self.memory["push"][env_ids] = sim.xp.asarray(rng.uniform(-20.0, 20.0, 3))
+        sim.memory["push"][env_ids] = sim.xp.asarray(rng.uniform(-20.0, 20.0, 3))
 
     def disturb(self, sim, steps):
         body = self.model.body("cube/cube").id
         is_now = (steps == 3)[:, None]
-        sim.xfrc_applied[:, body, :3] = sim.xp.where(is_now, self.memory["push"], 0.0)
+        sim.xfrc_applied[:, body, :3] = sim.xp.where(is_now, sim.memory["push"], 0.0)
 
     def measure(self, sim):
         cube = sim.pose("cube")
         height = cube[0][:, 2]
-        highest = sim.xp.maximum(self.memory["highest"], height)
-        self.memory["highest"] = highest
+        highest = sim.xp.maximum(sim.memory["highest"], height)
+        sim.memory["highest"] = highest
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
         site = {agent: sim.pose(f"cube/{agent}") for agent in self.agents}
         return CarryFacts(

@@ -74,7 +74,7 @@ def test_a_shortfall_that_is_none(faults, wrong):
 def test_a_reset_of_other_worlds(faults):
     def reset(self, own, sim, env_ids, *, rng):
         own(self, sim, env_ids, rng=rng)
-        self.memory["push"][:] = self.memory["push"][env_ids[0]]
+        sim.memory["push"][:] = sim.memory["push"][env_ids[0]]
 
     found = faults(reset=reset)
     assert any("write only the rows env_ids in reset()" in each for each in found)
@@ -85,7 +85,7 @@ def test_numbers_that_are_drawn_elsewhere(faults):
 
     def reset(self, own, sim, env_ids, *, rng):
         own(self, sim, env_ids, rng=rng)
-        self.memory["push"][env_ids] = shared.uniform(-20.0, 20.0, (len(env_ids), 3))
+        sim.memory["push"][env_ids] = shared.uniform(-20.0, 20.0, (len(env_ids), 3))
 
     found = faults(reset=reset)
     assert any("draw only from rng in reset()" in each for each in found)
@@ -119,18 +119,18 @@ def test_a_memory_that_is_kept_elsewhere(faults):
         return facts
 
     found = faults(measure=measure)
-    assert any("belongs in self.memory, from remember()" in each for each in found)
+    assert any("belongs in sim.memory, from remember()" in each for each in found)
     assert any("measure() gives something else when it" in each for each in found)
 
 
 def test_a_memory_that_is_written_to(faults):
     def measure(self, own, sim):
-        highest = self.memory["highest"]
+        highest = sim.memory["highest"]
         np.maximum(highest, 9.0 + sim.time, out=highest)
         return own(self, sim)
 
     found = faults(measure=measure)
-    assert any("measure() writes into the arrays of self.memory" in e for e in found)
+    assert any("measure() writes into the arrays of sim.memory" in e for e in found)
 
 
 def test_a_unit_of_nothing(carry):

@@ -24,6 +24,7 @@ from collaborative_gym.tasks.registry import (  # noqa: E402
     register_env,
     register_task,
 )
+from collaborative_gym.tasks.registry import make_task as task  # noqa: E402
 from collaborative_gym.tasks.task import (  # noqa: E402
     LEVEL,
     Randomization,
@@ -81,6 +82,7 @@ __all__ = [
     "register_robot",
     "register_task",
     "report_card",
+    "task",
     "tournament",
     "train",
     "train_all",

@@ -136,7 +136,7 @@ def check_values(trial: Trial) -> None:
     env = trial.worlds(7)
     for step in range(20):
         actions = _episode_actions(env)
-        terms = env.task.reward(env.facts, env.task.action_mode.commands(actions))
+        terms = env.task.reward(env.facts, env.action_mode.commands(actions))
         for agent in env.agents:
             assert tuple(terms[agent]) == env.reward_terms[agent], (
                 f"reward() has the terms {tuple(terms[agent])} for {agent} in step"
@@ -216,7 +216,7 @@ def check_isolation(trial: Trial) -> None:
     for episode in (0, 2, 4, 5, 6):
         assert _agree(seen[0, episode], expected[0, episode]), (
             f"episode {episode} changes when worlds 1 and 3 start another; write only"
-            " the rows env_ids in reset(), of sim and of self.memory"
+            " the rows env_ids in reset(), of sim and of sim.memory"
         )
 
 
@@ -233,7 +233,7 @@ def check_saving(trial: Trial) -> None:
     for episode in (0, 5):
         assert _agree(seen[0, episode], expected[0, episode]), (
             f"episode {episode} does not continue from its saved state; what must be"
-            " remembered between steps belongs in self.memory, from remember()"
+            " remembered between steps belongs in sim.memory, from remember()"
         )
 
 
@@ -247,23 +247,23 @@ def check_measuring(trial: Trial) -> None:
     assert not unknown, (
         f"units has {unknown}, which measure() does not return; it returns {named}"
     )
-    memory = {name: array.copy() for name, array in task.memory.items()}
+    memory = {name: array.copy() for name, array in env.sim.memory.items()}
     first = [np.array(leaf) for leaf in leaves(env.facts)]
     second = leaves(task.measure(env.sim))
     same = len(first) == len(second) and all(map(_equal, first, second))
-    kept = all(_equal(array, task.memory[name]) for name, array in memory.items())
+    kept = all(_equal(array, env.sim.memory[name]) for name, array in memory.items())
     assert same and kept, (
         "measure() gives something else when it is called again in the same state;"
-        " update self.memory so that a second time changes nothing, as"
+        " update sim.memory so that a second time changes nothing, as"
         " maximum(old, new) does"
     )
-    held = dict(task.memory)
+    held = dict(env.sim.memory)
     play(env, 5)
     assert all(_equal(array, held[name]) for name, array in memory.items()), (
-        "measure() writes into the arrays of self.memory, which are kept in case that"
-        " the step fails; put new ones there: self.memory[name] = maximum(old, new)"
+        "measure() writes into the arrays of sim.memory, which are kept in case that"
+        " the step fails; put new ones there: sim.memory[name] = maximum(old, new)"
     )
-    commands = task.action_mode.commands(_episode_actions(env))
+    commands = env.action_mode.commands(_episode_actions(env))
     for name, ask in (
         ("observe", lambda: task.observe(env.facts)),
         ("reward", lambda: task.reward(env.facts, commands)),

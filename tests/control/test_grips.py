@@ -20,7 +20,7 @@ def held(make_env):
         env.reset(seed=0)
         ask(env, [1.0, 1.0])
         assert holds(env).all()
-        return env, env.task.action_mode
+        return env, env.action_mode
 
     return make
 

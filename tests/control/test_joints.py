@@ -158,7 +158,7 @@ def test_what_arms_exert_against_each_other_dies_away_as_they_move(nudge, least,
     for i in range(8):
         nudges = {a: each + nudge * (-1) ** i for a, each in env.idle().items()}
         env.step(nudges)
-        torque = env.task.action_mode.torques(env.sim, "robot_1")
+        torque = env.action_mode.torques(env.sim, "robot_1")
         pressed.append(np.abs(torque[1] - torque[0]).max())
     assert pressed[0] > 5.0 and least <= pressed[-1] / pressed[0] < most
 
@@ -179,7 +179,7 @@ def test_random_actions_seldom_pass_a_speed_limit_by_a_tenth(free, speeds, robot
 @pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])
 def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
     env = free(8, *robots)
-    mode, data = env.task.action_mode, mujoco.MjData(env.model)
+    mode, data = env.action_mode, mujoco.MjData(env.model)
     rng = np.random.default_rng(1)
     # Half of the worlds push steadily into their ranges, the others to and fro.
     steady = rng.choice([-1.0, 1.0], size=(2, 4, 8))
@@ -241,7 +241,7 @@ def test_new_episodes_begin_with_open_grips_and_holding_servos(make_env):
     env.reset()
     assert not env.sim.eq_active.any()
     for agent, arm in env.scene.arms.items():
-        assert not env.task.action_mode.torques(env.sim, agent).any()
+        assert not env.action_mode.torques(env.sim, agent).any()
         np.testing.assert_array_equal(env.sim.ctrl[:, arm.servos], 0.0)
 
 

@@ -25,7 +25,7 @@ def motions(env, *changes, **options):
 
 
 def test_actions_are_changes_of_joint_angles_and_a_grip(env):
-    robot, mode = cg.get_robot("panda"), env.task.action_mode
+    robot, mode = cg.get_robot("panda"), env.action_mode
     most = np.minimum(MAX_CHANGE, np.array(robot.velocity_limits) * CONTROL_DT)
     asked = Motion(np.array([0.5 * most, -most]), grips=np.array([True, False]))
     action = mode.encode(dict.fromkeys(env.agents, asked))["robot_1"]
@@ -44,7 +44,7 @@ def test_an_action_divides_into_moves_and_a_grip(env, gripping):
 
 def test_idle_robots_hold_still_and_grip_nothing(env):
     for agent, action in env.idle().items():
-        moves, grips = env.task.action_mode.split(action)
+        moves, grips = env.action_mode.split(action)
         assert action.shape == (2, *env.single_action_spaces[agent].shape)
         assert not moves.any()
         assert not grips.any()
@@ -64,7 +64,7 @@ def test_a_motion_that_is_too_fast_keeps_its_direction(env):
     change = np.zeros((2, 7))
     change[0, :2], change[1, :2] = (0.5, 0.25), (0.1, 0.2)
     both = {agent: Motion(change) for agent in env.agents}
-    action = env.task.action_mode.encode(both)["robot_1"]
+    action = env.action_mode.encode(both)["robot_1"]
     limits = env.scene.arms["robot_1"].stride[:2]
     share = change[:, :2] / limits
     np.testing.assert_allclose(action[0, :2], share[0] / share[0].max())
@@ -73,7 +73,7 @@ def test_a_motion_that_is_too_fast_keeps_its_direction(env):
 
 
 def test_arms_in_step_go_at_the_pace_of_the_slowest(env):
-    encode = env.task.action_mode.encode
+    encode = env.action_mode.encode
     grips = np.array([True, False])
     alone = encode(motions(env, 4.0, 1.0, grips=grips))
     np.testing.assert_allclose(alone["robot_2"][:, :7], 1.0)

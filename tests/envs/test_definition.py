@@ -109,6 +109,6 @@ def test_a_target_out_of_reach(broken, y):
 
 def test_trying_out_leaves_the_worlds_as_new(make_env):
     env = make_env(4)
-    assert not env.task.memory["push"].any()
+    assert not env.sim.memory["push"].any()
     np.testing.assert_array_equal(env.sim.qpos[0], env.sim.qpos[3])
     assert not env.sim.xfrc_applied.any()

@@ -161,7 +161,7 @@ def test_noise_is_seen_and_changes_nothing_else(make):
         for agent in env.agents:
             np.testing.assert_array_equal(rewards[agent], real_rewards[agent])
         np.testing.assert_array_equal(
-            env.task.memory["highest"], exact.task.memory["highest"]
+            env.sim.memory["highest"], exact.sim.memory["highest"]
         )
         np.testing.assert_array_equal(env.sim.qpos, exact.sim.qpos)
         misses.append(seen["robot_1"] - real["robot_1"])

@@ -49,7 +49,7 @@ class Plain:
         self.held, self.at_limit = [], []
         self.step, env.sim.step = env.sim.step, self.steps
 
-    def steps(self, controls, records=None, breaks=None):
+    def steps(self, controls, records=None, breaks=None, env_ids=None):
         state, kind = self.env.sim.get_state()[0], mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self.model, self.data, state, kind)
         for control in controls[0]:

@@ -153,15 +153,15 @@ def test_the_ball_rolls_as_friction_says(option):
 def test_pushes_belong_to_the_episode():
     alone, among = make(PUSHED, 1), make(PUSHED, 3)
     alone.reset(seed=0, episodes=[2])
-    pushes = alone.task.memory["pushes"]
-    np.testing.assert_array_equal(pushes[0], among.task.memory["pushes"][2])
+    pushes = alone.sim.memory["pushes"]
+    np.testing.assert_array_equal(pushes[0], among.sim.memory["pushes"][2])
     assert pushes.shape == (1, 200, 3)
     assert 9 < np.abs(pushes[0, :, 0]).max() < 10
     steps = np.array([5, 6, 7])
     among.task.disturb(among.sim, steps)
     board = among.model.body("robot_1/board/board").id
     wrench = among.sim.xfrc_applied[:, board]
-    force, *point = among.task.memory["pushes"][[0, 1, 2], steps].T
+    force, *point = among.sim.memory["pushes"][[0, 1, 2], steps].T
     lever = math.rotate(among.facts.board[1], np.stack([*point, 0 * force], axis=1))
     up = np.stack([0 * force, 0 * force, force], axis=1)
     np.testing.assert_allclose(wrench, np.hstack([up, np.cross(lever, up)]))
@@ -170,7 +170,7 @@ def test_pushes_belong_to_the_episode():
 def test_variants_without_a_push_are_left_alone():
     env = make(UNPUSHED, 1)
     env.step(env.expert())
-    assert "pushes" not in env.task.memory
+    assert "pushes" not in env.sim.memory
     assert not env.sim.xfrc_applied.any()
 
 

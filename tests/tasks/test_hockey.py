@@ -142,8 +142,8 @@ def test_a_puck_that_nobody_plays_is_a_foul_after_a_while():
 def test_a_serve_avoids_mallets():
     env = make(64)
     task = env.task
-    task.memory["serves"][:, 1, :3] = [0.0, 0.2, -0.2]
-    task.memory["call"] = np.where(np.arange(64) % 2, 1.0, -1.0)
+    env.sim.memory["serves"][:, 1, :3] = [0.0, 0.2, -0.2]
+    env.sim.memory["call"] = np.where(np.arange(64) % 2, 1.0, -1.0)
     real, here = env.sim.pose, np.zeros((64, 3))
     here[:32, 1] = 0.03
     env.sim.pose = lambda name: (here, 0) if "mallet" in name else real(name)
@@ -171,8 +171,8 @@ def turned(env, other):
         other.sim.qpos[:, seat.qpos] = env.sim.qpos[:, arm.qpos]
         there, here = (env.model.actuator_actadr[own.servos] for own in (seat, arm))
         other.sim.act[:, there] = env.sim.act[:, here]
-    other.task.memory["serves"] = env.task.memory["serves"].copy()
-    other.task.memory["half"] = -env.task.memory["half"]
+    other.sim.memory["serves"] = env.sim.memory["serves"].copy()
+    other.sim.memory["half"] = -env.sim.memory["half"]
     other.sim.forward()
     assert len(state.physics) == env.num_envs
 

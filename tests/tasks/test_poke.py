@@ -36,7 +36,7 @@ def chase(env):
     home = np.array(arm.robot.home)
     change = reach(env.sim, arm, tcp=tcp, goal=(position, quat), posture=home)
     motions = {"robot_1": Motion(np.zeros_like(change)), "robot_2": Motion(change)}
-    return env.task.action_mode.encode(motions)["robot_2"]
+    return env.action_mode.encode(motions)["robot_2"]
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_the_ball_starts_anywhere_and_is_pushed_either_way():
     share = env.facts.offset[:, :2] / [0.2, 0.45]
     assert (share.max(axis=0) > 0.9).all()
     assert (share.min(axis=0) < -0.9).all()
-    push = env.task.memory["pushes"] / [10.0, 0.4, 0.75]
+    push = env.sim.memory["pushes"] / [10.0, 0.4, 0.75]
     assert (push.max(axis=(0, 1)) > 0.9).all()
     assert (push.min(axis=(0, 1)) < -0.9).all()
     assert np.abs(push).max() <= 1.0

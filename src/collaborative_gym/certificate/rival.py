@@ -31,7 +31,7 @@ def aim_at_success(task: Task, starts: EnvState) -> Task:
             which = rng.uniform(0, len(starts.physics)).astype(int)
             sim.set_state(starts.physics[which], env_ids)
             for name, rows in starts.memory.items():
-                self.memory[name][env_ids] = rows[which]
+                sim.memory[name][env_ids] = rows[which]
 
         def reward(self, facts, actions):
             shortfall = self.shortfall(facts)

@@ -40,15 +40,13 @@ class Definition:
 def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     """Return what follows from a task's definition, tried out at an episode's start.
 
-    The worlds are as new afterwards.
-
     Raises:
       ValueError: if the task's methods return something that cannot be used, or a
         target is out of every arm's reach; says what to change.
     """
     name, mode = type(task).__name__, task.action_mode
     tried = np.arange(min(sim.num_envs, 2))
-    task.memory = task.remember(sim.num_envs)
+    sim.memory = task.remember(sim.num_envs)
     task.reset(sim, tried, rng=EpisodeRandom(0 * tried, tried))
     mode.start(tried)
     sim.forward()
@@ -71,8 +69,6 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
             _check_mask(what, mask, sim)
     _check_score(f"{name}.score()", task.score(facts), sides, tried, sim)
     _check_over(f"{name}.over()", task.over(facts), tried, sim)
-    sim.reset()
-    task.memory = task.remember(sim.num_envs)
     sizes = {
         agent: {block: rows.shape[1] for block, rows in blocks[agent].items()}
         for agent in task.agents

@@ -81,11 +81,12 @@ class Metrics(Mapping[str, Any]):
     def _returns(self) -> dict[str, Any]:
         rows = self._rows
         return {
-            agent: sum(map(rows.get, own.values())) for agent, own in self._sums.items()
+            agent: sum(rows[row] for row in own.values())
+            for agent, own in self._sums.items()
         }
 
     def _return(self, side: str) -> Any:
-        return sum(map(self["returns"].get, self._sides[side]))
+        return sum(self["returns"][agent] for agent in self._sides[side])
 
     def _completed(self, side: str) -> Array:
         return (self._rows[f"{side}: first_success"] >= 0) & self._counts

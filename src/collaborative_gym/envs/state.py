@@ -32,12 +32,12 @@ class EnvState:
 
 
 def taken(
-    sim: Sim, memory: Mapping[str, Array], progress: Mapping[str, Array], rows: Array
+    sim: Sim, progress: Mapping[str, Array], rows: Array
 ) -> tuple[Array, dict[str, Array], dict[str, Array]]:
     """Return copies of these worlds' physics, memory and progress, in this order."""
     order = np.argsort(rows)
     physics = sim.get_state(rows[order])[np.argsort(order)]
-    remembered = {name: array[rows] for name, array in memory.items()}
+    remembered = {name: array[rows] for name, array in sim.memory.items()}
     counted = {name: array[rows] for name, array in progress.items()}
     return physics, remembered, counted
 
@@ -45,7 +45,6 @@ def taken(
 def put(
     state: EnvState,
     sim: Sim,
-    memory: dict[str, Array],
     progress: dict[str, Array],
     rows: Array,
 ) -> None:
@@ -53,7 +52,7 @@ def put(
     order = np.argsort(rows)
     sim.set_state(state.physics[order], rows[order])
     every = np.arange(sim.num_envs)
-    for kept, given in (memory, state.memory), (progress, state.progress):
+    for kept, given in (sim.memory, state.memory), (progress, state.progress):
         for name, array in given.items():
             kept[name] = kept[name][every]
             kept[name][rows] = array

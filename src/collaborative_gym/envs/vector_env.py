@@ -1,20 +1,18 @@
 """The one environment loop: many worlds of one task, stepped together."""
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import Command, get_mode
+from collaborative_gym.control import Command
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
-from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
-from collaborative_gym.envs.strain import Strain, add_strain_sensors
+from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
+from collaborative_gym.envs.world import World
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
@@ -22,12 +20,10 @@ from collaborative_gym.errors import (
     check_callback,
     check_count,
     check_flag,
-    check_kind,
 )
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeDraws, EpisodeRandom, Stream, check_seed
-from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.identity import Identity
@@ -79,7 +75,8 @@ class VectorEnv:
       strain: whether to measure the strain too, which takes time and changes no bit.
 
     Attributes:
-      task: the task.
+      world: the compiled world, which other environments may share.
+      task: the task, which knows it.
       num_envs: how many worlds.
       agents: the agents' names.
       sides: the agents of each side, by its name: "side_1" and so on.
@@ -90,6 +87,7 @@ class VectorEnv:
       model: the compiled world.
       scene: handles into it.
       sim: the physics.
+      action_mode: what actions mean here.
       substeps: physics steps in a control step.
       control_dt: time of a control step, in s.
       facts: what the task measured of the present state.
@@ -106,18 +104,25 @@ class VectorEnv:
         auto_reset: bool = True,
         strain: bool = False,
     ):
-        check_kind("task", task, Task, "a task, as make_task returns it")
         num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
         num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
         seed, auto_reset = check_seed(seed), check_flag("auto_reset", auto_reset)
         strain = check_flag("strain", strain)
         self._options = dict(num_envs=num_envs, seed=seed, num_threads=num_threads)
         self._options |= dict(auto_reset=auto_reset, strain=strain)
-        # A copy of its own, so that one task may serve several environments.
-        self.task = task = copy(task)
+        self.world = world = World.of(task, strain=strain)
+        self.task, self.scene, self.model = world.task, world.scene, world.model
         self.num_envs, self.agents = num_envs, task.agents
         self.substeps, self.control_dt = SUBSTEPS, CONTROL_DT
-        self._build(num_threads, strain)
+        self.sim = sim = CpuSim(self.model, num_envs, num_threads, world.refinement)
+        sim.memory = self.task.remember(num_envs)
+        self.action_mode = world.mode(self.scene, sim, task.gripping)
+        self.strain = Strain(self.scene, sim, self.action_mode) if strain else None
+        self.observation_blocks = world.definition.observation_blocks
+        self.single_observation_spaces = world.definition.observation_spaces
+        self.single_action_spaces = world.definition.action_spaces
+        self.reward_terms = world.definition.reward_terms
+        self.sides = world.definition.sides
         self._turns = Turns()
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
@@ -126,37 +131,16 @@ class VectorEnv:
         self._auto_reset = auto_reset
         self._is_started = self._is_closed = False
         self._progress = Progress(
-            task,
-            self.sim.xp,
+            self.task,
+            sim.xp,
             num_envs=num_envs,
             seed=seed,
             sides=self.sides,
             reward_terms=self.reward_terms,
             has_strain=strain,
         )
-        parts = task, self.scene, self.sim, self._mode, self._progress
+        parts = self.task, self.scene, sim, self.action_mode, self._progress
         self._disturbances = Disturbances(*parts)
-
-    def _build(self, num_threads: int, strain: bool) -> None:
-        """Make the worlds, and find out what the task's definition comes to."""
-        task, self.scene = self.task, Scene()
-        mode = get_mode(task.config.action)
-        task.build(self.scene)
-        mode.add_drives(self.scene)
-        if strain:
-            add_strain_sensors(self.scene)
-        self.model = self.scene.compile()
-        refined = refinement(self.model, self.scene.arms.values())
-        self.sim = CpuSim(self.model, self.num_envs, num_threads, refined)
-        self._mode = mode(self.scene, self.sim, task.gripping)
-        self.strain = Strain(self.scene, self.sim, self._mode) if strain else None
-        task.setup(self.scene, self.sim, action_mode=self._mode)
-        definition = try_out(task, self.scene, self.sim)
-        self.observation_blocks = definition.observation_blocks
-        self.single_observation_spaces = definition.observation_spaces
-        self.single_action_spaces = definition.action_spaces
-        self.reward_terms = definition.reward_terms
-        self.sides = definition.sides
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.get_state() if self._is_started else None
@@ -165,10 +149,10 @@ class VectorEnv:
         made = type(task), arms, task.config, task.name
         return made_anew, (type(self), made, self._options, state)
 
-    @cached_property
+    @property
     def identity(self) -> Identity:
         """What the environment is: its task, arms, settings and versions."""
-        return Identity.of(self.task)
+        return self.world.identity
 
     def reset(
         self,
@@ -253,7 +237,7 @@ class VectorEnv:
             resting = progress.has_ended
             if xp.all(resting):
                 raise RuntimeError("the episode has ended; call reset() before step()")
-            actions = self._mode.check(actions)
+            actions = self.action_mode.check(actions)
             actions = self._disturbances.deliver(actions, resting)
             commands, diverged = self._advance(actions, resting)
             facts = self.task.measure(self.sim)
@@ -290,7 +274,7 @@ class VectorEnv:
             else:
                 motions = self.task.expert(*at)
             try:
-                return self._mode.check(self._mode.encode(motions, pace))
+                return self.action_mode.check(self.action_mode.encode(motions, pace))
             except ValueError as error:
                 name = type(self.task).__name__
                 raise ValueError(f"{name}.expert(): {error}") from None
@@ -303,7 +287,7 @@ class VectorEnv:
         Args:
           grips: whether they grip, or by agent in which worlds, (num_envs,).
         """
-        return self._mode.idle(self.num_envs, grips)
+        return self.action_mode.idle(self.num_envs, grips)
 
     def get_state(self, env_ids: EnvIds = None) -> EnvState:
         """Return a copy of these worlds' episodes, one row each; None for all.
@@ -314,7 +298,7 @@ class VectorEnv:
         with self._turns.take():
             self._check_started("get_state")
             rows = check_env_ids(env_ids, self.num_envs)
-            parts = self.sim, self.task.memory, self._progress.rows
+            parts = self.sim, self._progress.rows
             return EnvState(*taken(*parts, rows), self.identity)
 
     def set_state(
@@ -339,7 +323,7 @@ class VectorEnv:
             if env_ids is not None:
                 self._check_started("set_state")
             rows = check_env_ids(env_ids, self.num_envs)
-            parts = self.sim, self.task.memory, self._progress.rows
+            parts = self.sim, self._progress.rows
             own = EnvState(*taken(*parts, rows), self.identity)
             steps = self.task.config.max_episode_steps
             check_state(state, own, steps, from_another=from_another)
@@ -391,7 +375,7 @@ class VectorEnv:
                 )
             if self._camera is None or self._camera.size != size:
                 self._close_camera()
-                self._camera = Camera(self.scene.compile_to_draw(), *size)
+                self._camera = Camera(self.world.drawn_model, *size)
             sim = self.sim
             return self._camera.picture(sim.qpos[env_id], sim.mocap_pos[env_id])
 
@@ -410,10 +394,10 @@ class VectorEnv:
         """Return what puts the worlds back to where they are now."""
         # Arrays of memory and progress are not written to, but replaced.
         physics = self.sim.get_state()
-        memory, rows = dict(self.task.memory), dict(self._progress.rows)
+        memory, rows = dict(self.sim.memory), dict(self._progress.rows)
 
         def put_back() -> None:
-            self.task.memory, self._progress.rows = memory, rows
+            self.sim.memory, self._progress.rows = memory, rows
             self._disturbances.draw(np.arange(self.num_envs))
             self.sim.set_state(physics)
 
@@ -435,10 +419,11 @@ class VectorEnv:
 
         Those are put back.
         """
-        sim = self.sim
-        moving = _where(~resting, sim.xp) if sim.xp.any(resting) else None
-        commands = self._mode.commands(actions)
-        controls = self._mode.prepare(commands)
+        sim, idle, moving = self.sim, _where(resting, self.sim.xp), None
+        if len(idle):
+            kept, moving = sim.get_state(idle), _where(~resting, sim.xp)
+        commands = self.action_mode.commands(actions)
+        controls = self.action_mode.prepare(commands)
         self.task.disturb(sim, self._progress.next_step)
         diverged = sim.xp.zeros(self.num_envs, dtype=sim.xp.bool)
         length, strain = self.substeps // self._shots, self.strain
@@ -446,13 +431,15 @@ class VectorEnv:
             try:
                 records = strain.records(length) if strain else None
                 now = controls[:, start : start + length]
-                sim.step(now, records, self._mode.tears, moving)
+                sim.step(now, records, self.action_mode.tears, moving)
             except SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
             if strain:
                 strain.count(self._progress.rows, ~(resting | diverged))
             if self._watcher is not None:
                 self._watcher()
+        if len(idle):
+            sim.set_state(kept, idle)
         # A sum is finite only if all its terms are, and sums are cheap.
         total = sim.xp.sum(sim.qpos, axis=1) + sim.xp.sum(sim.qvel, axis=1)
         diverged = (diverged | ~sim.xp.isfinite(total)) & ~resting
@@ -484,11 +471,11 @@ class VectorEnv:
             return
         seeds, episodes = self._progress.start(env_ids)
         self.sim.reset(env_ids)
-        self.task.memory = copied(self.task.memory, self.sim.xp)
+        memory = self.sim.memory = copied(self.sim.memory, self.sim.xp)
         for name, array in self.task.remember(len(env_ids)).items():
-            self.task.memory[name][env_ids] = array
+            memory[name][env_ids] = array
         self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))
-        self._mode.start(env_ids)
+        self.action_mode.start(env_ids)
         self._disturbances.start(env_ids)
         self.sim.forward(env_ids)
 

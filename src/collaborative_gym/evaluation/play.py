@@ -174,7 +174,7 @@ def play_episodes(
 
 def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
     """Return what moves arms in all robots' actions, (num_envs, k) in [-1, 1]."""
-    split = env.task.action_mode.split
+    split = env.action_mode.split
     moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
     return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)
 

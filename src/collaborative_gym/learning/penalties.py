@@ -103,7 +103,7 @@ class Penalties:
     def _asked(self, agent: str) -> np.ndarray:
         """Return what the drives ask of the motors, as a share of the torque limits."""
         limits = np.array(self._env.scene.arms[agent].robot.torque_limits)
-        torque = self._env.task.action_mode.torques(self._env.sim, agent)
+        torque = self._env.action_mode.torques(self._env.sim, agent)
         return np.abs(torque) / limits
 
 

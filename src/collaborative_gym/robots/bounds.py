@@ -27,7 +27,7 @@ _NOT_GIVEN = "aabb", "invweight0", "length0", "M0", "rbound", "subtreemass", "us
 _SOFTNESS = (-1e4, 1e3, "")
 """A `solref` below minus 1 over the square of the physics time step is unstable."""
 
-_PLACES = dict.fromkeys(
+_PLACES: dict[str, tuple[float, float, str]] = dict.fromkeys(
     ("body_pos", "body_ipos", "jnt_pos", "geom_pos", "site_pos"), (-10.0, 10.0, " m")
 )
 """Bounds of positions, in the frame of what carries a thing."""

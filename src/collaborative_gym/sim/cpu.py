@@ -55,6 +55,7 @@ class CpuSim:
         self.sensordata = self._batch.bind("sensordata")
         self._worlds = Worlds(self._batch)
         self._sensors = self._named()
+        self.memory: dict[str, Array] = {}
         self.refined: list[Refined] = []
         self._records = {name: np.empty((0, 0, 0)) for name in JUDGED}
 
@@ -134,6 +135,7 @@ class CpuSim:
     def seen(self, qpos: np.ndarray, sensordata: np.ndarray) -> "CpuSim":
         view = copy(self)
         view.qpos, view.sensordata = qpos, sensordata
+        view.memory = dict(self.memory)
         view._sensors = view._named()
         return view
 

@@ -202,7 +202,7 @@ class Steps:
         if self._breaks is None or not active.any():
             return np.zeros((len(active), self._controls.shape[1]), bool)
         sensed = self.records["sensordata"][left]
-        return self._breaks(sensed, active[:, None]).any(axis=2)
+        return np.any(self._breaks(sensed, active[:, None]), axis=2)
 
     def _mend(self, left: np.ndarray, at: np.ndarray, broken: np.ndarray) -> None:
         """Take a step that is wrong, of each world its own.

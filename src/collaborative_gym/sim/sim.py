@@ -82,6 +82,8 @@ class Sim(Protocol):
       mocap_pos: (num_envs, nmocap, 3) places of the targets.
       xfrc_applied: (num_envs, nbody, 6) forces and torques on the bodies.
       sensordata: (num_envs, nsensordata) read-only sensor values.
+      memory: what the task remembers of the worlds' episodes, (num_envs, ...) arrays by
+        name. They are replaced and not written to, but for the rows of a reset.
       refinement: how physics steps are refined; None if they never are.
       refined: those that the last call of `step` refined.
     """
@@ -99,6 +101,7 @@ class Sim(Protocol):
     mocap_pos: Array
     xfrc_applied: Array
     sensordata: Array
+    memory: dict[str, Array]
     refinement: Refinement | None
     refined: list[Refined]
 
@@ -163,6 +166,8 @@ class Sim(Protocol):
 
     def seen(self, qpos: Array, sensordata: Array) -> "Sim":
         """Return worlds in this state, to be measured and not stepped.
+
+        What is remembered of them is not remembered of the worlds themselves.
 
         Args:
           qpos: (num_envs, nq) positions, in place of the worlds' own.

@@ -208,7 +208,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
-            self.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
+            sim.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
 
     def _take_hold(
         self,
@@ -253,7 +253,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         if self.config.push > 0:
-            push = self.memory["pushes"][sim.xp.arange(sim.num_envs), steps]
+            push = sim.memory["pushes"][sim.xp.arange(sim.num_envs), steps]
             force = push[:, 0]
             along = [push[:, 1], push[:, 2], sim.xp.zeros_like(force)]
             point = sim.xp.stack(along, axis=1)
@@ -272,8 +272,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             | (xp.abs(offset[:, 1]) > LENGTH / 2)
             | (offset[:, 2] < THICKNESS / 2)
         )
-        fell = self.memory["fell"] | off
-        self.memory["fell"] = fell
+        fell = sim.memory["fell"] | off
+        sim.memory["fell"] = fell
         return BalanceFacts(
             joints=self.joints(sim),
             ball=ball_pose,

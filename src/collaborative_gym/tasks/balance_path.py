@@ -130,22 +130,23 @@ class BalancePath(Balance):
         drawn = rng.uniform([0.0, -1.0, _SMALLEST], [2 * np.pi, 1.0, 1.0], 3)
         drawn[:, 1] = np.where(drawn[:, 1] < 0.0, -1.0, 1.0)
         path = np.concatenate([moved, drawn], axis=1)
-        self.memory["path"][env_ids] = sim.xp.asarray(path)
-        start = self._at(sim.time)[0][env_ids]
+        sim.memory["path"][env_ids] = sim.xp.asarray(path)
+        start = self._at(sim, sim.time)[0][env_ids]
         self.scene.place(sim, env_ids, name="target", position=start)
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         super().disturb(sim, steps)
-        coming = self._at(sim.time + CONTROL_DT)[0]
+        coming = self._at(sim, sim.time + CONTROL_DT)[0]
         self.scene.place(sim, slice(None), name="target", position=coming)
 
-    def _at(self, time: Array) -> tuple[Array, Array, Array]:
+    def _at(self, sim: Sim, time: Array) -> tuple[Array, Array, Array]:
         """Return the target's place, velocity and acceleration, (num_envs, 3) each.
 
         Args:
+          sim: the worlds.
           time: (num_envs,) since the episode's start, in s.
         """
-        xp, path = self.xp, self.memory["path"]
+        xp, path = sim.xp, sim.memory["path"]
         rate = (2 * np.pi / self.config.lap) * path[:, 4:5] * self._rounds
         angle = path[:, 3:4] * self._rounds + rate * time[:, None] + self._start
         size = path[:, 5:6] * self._size
@@ -155,16 +156,16 @@ class BalancePath(Balance):
 
     def measure(self, sim: Sim) -> BalancePathFacts:
         facts = super().measure(sim)
-        target, velocity, _ = self._at(sim.time)
+        target, velocity, _ = self._at(sim, sim.time)
         distance = math.distance(facts.ball[0], target)
         is_near = (distance < self.config.success_distance) & ~facts.fell
-        away = sim.xp.where(is_near, self.memory["away"], sim.time)
-        self.memory["away"] = away
+        away = sim.xp.where(is_near, sim.memory["away"], sim.time)
+        sim.memory["away"] = away
         return BalancePathFacts(
             **{**vars(facts), "distance": distance},
             target=target,
             target_velocity=velocity,
-            coming=self._at(sim.time + CONTROL_DT),
+            coming=self._at(sim, sim.time + CONTROL_DT),
             followed=sim.time - away,
         )
 

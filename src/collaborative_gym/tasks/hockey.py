@@ -246,7 +246,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         return {"serves": serves, **{name: zero + 0.0 for name in names}}
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        bounds, memory, xp = self.config.randomization, self.memory, sim.xp
+        bounds, memory, xp = self.config.randomization, sim.memory, sim.xp
         goals, near = [], []
         for agent, arm in self.scene.arms.items():
             place = _START + rng.within(bounds.object_position, 2)
@@ -270,7 +270,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             sim.qvel[env_ids, speed] = xp.asarray(start[:, column])
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
-        xp, memory, to = sim.xp, self.memory, self.memory["call"]
+        xp, memory, to = sim.xp, sim.memory, sim.memory["call"]
         is_called = to != 0
         if not xp.any(is_called):
             return
@@ -297,7 +297,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         memory["lead"] = memory["lead"] + xp.where(is_called, memory["goal"], 0.0)
 
     def measure(self, sim: Sim) -> HockeyFacts:
-        xp, memory, ice = sim.xp, self.memory, sim.xp.asarray([0.0, 0.0, HEIGHT])
+        xp, memory, ice = sim.xp, sim.memory, sim.xp.asarray([0.0, 0.0, HEIGHT])
         puck = sim.pose("puck")[0][:, :2]
         x, before = puck[:, 0], memory["half"]
         half = xp.where(x == 0.0, before, xp.sign(x))

@@ -195,11 +195,7 @@ def as_task(
 
 def disturbed(task: Task, **changes: Any) -> Task:
     """Return the same task with changes of its randomization's fields."""
-    randomization = replace(task.config.randomization, **changes)
-    config = replace(task.config, randomization=randomization)
-    other = type(task)(tuple(task.robots.values()), config)
-    other.name = task.name
-    return other
+    return task.varied(randomization=replace(task.config.randomization, **changes))
 
 
 def _check_task(task: Any) -> None:

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, TypeVar
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -158,8 +159,8 @@ FactsT = TypeVar("FactsT")
 class Task(Generic[ConfigT, FactsT]):
     """The base of all tasks.
 
-    A task has no state except `memory`. The methods after `measure` are pure functions
-    of the facts.
+    A task has no state; what it must remember between steps is in `Sim.memory`. The
+    methods after `measure` are pure functions of the facts.
     Arrays have a leading num_envs axis and may be NumPy's or torch's.
 
     Attributes:
@@ -176,8 +177,7 @@ class Task(Generic[ConfigT, FactsT]):
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
-      memory: what must be remembered between steps, (num_envs, ...) arrays by name;
-        part of a saved state.
+      worlds: the compiled worlds of this task and its variations; see `World`.
     """
 
     robot_counts: Sequence[int] = (2,)
@@ -193,7 +193,30 @@ class Task(Generic[ConfigT, FactsT]):
         self.agents = name_agents(len(robots))
         self.robots = dict(zip(self.agents, robots, strict=True))
         self.config = config
-        self.memory: dict[str, Array] = {}
+        self.worlds: dict[bool, Any] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is compiled belongs to the process; copies are compiled anew.
+        return vars(self) | {"worlds": {}}
+
+    def varied(self, **changes: Any) -> Self:
+        """Return the same task with other episodes in the same compiled world.
+
+        Args:
+          **changes: new values of `randomization` or `max_episode_steps`.
+
+        Raises:
+          ValueError: for another setting, which the world may depend on.
+        """
+        others = changes.keys() - {"randomization", "max_episode_steps"}
+        if others:
+            raise ValueError(
+                f"{', '.join(sorted(others))} may change the world; make another task"
+                " with cg.task"
+            )
+        other = copy(self)
+        other.config, other.worlds = replace(self.config, **changes), self.worlds
+        return other
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:
@@ -256,7 +279,7 @@ class Task(Generic[ConfigT, FactsT]):
         self.action_mode = action_mode
 
     def remember(self, num_envs: int) -> dict[str, Array]:
-        """Return a fresh `memory` for that many worlds, arrays of `self.xp`."""
+        """Return the `Sim.memory` of that many fresh worlds, arrays of `self.xp`."""
         return {}
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
@@ -313,10 +336,10 @@ class Task(Generic[ConfigT, FactsT]):
     def measure(self, sim: Sim) -> FactsT:
         """Return everything that the task looks at, computed once per control step.
 
-        A second call in the same state must return the same and leave `memory` as it
-        is, because worlds are measured again when others start an episode. It puts new
-        arrays into `memory` and never writes into the old ones, because a step that
-        fails is undone.
+        A second call in the same state must return the same and leave `sim.memory` as
+        it is, because worlds are measured again when others start an episode. It puts
+        new arrays into `sim.memory` and never writes into the old ones, because a step
+        that fails is undone.
         """
         raise self._missing("measure")
 
