@@ -25,7 +25,7 @@ def measure(name: str, pair: tuple[str, str] | None) -> dict[str, object]:
     """Return a row of the table."""
     episodes = 100 if pair is None else 50
     row: dict[str, object] = {"name": name, "episodes": episodes}
-    report = cg.evaluate(name, "expert", episodes=episodes, robots=pair)
+    report = cg.evaluate(cg.task(name, pair), "expert", episodes=episodes)
     row["robots"] = pair or get_env(name).robots
     row |= {column: getattr(report, column).mean for column in COLUMNS}
     row["worst_reward"] = min(episode["return"] for episode in report.episodes)
@@ -33,7 +33,7 @@ def measure(name: str, pair: tuple[str, str] | None) -> dict[str, object]:
         # An arm alone is tried in fewer episodes of a pair than of an environment.
         tries = episodes if pair is None else 20
         policy = {"robot_1": "expert", "robot_2": "expert", agent: "idle"}
-        idle = cg.evaluate(name, policy, episodes=tries, robots=pair)
+        idle = cg.evaluate(cg.task(name, pair), policy, episodes=tries)
         row[f"completion with {agent} idle"] = idle.completion.mean
     return row
 

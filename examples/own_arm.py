@@ -56,7 +56,7 @@ def main(
     """
     arm = replace(OWN, model_file=OWN.model_file.with_suffix(f".{model}"))
     robots = (arm, arm if other == arm.name else other)
-    report = cg.evaluate(env, "expert", episodes=episodes, robots=robots)
+    report = cg.evaluate(cg.task(env, robots), "expert", episodes=episodes)
     print(f"{env} with {arm.name} and {other}: {report.completion.mean:.0%} completed")
     print(f"after {report.time_to_success.mean:.1f} s on average")
     if picture is not None:

@@ -25,7 +25,7 @@ def test_it_keeps_every_promise(simple_pick):
 
 @pytest.mark.parametrize("robots", [("panda", "jaco"), ("sawyer", "panda")])
 def test_its_expert_succeeds_with_other_arms(simple_pick, robots):
-    report = cg.evaluate(ID, "expert", episodes=10, robots=robots, num_threads=1)
+    report = cg.evaluate(cg.task(ID, robots), "expert", episodes=10, num_threads=1)
     assert report.completion.mean == 1.0
 
 

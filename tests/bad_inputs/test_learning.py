@@ -150,8 +150,6 @@ EVALUATE = [
     *table("evaluate", "delay", _evaluate("delay"), NO_COUNT, [-1, 101, None]),
     *table("evaluate", "num_envs", _evaluate("num_envs"), NO_COUNT, [0, -1, 2**63]),
     *table("evaluate", "num_threads", _evaluate("num_threads"), NO_COUNT, [-1, 2**63]),
-    *table("evaluate", "robots", _evaluate("robots"), NO_ROBOTS),
-    *table("evaluate", "randomization", _evaluate("randomization"), NO_RANDOMIZATION),
     *table(
         "evaluate",
         "policy",
@@ -170,7 +168,6 @@ EVALUATE = [
     *table("card", "paired", _report_card("paired"), NO_COUNT, [-1, None]),
     *table("card", "seed", _report_card("seed"), NO_COUNT, [-1, None]),
     *table("card", "num_envs", _report_card("num_envs"), NO_COUNT, [0, 2**63]),
-    *table("card", "randomization", _report_card("randomization"), [3, "papr"]),
     *table("card", "on_progress", _report_card("on_progress"), NO_CALLBACK),
     *table("tournament", "environment", _tournament("env"), NO_NAME, [None]),
     *table(
@@ -193,8 +190,6 @@ EVALUATE = [
     *table("tournament", "groups", _tournament("groups"), [{"a": v} for v in NO_NAME]),
     *table("tournament", "num_envs", _tournament("num_envs"), NO_COUNT, [0, 2**63]),
     *table("tournament", "num_threads", _tournament("num_threads"), NO_COUNT, [-1]),
-    *table("tournament", "robots", _tournament("robots"), NO_ROBOTS),
-    *table("tournament", "randomization", _tournament("randomization"), [3, "papr"]),
     *table("tournament", "any_env", _tournament("any_env"), [3, "yes", None]),
     *table("tournament", "output", _tournament("output"), NO_PATH),
     *table("tournament", "on_pairing", _tournament("on_pairing"), NO_CALLBACK),
@@ -203,8 +198,6 @@ EVALUATE = [
     *table("certify", "budget", _certify("budget"), [3, "quick", {}, THING]),
     *table("certify", "seed", _certify("seed"), NO_COUNT, [-1, None, 2**41]),
     *table("certify", "num_threads", _certify("num_threads"), NO_COUNT, [-1, 2**63]),
-    *table("certify", "robots", _certify("robots"), NO_ROBOTS),
-    *table("certify", "randomization", _certify("randomization"), NO_RANDOMIZATION),
     *table("certify", "output", _certify("output"), NO_PATH),
     *table("certify", "on_trial", _certify("on_trial"), NO_CALLBACK),
     *table("certify", "on_progress", _certify("on_progress"), NO_CALLBACK),
@@ -282,8 +275,6 @@ RECORD = [
         _record("only_episodes"),
         [3, "", [], [-1], [1.5], ["a"], [None], [[1]], [True], THING],
     ),
-    *table("record", "robots", _record("robots"), NO_ROBOTS),
-    *table("record", "randomization", _record("randomization"), NO_RANDOMIZATION),
     *table(
         "record",
         "width",
@@ -394,8 +385,6 @@ TRAIN = [
     *table(
         "train", "opponent", _train("opponent"), NO_GUESTS, ["self", "league", "idle"]
     ),
-    *table("train", "robots", _train("robots"), NO_ROBOTS),
-    *table("train", "randomization", _train("randomization"), NO_RANDOMIZATION),
     *table(
         "train", "hyperparameters", _train("hyperparameters"), [3, "fast", {}, THING]
     ),

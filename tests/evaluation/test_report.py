@@ -125,7 +125,10 @@ def test_the_strain_is_told_as_mean_and_worst(report):
 
 def test_episodes_that_start_alike_are_one_without_an_interval(report):
     again = cg.evaluate(
-        "LiftTaskSawyers-v0", "idle", episodes=3, randomization="paper", num_threads=1
+        cg.task("LiftTaskSawyers-v0", randomization="paper"),
+        "idle",
+        episodes=3,
+        num_threads=1,
     )
     assert again.is_one_episode and not report.is_one_episode
     assert len(again.episodes) == 3

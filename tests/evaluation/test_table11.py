@@ -116,7 +116,11 @@ def test_policies_are_those_that_evaluate_plays(small, random_network):
     assert line.environment == small and made.is_passed is False
     for column, (name, randomization) in COLUMNS.items():
         alone = cg.evaluate(
-            small, name, episodes=3, seed=5, randomization=randomization, num_envs=1
+            cg.task(small, randomization=randomization),
+            name,
+            episodes=3,
+            seed=5,
+            num_envs=1,
         )
         assert line.reports[column].to_csv() == alone.to_csv()
         assert line.reports[column].settings == alone.settings

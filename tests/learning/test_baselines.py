@@ -20,11 +20,11 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
     monkeypatch.setattr(baselines, "_EPISODES", four)
     monkeypatch.setattr(baselines, "_CHOICE_EPISODES", 4)
 
-    def train_both(changes=None, output=tmp_path, **options):
+    def train_both(changes=None, output=tmp_path, drawn="default", **options):
         changes = changes or changed(tiny(total_steps=64))
         results = [
             cg.train(
-                carry_id,
+                cg.task(carry_id, randomization=drawn),
                 "collaborative",
                 seed=seed,
                 output=output / f"seed{seed}",
@@ -67,12 +67,14 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, alone, tm
     shown = [row for row in rows if "(shipped)" in row]
     assert len(shown) == 3 and all(f"| {best} (shipped)" in row for row in shown)
     conditions = {
-        "paper": {"randomization": "paper"},
-        "default": {},
-        "default, late": {"delay": 1},
+        "paper": ("paper", 0),
+        "default": ("default", 0),
+        "default, late": ("default", 1),
     }
-    for starts, options in conditions.items():
-        report = cg.evaluate(carry_id, policy, episodes=4, num_threads=1, **options)
+    for starts, (drawn, delay) in conditions.items():
+        task = cg.task(carry_id, randomization=drawn)
+        how = {"episodes": 4, "num_threads": 1, "delay": delay}
+        report = cg.evaluate(task, policy, **how)
         (row,) = [row for row in shown if f"| {starts} |" in row]
         assert f"| {format_statistic(report.mean_reward)} |" in row
 
@@ -106,7 +108,7 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     first = cg.load_policy(card.with_suffix(".safetensors"))
     monkeypatch.chdir(tmp_path)
     start = card.with_suffix(".safetensors").name
-    card = train_both(output=tmp_path / "more", start_from=start, randomization="wide")
+    card = train_both(output=tmp_path / "more", start_from=start, drawn="wide")
     text = card.read_text()
     began = f"beginning with the policy `{start}` as it was then (digest"
     began += f" {first.digest[:12]}"
@@ -141,5 +143,5 @@ def test_what_is_changed_is_laid_over_the_recipe(
 
 
 def test_a_card_says_how_starts_were_drawn(train_both):
-    text = train_both(randomization="wide").read_text()
+    text = train_both(drawn="wide").read_text()
     assert "randomization `wide`" in text and " --randomization wide`" in text

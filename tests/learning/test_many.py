@@ -19,8 +19,8 @@ from collaborative_gym.learning.many import Plan, finish
 CHILD = """
 import pickle, signal, sys, time
 from pathlib import Path
-modules, given = pickle.load(sys.stdin.buffer)
-folder = given.get("output") or given["resume"]
+modules, folder = pickle.load(sys.stdin.buffer)
+given = pickle.load(sys.stdin.buffer)
 
 def send(message):
     pickle.dump(message, sys.stdout.buffer)
@@ -151,7 +151,7 @@ def test_a_run_at_its_end_is_not_stopped(total_steps, is_done, tiny, tmp_path):
     given = {"output": tmp_path, "hyperparameters": tiny(total_steps=total_steps)}
     child = subprocess.run(
         [sys.executable, "-c", code],
-        input=pickle.dumps(((), given)),
+        input=pickle.dumps(((), tmp_path)) + pickle.dumps(given),
         stdout=subprocess.PIPE,
         check=True,
     )

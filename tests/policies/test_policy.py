@@ -188,7 +188,7 @@ def test_a_policy_for_another_environment_is_refused(saved, make_env):
         cg.evaluate("PokeTaskSawyers-v0", saved.parent, episodes=1)
     load_policy(saved, make_env(height=0.7), any_env=True)
     with pytest.raises(ValueError, match="here robot_1 is panda, not sawyer"):
-        cg.evaluate("Poke", "PokeTaskSawyers-v0", robots=("panda", "panda"))
+        cg.evaluate(cg.task("Poke", ("panda", "panda")), "PokeTaskSawyers-v0")
 
 
 @pytest.mark.parametrize("batched", [False, True])

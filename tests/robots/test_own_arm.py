@@ -36,12 +36,14 @@ def test_the_example_runs(example, capsys, tmp_path, model):
 @pytest.mark.parametrize("task", TEAMS)
 @pytest.mark.parametrize("pair", [("own", "own"), ("sawyer", "own"), ("own", "jaco")])
 def test_the_arm_goes_into_every_task(own, task, pair):
-    report = cg.evaluate(task, "expert", episodes=3, robots=pair, num_threads=1)
+    report = cg.evaluate(cg.task(task, pair), "expert", episodes=3, num_threads=1)
     assert report.completion.mean == 1.0
 
 
 def test_the_arm_pulls_a_bar_and_is_too_short_for_hockey(own):
-    report = cg.evaluate("Tug", "expert", episodes=3, robots=(own, own), num_threads=1)
+    report = cg.evaluate(
+        cg.task("Tug", (own, own)), "expert", episodes=3, num_threads=1
+    )
     scores = [side.score.mean for side in report.sides.values()]
     assert sum(scores) == 1.0
     with pytest.raises(ValueError, match=r"own cannot bring its tcp .* a longer reach"):
@@ -74,7 +76,7 @@ def test_arms_of_six_and_of_seven_joints_play_hockey(tmp_path):
     arm = replace(panda, name="six", model_file=file, **left)
     for robots in ((arm, "sawyer"), ("sawyer", arm)):
         report = cg.evaluate(
-            "Hockey", "expert", episodes=2, robots=robots, num_threads=1
+            cg.task("Hockey", robots), "expert", episodes=2, num_threads=1
         )
         assert set(report.sides) == {"side_1", "side_2"}
 
@@ -128,7 +130,9 @@ def test_an_arm_needs_no_fingers(own, edited, in_a_world):
     scene, model = in_a_world(arm)
     assert model.nu == 3 * 6
     assert scene.arms["arm"].fingers == slice(0, 0)
-    report = cg.evaluate("Pass", "expert", episodes=2, robots=(arm, own), num_threads=1)
+    report = cg.evaluate(
+        cg.task("Pass", (arm, own)), "expert", episodes=2, num_threads=1
+    )
     assert report.completion.mean == 1.0
 
 

@@ -16,9 +16,8 @@ from collaborative_gym.evaluation.report import (
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import escaped, markdown_table
 from collaborative_gym.policies import AnyPolicy, name_policy
-from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 from collaborative_gym.tournaments.play import tournament
 from collaborative_gym.tournaments.result import Tournament, format_estimate
 
@@ -128,8 +127,6 @@ def report_card(
     disturbed: int = 100,
     paired: int = 100,
     seed: int = 0,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
@@ -146,9 +143,6 @@ def report_card(
         0 for no table of robustness.
       paired: how many of each pairing of the policies and the expert; 0 for none.
       seed: which episodes.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn, a preset's name or a value; None for
-        "default".
       num_envs: worlds to play in beside one another; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.
@@ -161,7 +155,7 @@ def report_card(
     disturbed = check_count("disturbed", disturbed, at_least=0)
     paired = check_count("paired", paired, at_least=0)
     check_callback("on_progress", on_progress)
-    task = as_task(env, robots, randomization)
+    task = as_task(env)
     named = _named(policies)
     players = dict(named)
     if type(task).expert is not Task.expert:

@@ -1,6 +1,6 @@
 """The proof that a task needs all of its arms: tries to do it while one is still."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
 from functools import cached_property
@@ -24,10 +24,9 @@ from collaborative_gym.learning.folder import claimed
 from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.policies import Policy, as_policy
 from collaborative_gym.rng import check_seed
-from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 
 FILE = "certificate.json"
 """Name of a certificate in its folder."""
@@ -47,8 +46,6 @@ def certify(
     *,
     budget: Budget | None = None,
     seed: int = 0,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     output: str | Path | None = None,
     num_threads: int = 0,
     on_trial: Callable[[Trial], object] | None = None,
@@ -68,9 +65,6 @@ def certify(
       env: an environment id, a task's name, or a task.
       budget: how hard to try; None for `Budget()`, which takes hours.
       seed: of the episodes to judge on.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn, a preset's name or a value; None for
-        "default".
       output: a folder for `certificate.json`, written after each trial, and for the
         trainings. What it has of the same certificate is not done again. None to keep
         nothing.
@@ -92,7 +86,7 @@ def certify(
     check_kind("budget", budget, Budget, "a Budget")
     check_callback("on_trial", on_trial)
     check_callback("on_progress", on_progress)
-    task = as_task(env, robots, randomization)
+    task = as_task(env)
     _check(task)
     training_seed(seed := check_seed(seed))
     if budget.ppo_steps and budget.ppo_rows:

@@ -1,6 +1,5 @@
 """The commands that play, measure and show."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +27,7 @@ from collaborative_gym.cli.terminal import (
     tell,
     warn,
 )
+from collaborative_gym.tasks.task import Task
 
 # Everything else is imported by the command that needs it, so that help is quick.
 
@@ -108,15 +108,13 @@ class Record(Played, _Policy):
 
         with progress_bars() as progress:
             record(
-                self.env,
+                self.task(self.env),
                 self.output,
                 policy=[read_policy(self.policy), *read_policies(self.beside)],
                 any_env=self.any_env,
                 seconds=self.seconds,
                 seed=self.seed,
                 only_episodes=self.only_episodes or None,
-                robots=self.robots or None,
-                randomization=self.randomization,
                 size=None if self.size == OWN_SIZE else self.size,
                 on_progress=progress(self.env),
             )
@@ -155,13 +153,14 @@ class Evaluate(Played, _Policy):
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
 
-        env_ids = _env_ids(self)
+        tasks = _tasks(self)
         policy = read_policy(self.policy)
         check_files(self.json, self.csv)
         named = {word.split("=")[-1] for word in self.policy} & SHIPPED.keys()
         if self.all and named:
-            without = [each for each in env_ids if named - {*shipped_kinds(each)}]
-            env_ids = [each for each in env_ids if each not in without]
+            names = [task.name for task in tasks]
+            without = [each for each in names if named - {*shipped_kinds(each)}]
+            tasks = [task for task in tasks if task.name not in without]
             tell(
                 f"left out, as they have no {' or no '.join(sorted(named))}:"
                 f" {', '.join(without)}",
@@ -169,20 +168,18 @@ class Evaluate(Played, _Policy):
             )
         reports = []
         with progress_bars() as progress:
-            for env_id in env_ids:
+            for task in tasks:
                 reports.append(
                     evaluate(
-                        env_id,
+                        task,
                         policy,
                         any_env=self.any_env,
                         episodes=self.episodes,
                         seed=self.seed,
-                        robots=self.robots or None,
-                        randomization=self.randomization,
                         delay=self.delay,
                         num_envs=self.num_envs,
                         num_threads=self.num_threads,
-                        on_progress=progress(env_id),
+                        on_progress=progress(task.name),
                     )
                 )
         table = reports_table(reports)
@@ -195,15 +192,13 @@ class Evaluate(Played, _Policy):
         put(self.csv, report.reports_to_csv(reports))
 
 
-def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
-    """Return the environments that a command names; a wrong one shows before the work.
+def _tasks(command: "Evaluate | Certify") -> list[Task]:
+    """Return what a command names; a wrong name shows before the work.
 
     Raises:
-      KeyError: if there is no such environment.
-      ValueError: if none is named, or its task cannot be done so.
+      Exception: as `make_task` does.
     """
     from collaborative_gym import list_envs
-    from collaborative_gym.tasks.registry import as_task
 
     if command.all and command.envs:
         raise ValueError("name environments or pass --all, not both")
@@ -211,9 +206,7 @@ def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
     if not env_ids:
         verb = type(command).__name__.lower()
         raise ValueError(f"name the environments to {verb}, or pass --all")
-    for env_id in env_ids:
-        as_task(env_id, command.robots or None, command.randomization)
-    return env_ids
+    return [command.task(env_id) for env_id in env_ids]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,25 +284,24 @@ class Certify(Worlds):
         from collaborative_gym.cli.tables import certificates_table
         from collaborative_gym.files import write_text
 
-        env_ids = _env_ids(self)
+        tasks = _tasks(self)
         if self.quick and self.budget != Budget():
             raise ValueError("--quick has a budget of its own; give it alone")
         markdown = self.output / "certificates.md"
         check_files(markdown)
         certificates = []
         with continuing(), progress_bars() as progress:
-            for env_id in env_ids:
-                tell(f"{env_id}: each arm in turn is still; each trial prints a line")
+            for task in tasks:
+                name = task.name
+                tell(f"{name}: each arm in turn is still; each trial prints a line")
                 certificate = certify(
-                    env_id,
+                    task,
                     budget=QUICK if self.quick else self.budget,
                     seed=self.seed,
-                    robots=self.robots or None,
-                    randomization=self.randomization,
-                    output=self.output / env_id.replace("/", "-"),
+                    output=self.output / name.replace("/", "-"),
                     num_threads=self.num_threads,
-                    on_trial=lambda trial, name=env_id: tell(f"{name}, {trial.title}"),
-                    on_progress=progress(env_id),
+                    on_trial=lambda trial, name=name: tell(f"{name}, {trial.title}"),
+                    on_progress=progress(name),
                 )
                 certificates.append(certificate)
                 write_text(markdown, certificates_to_markdown(certificates))
@@ -379,14 +371,12 @@ class View(Played, _Policy):
         from collaborative_gym.viewer import view
 
         view(
-            self.env,
+            self.task(self.env),
             tell,
             warn=warn,
             policy=read_policy(self.policy),
             any_env=self.any_env,
             seed=self.seed,
-            robots=self.robots or None,
-            randomization=self.randomization,
             web=self.web,
             host=self.host,
             port=self.port,

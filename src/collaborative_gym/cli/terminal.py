@@ -22,6 +22,8 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 
 from collaborative_gym.files import check_writable, write_text
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from rich.markdown import Markdown
@@ -101,6 +103,10 @@ class Worlds(Command):
     robots: Robots = ()
     randomization: Randomization = "default"
     seed: int = 0
+
+    def task(self, env: str) -> Task:
+        """Return what to do in an environment of this name."""
+        return make_task(env, self.robots or None, randomization=self.randomization)
 
 
 @dataclass(frozen=True, kw_only=True)

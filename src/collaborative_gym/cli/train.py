@@ -18,6 +18,8 @@ from collaborative_gym.learning.config import (
     Resources,
     recipe,
 )
+from collaborative_gym.tasks.registry import make_task
+from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from collaborative_gym.learning.many import Outcome
@@ -139,13 +141,11 @@ class Train(Command):
         env, hyperparameters = self._what()
         with Display(env, hyperparameters.total_steps) as display:
             result = train(
-                env,
+                self._task(env),
                 self.mode,
                 seed=self.seed,
                 output=self.output,
                 resume=self.resume,
-                robots=self.robots or None,
-                randomization=self.randomization,
                 hyperparameters=hyperparameters,
                 opponent=self.opponent or None,
                 partner=self.partner or None,
@@ -180,6 +180,12 @@ class Train(Command):
         algorithm = self.algorithm or "ppo"
         usual = own or recipe(envs[0], algorithm, advised=self.advised)
         return envs[0], replace(usual, **self._given())
+
+    def _task(self, env: str) -> str | Task:
+        """Return what to learn; without options, a run that goes on knows it itself."""
+        if not self.robots and self.randomization is None:
+            return env
+        return make_task(env, self.robots or None, randomization=self.randomization)
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
@@ -237,15 +243,13 @@ class Train(Command):
         from collaborative_gym.learning.many import finish, plan_runs
 
         plans = plan_runs(
-            envs,
+            [self._task(env) for env in envs],
             modes,
             seeds=read_seeds(self.seeds) or seeds,
             output=self.output or output,
             changes=self._given(),
             advised=self.advised,
             shared={
-                "robots": self.robots or None,
-                "randomization": self.randomization,
                 "opponent": self.opponent or None,
                 "partner": self.partner or None,
                 "start_from": self.start_from,

@@ -60,7 +60,7 @@ class GymnasiumEnv(gymnasium.Env):
     ):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
-        task = make_task(env_id, robots, randomization, **settings)
+        task = make_task(env_id, robots, randomization=randomization, **settings)
         self.vector_env = VectorEnv(
             task, 1, num_threads=1, auto_reset=False, strain=strain
         )

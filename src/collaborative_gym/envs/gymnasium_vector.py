@@ -76,7 +76,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.render_mode = render_mode
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
-        task = make_task(env_id, robots, randomization, **settings)
+        task = make_task(env_id, robots, randomization=randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.vector_env = VectorEnv(
             task,

@@ -6,27 +6,29 @@ from typing import Any
 from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.robots import Robot
-from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.task import Randomization
+from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Randomization, Task
 
 
 def make(
-    env_id: str,
+    env: str | Task,
     robots: Sequence[str | Robot] | None = None,
     *,
     render_mode: str | None = None,
-    randomization: str | Randomization = "default",
+    randomization: str | Randomization | None = None,
     strain: bool = False,
     **settings: Any,
 ) -> PettingZooEnv:
     """Return a PettingZoo parallel environment.
 
     Args:
-      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
+        `cg.task`, which has all that follows here but `render_mode` and `strain`.
       robots: the arms in the order of the agents, by name or value; None for the
         environment's own.
       render_mode: "rgb_array" lets `render` return pictures.
-      randomization: how starts are drawn, "default", "paper" or a value.
+      randomization: how starts are drawn, "paper", "hard" or a value; None for
+        "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
@@ -34,31 +36,33 @@ def make(
       KeyError: if there is no such environment, robot, preset or setting.
       ValueError: if the task cannot be done with these robots.
     """
-    task = make_task(env_id, robots, randomization, **settings)
-    return PettingZooEnv(task, render_mode, name=env_id, strain=strain)
+    task = as_task(env, robots, randomization=randomization, **settings)
+    return PettingZooEnv(task, render_mode, name=task.name, strain=strain)
 
 
 def make_vec(
-    env_id: str,
+    env: str | Task,
     num_envs: int,
     *,
     seed: int = 0,
     num_threads: int = 0,
     robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization = "default",
+    randomization: str | Randomization | None = None,
     strain: bool = False,
     **settings: Any,
 ) -> VectorEnv:
     """Return many worlds of an environment.
 
     Args:
-      env_id: an id from `list_envs` or a task's name from `list_tasks`.
+      env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
+        `cg.task`, which has its own robots, randomization and settings.
       num_envs: how many worlds.
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
       robots: the arms in the order of the agents, by name or value; None for the
         environment's own.
-      randomization: how starts are drawn, "default", "paper" or a value.
+      randomization: how starts are drawn, "paper", "hard" or a value; None for
+        "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: other fields of the task's config.
 
@@ -66,5 +70,5 @@ def make_vec(
       KeyError: if there is no such environment, robot, preset or setting.
       ValueError: if the task cannot be done with these robots.
     """
-    task = make_task(env_id, robots, randomization, **settings)
+    task = as_task(env, robots, randomization=randomization, **settings)
     return VectorEnv(task, num_envs, seed=seed, num_threads=num_threads, strain=strain)

@@ -21,10 +21,9 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.rng import check_seed
-from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 
 _MOST_DELAY = 100
 """Control steps, ten seconds."""
@@ -42,8 +41,6 @@ def evaluate(
     *,
     episodes: int = 200,
     seed: int = 0,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     delay: int = 0,
     num_envs: int | None = None,
     num_threads: int = 0,
@@ -61,9 +58,6 @@ def evaluate(
         for each agent.
       episodes: how many.
       seed: which episodes.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn, a preset's name or a value; None for
-        "default".
       delay: number of control steps by which each action comes late; the robots hold
         still before the first.
       num_envs: worlds that play at the same time; None for at most 64.
@@ -75,13 +69,13 @@ def evaluate(
       FileNotFoundError: if there is no such policy file or baseline.
       KeyError: if a name is unknown.
       TypeError: if the policy or a number is of another kind.
-      ValueError: if a number is out of range, the policy is for another environment, or
-        `robots` or `randomization` is given beside a task, which has its own.
+      ValueError: if a number is out of range, or the policy is for another
+        environment.
     """
     episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
     delay = check_count("delay", delay, 0, _MOST_DELAY)
     check_callback("on_progress", on_progress)
-    task = as_task(env, robots, randomization)
+    task = as_task(env)
     if delay:
         task = disturbed(task, delay=delay, delayed=1.0)
     num_envs = worlds_for(episodes, num_envs)

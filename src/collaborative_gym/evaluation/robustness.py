@@ -6,7 +6,6 @@ from dataclasses import fields
 from collaborative_gym.evaluation.play import evaluate, part_of
 from collaborative_gym.evaluation.report import Report
 from collaborative_gym.policies import AnyPolicy
-from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import as_task, disturbed
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Task
 
@@ -32,7 +31,6 @@ def measure_robustness(
     *,
     episodes: int = 100,
     seed: int = 0,
-    robots: Sequence[str | Robot] | None = None,
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
@@ -48,7 +46,6 @@ def measure_robustness(
       policy: as `evaluate` takes it.
       episodes: how many with each disturbance.
       seed: which.
-      robots: as in `evaluate`.
       num_envs: as in `evaluate`.
       num_threads: as in `evaluate`.
       any_env: as in `evaluate`.
@@ -57,7 +54,7 @@ def measure_robustness(
     Raises:
       Exception: as `evaluate` does.
     """
-    task, hard = as_task(env, robots), RANDOMIZATIONS["hard"]
+    task, hard = as_task(env), RANDOMIZATIONS["hard"]
     reports = {}
     for i, (name, own) in enumerate(DISTURBANCES.items()):
         changes = {field: getattr(hard, field) for field in own}

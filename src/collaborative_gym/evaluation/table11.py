@@ -16,6 +16,7 @@ from collaborative_gym.evaluation.report import (
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies import load_policy
 from collaborative_gym.policies.shipped import is_shipped
+from collaborative_gym.tasks.registry import make_task
 
 MEASURES = ("mean_reward", "completion", "performance")
 """What the thesis gives of each environment."""
@@ -257,11 +258,10 @@ def reproduce_table11(
     for i, (env_id, column) in enumerate(jobs):
         policy, randomization = COLUMNS[column]
         reports.setdefault(env_id, {})[column] = evaluate(
-            env_id,
+            make_task(env_id, randomization=randomization),
             policy,
             episodes=episodes,
             seed=seed,
-            randomization=randomization,
             num_threads=num_threads,
             on_progress=part_of(on_progress, i, len(jobs)),
         )

@@ -25,6 +25,7 @@ from collaborative_gym.learning.folder import CURVE
 from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Settings
 from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
@@ -85,11 +86,10 @@ def write_baseline(
 def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
     return {
         starts: evaluate(
-            env_id,
+            make_task(env_id, randomization=starts.partition(",")[0]),
             result.policy(),
             episodes=episodes,
             seed=_SEED,
-            randomization=starts.partition(",")[0],
             delay=int(starts.endswith("late")),
             num_threads=resources.num_threads,
         )

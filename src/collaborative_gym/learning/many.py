@@ -37,6 +37,7 @@ from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Task
 
 _COMMAND = [
     sys.executable,
@@ -84,14 +85,12 @@ OnRow = Callable[[Plan, Mapping[str, float], Mapping[str, float]], object]
 
 
 def train_all(
-    envs: str | Sequence[str],
+    envs: str | Task | Sequence[str | Task],
     modes: Mode | Sequence[Mode] | None = None,
     *,
     seeds: Sequence[int] = (0,),
     jobs: int = 0,
     output: str | Path = "runs",
-    robots: Sequence[str] | None = None,
-    randomization: str | None = None,
     changes: Mapping[str, Any] | None = None,
     advised: bool = False,
     opponent: Named | None = None,
@@ -111,14 +110,13 @@ def train_all(
     not finished. Wrong arguments raise before the work.
 
     Args:
-      envs: environment ids or tasks' names; tasks of your own come from `load_module`.
+      envs: environment ids, tasks' names, or tasks; tasks of your own come from
+        `load_module`.
       modes: who learns what, as in `train`; None for the usual one.
       seeds: of the runs in each mode.
       jobs: processes at a time, 0 for one per CPU. Where there are several, each has
         one physics thread unless `resources` say otherwise.
       output: the folder of all runs.
-      robots: as in `train`, for all runs; the same holds for the arguments below.
-      randomization: how starts are drawn.
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name.
       advised: whether they learn with the expert's advice, by recipes of its own.
@@ -151,8 +149,6 @@ def train_all(
         changes=changes,
         advised=advised,
         shared={
-            "robots": robots,
-            "randomization": randomization,
             "opponent": opponent,
             "partner": partner,
             "start_from": start_from,
@@ -166,7 +162,7 @@ def train_all(
 
 
 def plan_runs(
-    envs: str | Sequence[str],
+    envs: str | Task | Sequence[str | Task],
     modes: Mode | Sequence[Mode] | None,
     *,
     seeds: Sequence[int],
@@ -179,13 +175,13 @@ def plan_runs(
     """Return the runs of `train_all`, whose arguments these are.
 
     Args:
-      envs: their names.
+      envs: names or tasks.
       modes: who learns what.
       seeds: of the runs.
       output: the folder of all.
       changes: hyperparameters in place of the recipes'.
       advised: whether they learn with the expert's advice.
-      shared: what else `settle` takes, `robots` and `randomization`.
+      shared: what else `settle` takes.
       checkpoint_interval: environment steps between two checkpoints.
 
     Raises:
@@ -194,23 +190,22 @@ def plan_runs(
     check_kind("output", output, (str, Path), "a folder's name")
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
     check_flag("advised", advised)
-    world = {name: shared[name] for name in ("robots", "randomization")}
-    others = {name: value for name, value in shared.items() if name not in world}
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):
-        check_name("each environment", env)
-        task = as_task(env, **world)
-        algorithm = others["algorithm"] or "ppo"
-        numbers = changed_recipe(env, changes, algorithm, advised=advised)
+        if not isinstance(env, Task):
+            check_name("each environment", env)
+        task = as_task(env)
+        algorithm = shared["algorithm"] or "ppo"
+        numbers = changed_recipe(task.name, changes, algorithm, advised=advised)
         for mode in (None,) if modes is None else _several("mode", modes):
             own = {"mode": mode, "hyperparameters": numbers}
-            settled = settle(task, None, seed=None, **own, **others)
+            settled = settle(task, None, seed=None, **own, **shared)
             for seed in _several("seed", seeds):
                 settings = replace(settled, seed=check_run_seed(seed))
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
-                given = {"env": env, "seed": settings.seed, **own, **shared}
+                given = {"env": task, "seed": settings.seed, **own, **shared}
                 given["checkpoint_interval"] = checkpoint_interval
                 plans[folder] = Plan(folder, numbers.total_steps, given)
     return list(plans.values())
@@ -292,7 +287,9 @@ class _Crew:
         assert process.stdin is not None
         self._under_way[plan.folder] = process
         with suppress(BrokenPipeError):  # It is gone already; `_read` says why.
-            pickle.dump((loaded_files(), given), process.stdin)
+            # Of a task of the user's own, its file must be loaded before it.
+            pickle.dump((loaded_files(), plan.folder), process.stdin)
+            pickle.dump(given, process.stdin)
             process.stdin.flush()
         Thread(target=self._read, args=(plan, process, said), daemon=True).start()
 
@@ -329,7 +326,7 @@ class _Crew:
 
 def _several(kind: str, given: Any) -> Sequence[Any]:
     """Return what was given as a sequence of at least one."""
-    if isinstance(given, str):
+    if isinstance(given, str | Task):
         return [given]
     a = f"one {kind} or several"
     check_kind(f"{kind}s", given, Sequence, a)
@@ -345,25 +342,24 @@ def train_one() -> None:
     # What prints on standard output must not come between the messages.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    modules, given = pickle.load(sys.stdin.buffer)
+    modules, folder = pickle.load(sys.stdin.buffer)
 
     def send(message: Any) -> None:
         pickle.dump(message, out)
         out.flush()
-
-    total_steps = given["hyperparameters"].total_steps
 
     def on_row(row: Mapping[str, float], best: Mapping[str, float]) -> None:
         # Input ends when the run is to stop, and also when nobody is there any more.
         with suppress(BrokenPipeError):
             send((dict(row), dict(best)))
         # After its last update a run is finished, so there is nothing to stop.
+        total_steps = given["hyperparameters"].total_steps
         if row["steps"] < total_steps and select.select([sys.stdin], [], [], 0.0)[0]:
             signal.raise_signal(signal.SIGINT)
 
-    folder = given.get("output") or given["resume"]
     try:
         load_modules(modules)
+        given = pickle.load(sys.stdin.buffer)
         message = Outcome(folder, train(**given, on_row=on_row))
     except KeyboardInterrupt:
         message = None

@@ -1,9 +1,8 @@
 """The call that trains: a new run, or one that goes on."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 from collaborative_gym.errors import (
     check_callback,
@@ -36,8 +35,7 @@ from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
 from collaborative_gym.learning.settings import Named, Settings, settle
 from collaborative_gym.learning.stopping import ctrl_c
-from collaborative_gym.robots import Robot
-from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.registry import as_task, make_task
 from collaborative_gym.tasks.task import Randomization, Task
 
 
@@ -48,8 +46,6 @@ def train(
     seed: int | None = None,
     output: str | Path | None = None,
     resume: str | Path | None = None,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     hyperparameters: Hyperparameters | None = None,
     opponent: Named | None = None,
     partner: Named | None = None,
@@ -77,8 +73,6 @@ def train(
       resume: the folder of a run to continue, in place of `output`. It keeps the
         settings with which it was started; you need not give them again. You may raise
         `total_steps` and change the validations.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn; None for "default".
       hyperparameters: how it learns; None for `recipe(env, algorithm)`.
       opponent: who plays against the learner, if there are several sides. "self", or
         None: the latest policies play all sides. Names of policies, as `load_policy`
@@ -123,7 +117,7 @@ def train(
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
         folder, started = _resume(resume, stack)
-        task = _task(env, started, robots=robots, randomization=randomization)
+        task = _task(env, started)
         settings = settle(
             task,
             None if started is None else started.settings,
@@ -203,16 +197,13 @@ def _resume(
     return folder, Checkpoint.load(folder / LAST)
 
 
-def _task(
-    env: str | Task, started: Checkpoint | None, *, robots: Any, randomization: Any
-) -> Task:
+def _task(env: str | Task, started: Checkpoint | None) -> Task:
     """Return what to learn; a run that goes on knows its own arms and starts."""
-    if started is not None and not isinstance(env, Task):
-        own = started.settings.identity
-        robots = own.robot_names if robots is None else robots
-        if randomization is None:
-            randomization = Randomization(**own.config["randomization"])
-    return as_task(env, robots, randomization)
+    if started is None or isinstance(env, Task):
+        return as_task(env)
+    own = started.settings.identity
+    randomization = Randomization(**own.config["randomization"])
+    return make_task(env, own.robot_names, randomization=randomization)
 
 
 def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:

@@ -28,10 +28,9 @@ from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import check_renderer
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy
 from collaborative_gym.policies.match import name_players, standing
-from collaborative_gym.robots import Robot
 from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT
 
 _SAME_SPREAD = 0.01
@@ -74,8 +73,6 @@ def record(
     seconds: float | None = None,
     seed: int = 0,
     only_episodes: Sequence[int] | None = None,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     size: tuple[int, int] | None = None,
     on_progress: Callable[[float], object] | None = None,
 ) -> Path:
@@ -98,8 +95,6 @@ def record(
       seed: which episodes.
       only_episodes: indices of the seed's episodes to show instead of the first ones,
         such as the worst ones that a report names.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn; None for "default".
       size: width and height in pixels, of each policy's picture; None for 640 x 480, of
         a GIF 320 x 240.
       on_progress: called after each step with the share that is done, 0 to 1.
@@ -132,7 +127,7 @@ def record(
     policies: Sequence[Any] = policy if isinstance(policy, list | tuple) else [policy]
     if not policies:
         raise ValueError("name at least one policy")
-    task = as_task(env, robots, randomization)
+    task = as_task(env)
     with ExitStack() as stack:
         cast = []
         for each in policies:

@@ -124,6 +124,7 @@ def find_env(task: Task) -> str | None:
 def make_task(
     name: str,
     robots: Sequence[str | Robot] | None = None,
+    *,
     randomization: str | Randomization | None = None,
     **settings: Any,
 ) -> Task:
@@ -172,7 +173,9 @@ def make_task(
 def as_task(
     env: str | Task,
     robots: Sequence[str | Robot] | None = None,
+    *,
     randomization: str | Randomization | None = None,
+    **settings: Any,
 ) -> Task:
     """Return a task as it is, or the one of a name as `make_task` does.
 
@@ -180,15 +183,17 @@ def as_task(
       env: an environment id, a task's name, or a task.
       robots: as in `make_task`; only beside a name.
       randomization: as in `make_task`; only beside a name.
+      **settings: likewise.
 
     Raises:
-      ValueError: if robots or randomization are given beside a task.
+      ValueError: if any of these is given beside a task.
     """
     if not isinstance(env, Task):
-        return make_task(env, robots, randomization)
-    if robots is not None or randomization is not None:
+        return make_task(env, robots, randomization=randomization, **settings)
+    if robots is not None or randomization is not None or settings:
         raise ValueError(
-            "a task has its own robots and randomization; pass them to make_task"
+            "a task has its own robots, randomization and settings; give them to"
+            " cg.task, which makes it"
         )
     return env
 

@@ -24,10 +24,9 @@ from collaborative_gym.files import check_writable, read_sealed, sealed, write_t
 from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.policies.policy import POLICY_FILE
 from collaborative_gym.rng import check_seed
-from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.identity import ON_STATE, Identity
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Randomization, Task
+from collaborative_gym.tasks.task import Task
 from collaborative_gym.tournaments.players import Player, enter
 from collaborative_gym.tournaments.result import Pairing, Tournament
 
@@ -50,8 +49,6 @@ def tournament(
     seed: int = 0,
     seats: str | Sequence[str] = "all",
     groups: Mapping[str, Sequence[str]] | None = None,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization | None = None,
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
@@ -82,9 +79,6 @@ def tournament(
         "all", or names of some.
       groups: players that are training runs of one kind, by the kind's name. None for
         those that are in one folder.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn, a preset's name or a value; None for
-        "default".
       num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.
@@ -108,7 +102,7 @@ def tournament(
     check_callback("on_pairing", on_pairing)
     check_callback("on_progress", on_progress)
     any_env = check_flag("any_env", any_env)
-    task = as_task(env, robots, randomization)
+    task = as_task(env)
     world = VectorEnv(task, worlds_for(episodes, num_envs), num_threads=num_threads)
     with closing(world):
         all_seats = _seats(world)
