@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.tournaments.result import format_measure
 from kept import keep

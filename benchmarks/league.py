@@ -78,7 +78,7 @@ def card(run: Path, steps: dict[str, int], result: cg.Tournament) -> str:
         f" {', '.join(decided(result, seat) for seat in result.turns)}",
         "",
         f"Everybody against everybody from each seat, {result.settings['episodes']}"
-        " episodes of seed 0 each; ratings, 95 % bootstrap intervals over episodes:",
+        " episodes of seed 0 each; ratings with 95 % intervals:",
         "",
     ]
     table = []

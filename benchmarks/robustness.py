@@ -9,7 +9,7 @@ which is written anew after each; the numbers are in robustness.json beside it.
 import argparse
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.shipped import is_shipped

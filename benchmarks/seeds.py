@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import collaborative_gym as cg
-from collaborative_gym.evaluation.bootstrap import wilson
+from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.network import NetworkPolicy
 from kept import keep

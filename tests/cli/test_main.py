@@ -468,3 +468,8 @@ def test_it_ends_quietly_where_nobody_reads_on(command):
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 141
+
+
+def test_evaluate_says_what_it_has_in_place_of_an_output(carry_id, capsys):
+    assert main(["evaluate", carry_id, "--output", "a.json"]) == 2
+    assert "--json FILE" in capsys.readouterr().err

@@ -160,6 +160,24 @@ def test_a_batch_plays_the_episodes_of_its_seed(carry_id, env, envs):
     np.testing.assert_array_equal(start, single)
 
 
+def test_each_world_may_have_a_seed_of_its_own(env, envs):
+    seeds = [7, 3, 5]
+    for _ in range(2):  # first, and in the middle of other episodes
+        start = envs.reset(seed=seeds)[0]
+        single = [env.reset(seed=seed)[0] for seed in seeds]
+        np.testing.assert_array_equal(start, single)
+        envs.step(envs.action_space.sample())
+    mask = np.array([False, True, False])
+    masked = envs.reset(seed=[1, 1, 1], options={"reset_mask": mask})[0]
+    np.testing.assert_array_equal(masked[1], env.reset(seed=1)[0])
+    envs.reset(seed=[None, 4, None])
+    assert envs.unwrapped.vector_env.get_state().progress["seed"].tolist() == [7, 4, 5]
+    with pytest.raises(ValueError, match="seed has 1 seeds for"):
+        envs.reset(seed=[1])
+    with pytest.raises(TypeError, match="seed must be an integer, got 'x'"):
+        envs.reset(seed=["x", 1, 2])
+
+
 def test_without_a_seed_environments_differ(carry_id):
     starts = [gymnasium.make(carry_id).reset()[0] for _ in range(2)]
     assert (starts[0] != starts[1]).any()

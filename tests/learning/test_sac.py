@@ -131,6 +131,17 @@ def test_nothing_is_learned_before_enough_is_seen(make, same):
     assert np.isfinite(list(numbers.values())).all()
 
 
+def test_one_stopped_before_its_first_update_goes_on_alike(make, same):
+    (whole,), (resumed,) = make("centralized"), make("centralized")
+    resumed.load_state_dict(deepcopy(whole.state_dict()))
+    for learner in (whole, resumed):
+        torch.manual_seed(1)
+        rng = np.random.default_rng(0)
+        numbers = [learner.learn([drawn(rng)]) for _ in range(4)]
+        assert "entropy_weight" in numbers[-1]
+    assert same(whole.state_dict(), resumed.state_dict())
+
+
 def test_critics_learn_alone_and_then_with_the_policy(make, same):
     (learner,) = make("centralized", warmup=0)
     rng, first = np.random.default_rng(0), deepcopy(learner.state_dict())

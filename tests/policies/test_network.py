@@ -1,4 +1,6 @@
 import json
+import os
+import zipfile
 from itertools import pairwise
 
 import numpy as np
@@ -283,3 +285,24 @@ def test_no_flipped_bit_goes_unnoticed(policies, tmp_path):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.safetensors"):
         NetworkPolicy.load(tmp_path / "nowhere.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ("_stable_baselines3_version", r"mine is a model of Stable-B.*PPO.load\(path"),
+        ("mine/data.pkl", "mine is a file of torch.*folder.*ONNX"),
+    ],
+)
+def test_files_of_other_libraries_are_called_what_they_are(tmp_path, inside, message):
+    with zipfile.ZipFile(tmp_path / "mine", "w") as archive:
+        archive.writestr(inside, "2.9.0")
+    with pytest.raises(ValueError, match=message):
+        NetworkPolicy.load(tmp_path / "mine")
+
+
+@pytest.mark.parametrize("name", ["pipe", "pipe.onnx"])
+def test_a_pipe_is_refused_at_once(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ValueError, match="is a pipe or a device; give a file"):
+        cg.load_policy(tmp_path / name)

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.tournaments.result import (
     Pairing,
     Tournament,
+    format_estimate,
     format_measure,
     short_names,
-    wilson,
 )
 
 
@@ -124,11 +125,30 @@ def test_what_cannot_be_played_counts_nowhere(strangers):
     assert json.loads(alone.to_json())["matrices"]["return"]["a"]["c"]["mean"] is None
 
 
-def test_wilsons_interval_is_the_published_one():
-    # Newcombe (1998), Statistics in Medicine 17, table I, method 3.
-    assert wilson(81 / 263, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
-    assert wilson(0.0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
-    assert wilson(1.0, 29) == pytest.approx((0.8830, 1.0), abs=5e-5)
+def test_means_over_partners_have_intervals_over_partners():
+    # Each pairing is the same in all episodes, so a bootstrap of these sees nothing.
+    pairs = {(x, y): float(x == y) for x in "abcde" for y in "abcde"}
+    pairs |= {("a", "b"): 1.0, ("b", "a"): 1.0}
+    played = team_of("abcde", pairs, 16)
+    cross = played.standings["a"].cross_play["completion"]
+    assert format_estimate("completion", cross) == "25 % (5 to 70)"
+    gap = played.standings["a"].gap["completion"]
+    # Over four partners, t is 3.182.
+    assert gap.high - gap.mean == pytest.approx(3.182 * 0.5 / 2.0)
+    seen = played.standings["c"].cross_play
+    assert (seen["completion"].low, seen["completion"].high) == wilson(0.0, 4)
+    assert np.isnan(seen["return"].low)
+    # With one partner alone, they are over episodes.
+    only = team_of("ab", {(x, y): 0.5 for x in "ab" for y in "ab"}, 16)
+    ends = only.standings["a"].cross_play["completion"]
+    assert (ends.low, ends.high) == wilson(0.5, 16)
+
+
+def test_who_has_won_everything_is_rated_with_an_interval():
+    scores = {("a", "b"): [(1, 0)] * 16, ("b", "a"): [(0, 1)] * 16}
+    scores |= {(x, x): [(0, 0)] * 16 for x in "ab"}
+    rating = games_of("ab", scores).ratings["a"]
+    assert rating.low < rating.mean - 50.0 and rating.mean + 50.0 < rating.high
 
 
 def test_a_group_is_as_sure_as_its_runs_are_alike():
@@ -136,7 +156,9 @@ def test_a_group_is_as_sure_as_its_runs_are_alike():
     told = team_of("abcd", alike, 200, {"runs": tuple("abcd")}).group_means["runs"]
     assert told["completion of cross-play"].mean == 0.5
     assert told["completion lost"].mean == 0.0
-    assert told["completion lost"].high == pytest.approx(0.0)
+    assert np.isnan(told["completion lost"].high)
+    cross = told["completion of cross-play"]
+    assert (cross.low, cross.high) == wilson(0.5, 4)
     differing = alike | {(x, y): float("a" in (x, y)) for x, y in alike if x != y}
     told = team_of("abcd", differing, 200, {"runs": tuple("abcd")}).group_means["runs"]
     wide = told["completion of cross-play"]

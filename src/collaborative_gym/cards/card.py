@@ -72,8 +72,7 @@ class ReportCard:
             parts.append(f"## {escaped(name)}")
             parts.append(
                 f"{settings['episodes']} episodes of seed {settings['seed']}, in which"
-                " nothing is trained. Intervals are of 95 %, Wilson's of completion and"
-                " the bootstrap's of all else."
+                " nothing is trained. Intervals are of 95 %."
             )
             parts.append(markdown_tables(report).strip())
         if self.robustness:

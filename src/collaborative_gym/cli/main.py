@@ -89,6 +89,12 @@ _VERBS = {
     "demo": Demo,
 }
 
+_INSTEAD = {
+    ("evaluate", "--output"): "--json FILE for all numbers, or --csv FILE for episodes",
+    ("benchmark", "--output"): "--json FILE",
+}
+"""Options that other commands have, and what a command has in their place."""
+
 _DESCRIPTION = """Robot arms that must work together: watch, train, measure.
 
 COMMAND --help tells the options of a command; --version tells which version this is."""
@@ -120,6 +126,11 @@ def _run(arguments: list[str]) -> None:
         tell(f"collaborative-gym {version('collaborative-gym')}")
         return
     verb = arguments[0] if arguments else ""
+    for word in arguments:
+        option = word.partition("=")[0]
+        if (verb, option) in _INSTEAD:
+            instead = _INSTEAD[verb, option]
+            raise ValueError(f"{verb} has no {option}; give {instead}")
     if verb in _VERBS:  # Reading the options of one command is quicker.
         kind, description, rest = _VERBS[verb], None, arguments[1:]
         if kind is Train and "--help-all" in rest:

@@ -107,7 +107,7 @@ def tournament_tables(tournament: Tournament) -> list[Table]:
             for i, (name, mean) in enumerate(means.items()):
                 runs = f"{len(tournament.groups[kind])} of {kind}"
                 table.add_row("" if i else runs, name, _measured(name, mean))
-        table.caption = "Intervals over runs and episodes."
+        table.caption = "Intervals over runs."
         tables.append(table)
     return tables
 

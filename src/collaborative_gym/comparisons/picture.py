@@ -13,7 +13,7 @@ import numpy as np
 
 from collaborative_gym.comparisons.result import Comparison, is_share
 from collaborative_gym.errors import how_to_install
-from collaborative_gym.evaluation.bootstrap import Estimate
+from collaborative_gym.evaluation.intervals import Estimate
 from collaborative_gym.files import replacing
 from collaborative_gym.learning.curve import COLOURS
 

@@ -4,9 +4,9 @@ import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -14,7 +14,14 @@ import numpy as np
 
 from collaborative_gym.comparisons.grouping import Group, Grouping
 from collaborative_gym.comparisons.runs import VALIDATION
-from collaborative_gym.evaluation.bootstrap import Estimate, estimate, iqm
+from collaborative_gym.evaluation.intervals import (
+    Estimate,
+    chance_of,
+    iqm_of,
+    mean_of,
+    median_of,
+    share_of,
+)
 from collaborative_gym.evaluation.report import format_interval, without_nan
 from collaborative_gym.evaluation.table import escaped, markdown_table
 
@@ -92,8 +99,10 @@ class Comparison:
     """How groups of training runs did.
 
     The score of a run is the mean of its last validation, of those that all runs of its
-    group have. Intervals are of 95 %, by the bootstrap over runs, stratified by
-    environment (Agarwal et al. 2021, arXiv 2108.13264). A group of one run has none.
+    group have. Intervals are of 95 % and over runs, within each environment: Student's
+    t for means, Yuen's for interquartile means, Wilson's for shares of runs and where
+    all runs score alike, DeLong's for probabilities, and for medians those between two
+    runs. A group of one run has none, and a median none of fewer than five.
 
     Attributes:
       grouping: the groups, and what they differ in.
@@ -157,17 +166,16 @@ class Comparison:
 
     def aggregates(self, entry: Entry, measure: str) -> Aggregates:
         """Return what the scores of an entry come to."""
-        strata = entry.scores(measure)
+        strata, share = entry.scores(measure), is_share(measure)
         return Aggregates(
-            *(
-                estimate(partial(_together, of), strata)[0]
-                for of in (iqm, np.median, np.mean)
-            )
+            iqm_of(strata, is_share=share)[0],
+            median_of(strata)[0],
+            mean_of(strata, is_share=share)[0],
         )
 
     def curve(self, group: Group, measure: str) -> list[Estimate]:
         """Return the interquartile mean of a group's validations, by `group.steps`."""
-        return estimate(partial(_together, iqm), [group.values(measure)])
+        return iqm_of([group.values(measure)], is_share=is_share(measure))
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -186,12 +194,8 @@ class Comparison:
     @cached_property
     def profiles(self) -> dict[str, list[Estimate]]:
         """By contestant, the share of runs that score at least each of `levels`."""
-
-        def share(*strata: np.ndarray) -> np.ndarray:
-            return (np.concatenate(strata, -2) >= self.levels).mean(-2)
-
         return {
-            name: estimate(share, self._scores(entry))
+            name: share_of(np.concatenate(self._scores(entry)) >= self.levels)
             for name, entry in self.contestants.items()
         }
 
@@ -205,8 +209,8 @@ class Comparison:
         for one, other in combinations(self.contestants, 2):
             first, second = (self._scores(self.contestants[n]) for n in (one, other))
             # Of several environments, each has runs of both.
-            of = partial(_improvement, len(first))
-            found[one, other] = estimate(of, [*first, *second])[0]
+            pairs = zip(map(np.ravel, first), map(np.ravel, second), strict=True)
+            found[one, other] = chance_of(pairs)
         return found
 
     def reached(self, group: Group) -> Reached | None:
@@ -224,8 +228,7 @@ class Comparison:
             taken = [
                 first.get(name, math.nan) if first else math.inf for first in firsts
             ]
-            strata = [np.array(taken)[:, None]]
-            medians.append(estimate(partial(_together, np.median), strata)[0])
+            medians += median_of([np.array(taken)[:, None]])
         return Reached(sum(map(bool, firsts)), *medians)
 
     @cached_property
@@ -386,20 +389,6 @@ class Comparison:
 def is_share(measure: str) -> bool:
     """Return whether a measure is from 0 to 1."""
     return measure.rpartition("/")[2] in _SHARES
-
-
-def _together(of: Callable[..., np.ndarray], *strata: np.ndarray) -> np.ndarray:
-    """Return a function's value over the runs of all strata."""
-    return of(np.concatenate(strata, -2), axis=-2)
-
-
-def _improvement(count: int, *strata: np.ndarray) -> np.ndarray:
-    """Return how likely those of the first strata are above those of the others."""
-    chances = [
-        ((np.sign(one - np.swapaxes(other, -1, -2)) + 1.0) / 2.0).mean((-2, -1))
-        for one, other in zip(strata[:count], strata[count:], strict=True)
-    ]
-    return np.mean(chances, axis=0)[..., None]
 
 
 def _told(number: Estimate, measure: str) -> str:

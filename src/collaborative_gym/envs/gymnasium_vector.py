@@ -96,29 +96,59 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.closed = False
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode in every world, or in some.
 
         Args:
           seed: starts its episodes 0, 1, 2 ...; None starts each world's next
             episode of the present seed, which is drawn afresh if none was ever given.
+            Of a list with a seed for each world, each starts episode 0 of its own and
+            goes on to the episodes `num_envs`, 2 `num_envs` ...; None is as above.
           options: `reset_mask` has a bool for each world, whether it starts; without
             it all do.
 
         Returns:
           Observations (num_envs, k) and infos.
+
+        Raises:
+          TypeError: if a seed is not an integer.
+          ValueError: if one is negative, or a list has not one for each world.
         """
-        seed = None if seed is None else check_seed(seed)
-        super().reset(seed=seed)
-        if seed is None and not self._has_seed:
-            seed = fresh_seed()
         mask = (options or {}).get("reset_mask")
-        observations, infos = self.vector_env.reset(seed, env_ids=mask)
+        if isinstance(seed, list | tuple | np.ndarray):
+            observations, infos = self._reset_each(list(seed), mask)
+        else:
+            whole: Any = seed
+            whole = None if whole is None else check_seed(whole)
+            super().reset(seed=whole)
+            if whole is None and not self._has_seed:
+                whole = fresh_seed()
+            observations, infos = self.vector_env.reset(whole, env_ids=mask)
         starts = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
         self._ended = infos["ended"]
         self._has_seed = True
         return self._agents.joined(observations), _masked(_step_info(infos), starts)
+
+    def _reset_each(self, seeds: list[Any], mask: Any) -> tuple[Any, dict[str, Any]]:
+        """Start an episode of a seed of its own in every world of a mask."""
+        if len(seeds) != self.num_envs:
+            raise ValueError(
+                f"seed has {len(seeds)} seeds for {self.num_envs} worlds; give one for"
+                " each, or one for all"
+            )
+        seeds = [None if each is None else check_seed(each) for each in seeds]
+        # Also draws a seed where none was ever given, and checks the mask.
+        first = None if self._has_seed else fresh_seed()
+        observations, infos = self.vector_env.reset(first, env_ids=mask)
+        starts = range(self.num_envs) if mask is None else np.flatnonzero(mask)
+        for i in starts:
+            if seeds[i] is not None:
+                observations, infos = self.vector_env.reset(seeds[i], [0], env_ids=[i])
+        return observations, infos
 
     def step(
         self, actions: Array

@@ -217,7 +217,7 @@ def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Scor
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
-    is_share = column.endswith("completion")
+    is_share = column.endswith(("completion", "performance"))
     return Statistic.of([row[column] for row in rows], is_share=is_share)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.evaluation.bootstrap import bounds, iqm, resample, wilson
+from collaborative_gym.evaluation.intervals import iqm, mean_of, wilson
 from collaborative_gym.evaluation.table import escaped, markdown_table
 from collaborative_gym.tasks.identity import Identity
 
@@ -38,8 +38,8 @@ class Statistic:
 
     Attributes:
       mean: the mean; NaN if there was no value.
-      low: lower end of the mean's 95 % interval: for a share Wilson's (1927), else the
-        bootstrap's; NaN for a single value.
+      low: lower end of the mean's 95 % interval: Wilson's (1927) where all values are 0
+        or 1, else Student's t; NaN for a single value, and where all are alike.
       high: upper end of it.
       iqm: interquartile mean, that of the middle half of the values.
       median: the middle value, which no single bad episode moves.
@@ -57,20 +57,18 @@ class Statistic:
 
         Args:
           values: of the episodes.
-          is_share: whether each is 0 or 1.
+          is_share: whether they are from 0 to 1. Where all are alike, the interval is
+            then Wilson's, too.
         """
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
         if not len(array):
             return cls(*[math.nan] * 5)
-        ends = [math.nan] * 2
-        if len(array) > 1:
-            ends = (
-                wilson(float(array.mean()), len(array))
-                if is_share
-                else bounds(resample(array)[0].mean(axis=1))
-            )
-        numbers = array.mean(), *ends, iqm(array), np.median(array)
+        (mean,) = mean_of([array[:, None]], is_share=is_share)
+        ends = mean.low, mean.high
+        if len(array) > 1 and is_share and np.isin(array, (0.0, 1.0)).all():
+            ends = wilson(mean.value, len(array))
+        numbers = mean.value, *ends, iqm(array), np.median(array)
         return cls(*map(float, numbers))
 
 

@@ -143,10 +143,16 @@ class _SAC(SAC):
     """skrl's SAC, whose entropy coefficient can be saved."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the logarithm of the entropy coefficient."""
-        return {"log_coefficient": self.log_entropy_coefficient.detach().clone()}
+        """Return the entropy coefficient and its logarithm.
+
+        Both, because before the first update one is not quite the other's exponential.
+        """
+        return {
+            "log_coefficient": self.log_entropy_coefficient.detach().clone(),
+            "coefficient": torch.as_tensor(self._entropy_coefficient).detach().clone(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what `state_dict` returned."""
         self.log_entropy_coefficient.data.copy_(state["log_coefficient"])
-        self._entropy_coefficient = torch.exp(self.log_entropy_coefficient.detach())
+        self._entropy_coefficient = state["coefficient"].clone()

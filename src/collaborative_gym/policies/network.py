@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass
@@ -14,7 +15,7 @@ from safetensors.numpy import save
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
-from collaborative_gym.files import replacing
+from collaborative_gym.files import check_regular, replacing
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 
@@ -28,6 +29,9 @@ _KEY = "collaborative_gym"
 """Where a file's digest and, right after it, its description are in its metadata."""
 
 _DIGEST_LENGTH = 64
+
+_TRAINING = b"collaborative_gym training"
+"""Begins the checkpoints of training runs."""
 
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "relu": lambda x: np.maximum(x, 0.0),
@@ -285,11 +289,14 @@ class NetworkPolicy:
           FileNotFoundError: if there is no such file.
           ValueError: if it is damaged or not of this format.
         """
+        check_regular(path)
         try:
             return cls._read(path)
         except OSError:
             raise
         except Exception as error:  # A file may be spoilt in any way.
+            if other := _other(path):
+                raise ValueError(f"{path} is {other}") from None
             missing = "it has no " if isinstance(error, KeyError) else ""
             reason = missing + str(error).partition("\n")[0]
             raise ValueError(
@@ -325,6 +332,30 @@ class NetworkPolicy:
             action_sizes=description["action_sizes"],
             metadata=description["metadata"],
         )
+
+
+def _other(path: str | Path) -> str:
+    """Return which kind of other file it is, and what to do with it, if that shows."""
+    with open(path, "rb") as file:
+        if file.read(len(_TRAINING)) == _TRAINING:
+            return "a checkpoint of a training run; give the run's folder"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.rpartition("/")[2] for name in archive.namelist()}
+    except zipfile.BadZipFile:
+        return ""
+    if "_stable_baselines3_version" in names:
+        return (
+            "a model of Stable-Baselines3, which only that library can load; in Python"
+            " give the model, as in cg.evaluate(env, PPO.load(path)), or export it to"
+            " ONNX"
+        )
+    if "data.pkl" in names:
+        return (
+            "a file of torch, which may run any program; for a training run give its"
+            " folder, and export another network to ONNX"
+        )
+    return ""
 
 
 def with_index(observations: np.ndarray, i: int, count: int) -> np.ndarray:

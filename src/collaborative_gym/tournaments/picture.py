@@ -86,7 +86,7 @@ def _draw_matrix(
 ) -> None:
     matrix = tournament.matrices[measure]
     means = np.array([[matrix[row][col].mean for col in players] for row in players])
-    is_share = measure in SHARES or measure == "performance"
+    is_share = measure in SHARES
     ends = (0.0, 1.0) if is_share else (None, None)
     drawn = axes.imshow(means, cmap="cividis", vmin=ends[0], vmax=ends[1])
     labels = [short_names(tournament.players)[player] for player in players]

@@ -33,10 +33,30 @@ def bradley_terry(points: np.ndarray) -> np.ndarray:
       points: what each player, a row, took from each other, a column, in all games: a
         win is 1, a draw 0.5; (..., players, players). The diagonal does not count.
     """
+    return _fit(points)[0]
+
+
+def rated(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ratings and their standard errors, (players,) each.
+
+    The errors are those of the curvature of the likelihood, as if games did not depend
+    on one another. So a player that won all of its games has one, too.
+
+    Args:
+      points: as `bradley_terry` takes them, (players, players).
+    """
+    ratings, curvature = _fit(points)
+    centred = np.eye(len(points)) - 1.0 / len(points)
+    spread = centred @ np.linalg.inv(curvature) @ centred
+    return ratings, _SCALE * np.sqrt(spread.diagonal())
+
+
+def _fit(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ratings, and the curvature of the likelihood there."""
     count = points.shape[-1]
     points = points * (1.0 - np.eye(count))
     games = points + np.swapaxes(points, -1, -2)
-    strength = np.zeros(points.shape[:-1])
+    strength, curvature = np.zeros(points.shape[:-1]), np.eye(count)
     for _ in range(1000):
         chance = _logistic(strength[..., :, None] - strength[..., None, :])
         average = _logistic(strength)
@@ -50,7 +70,8 @@ def bradley_terry(points: np.ndarray) -> np.ndarray:
         strength = strength + step / np.maximum(largest, 1.0)
         if largest.max(initial=0.0) < _NEAR:
             break
-    return _MEAN + _SCALE * (strength - strength.mean(-1, keepdims=True))
+    ratings = _MEAN + _SCALE * (strength - strength.mean(-1, keepdims=True))
+    return ratings, curvature
 
 
 def cyclic_triples(

@@ -11,17 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.evaluation.bootstrap import bounds, resample, wilson
+from collaborative_gym.evaluation.intervals import jackknifed
 from collaborative_gym.evaluation.report import (
     Statistic,
     format_number,
     without_nan,
 )
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tournaments.ratings import bradley_terry, cyclic_triples
+from collaborative_gym.tournaments.ratings import cyclic_triples, rated
 
-SHARES = ("points", "completion")
-"""Measures of single episodes that are 0 or 1, or half for a draw."""
+SHARES = ("points", "completion", "performance")
+"""Measures from 0 to 1."""
+
+_Z = 1.96
+"""Standard errors on either side of a rating that hold 95 %."""
 
 SERVED = 0.9
 """Performance from which on one partner's answer serves another; our choice."""
@@ -87,10 +90,9 @@ class Tournament:
     and by `score`, the difference to the best other side. Otherwise seats are robots,
     and pairings are compared by their common `completion`, `performance` and `return`.
 
-    Intervals are 95 % intervals. For points and completion of single pairings they are
-    Wilson's (1927), where a draw counts as half a win, so they are a little too wide.
-    For everything else they come from the bootstrap over episodes. All pairings have
-    the same starts, so the bootstrap draws the same episodes for all of them.
+    Intervals are 95 % intervals, as `Statistic` has them: of a single pairing over its
+    episodes, of a mean over other players over these, of a group's means over its runs.
+    Those of ratings say how sure the games make them.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -188,11 +190,11 @@ class Tournament:
     @cached_property
     def ratings(self) -> dict[str, Statistic]:
         """Ratings by player, as `bradley_terry` gives them; only of opponents."""
-        best = bradley_terry(self._points(np.ones((1, self.settings["episodes"]))))[0]
-        drawn = self._drawn_ratings.T
+        means, errors = rated(self._points)
+        ends = [_Z * (math.nan if self.is_one_episode else each) for each in errors]
         return {
-            name: self._between(best[i], drawn[i])
-            for i, name in enumerate(self.players)
+            name: Statistic(*map(float, (mean, mean - end, mean + end, mean, mean)))
+            for name, mean, end in zip(self.players, means, ends, strict=True)
         }
 
     @cached_property
@@ -239,8 +241,7 @@ class Tournament:
 
         Of opponents it is their mean `rating`. Else, of each measure, such as
         `completion`: `completion of self-play`, `completion of cross-play` with one
-        another, and their difference, `completion lost`. The intervals are the
-        bootstrap's over runs and over episodes.
+        another, and their difference, `completion lost`. The intervals are over runs.
         """
         return {
             name: self._group([self.players.index(run) for run in runs])
@@ -254,24 +255,29 @@ class Tournament:
 
     def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
         """Return that of a pairing, whose rows are seats and columns episodes."""
-        statistic = self._mean_of(values)
-        count = int(np.count_nonzero(~np.isnan(values)))
-        if measure not in SHARES or self.is_one_episode or not count:
-            return statistic
-        low, high = wilson(statistic.mean, count)
-        return replace(statistic, low=low, high=high)
+        means = list(_mean(values))
+        if self.is_one_episode:
+            means = means[:1]
+        return Statistic.of(means, is_share=measure in SHARES)
 
-    def _mean_of(self, values: np.ndarray) -> Statistic:
-        """Return the statistic of each episode's mean over the rows."""
-        means = _mean(values.reshape(-1, values.shape[-1]))
-        return Statistic.of(list(means[:1] if self.is_one_episode else means))
+    def _over_others(
+        self, measure: str, values: np.ndarray, own: np.ndarray | None = None
+    ) -> Statistic:
+        """Return that of a mean over other players.
 
-    def _between(self, mean: float, drawn: np.ndarray) -> Statistic:
-        """Return a statistic with the interval of what a bootstrap has drawn."""
-        known = drawn[~np.isnan(drawn)]
-        has_ends = len(known) and not self.is_one_episode
-        low, high = bounds(known) if has_ends else (math.nan, math.nan)
-        return Statistic(*map(float, (mean, low, high, mean, mean)))
+        Args:
+          measure: what it is of.
+          values: with each of the others, (seats, others, episodes).
+          own: with itself, (1, episodes), from which the others' are taken away.
+        """
+        means = _mean(values)
+        if len(means) == 1:  # Nothing is known of others, so it is over episodes.
+            less = means if own is None else own - means
+            return self._statistic(measure if own is None else "", less)
+        of_each = _mean(_mean(np.moveaxis(values, -1, 0)))
+        if own is not None:
+            return Statistic.of(list(float(_mean(own[0])) - of_each))
+        return Statistic.of(list(of_each), is_share=measure in SHARES)
 
     def _standing(self, i: int) -> Standing:
         others = np.arange(len(self.players)) != i
@@ -284,15 +290,18 @@ class Tournament:
         }
         worst = min(means, key=means.__getitem__, default=None)
         standing = Standing(
-            self_play={name: self._mean_of(rows) for name, rows in own.items()},
-            cross_play={name: self._mean_of(rows) for name, rows in cross.items()},
+            self_play={name: self._statistic(name, rows) for name, rows in own.items()},
+            cross_play={n: self._over_others(n, rows) for n, rows in cross.items()},
             gap={
-                name: self._mean_of(own[name] - _mean(rows.reshape(-1, rows.shape[-1])))
+                name: self._over_others(name, rows, own[name])
                 for name, rows in cross.items()
                 if not self.is_divided
             },
             by_seat={
-                turn: {name: self._mean_of(rows[s]) for name, rows in cross.items()}
+                turn: {
+                    name: self._over_others(name, rows[s : s + 1])
+                    for name, rows in cross.items()
+                }
                 for s, turn in enumerate(self.turns)
             },
             worst=None if worst is None else self.players[worst],
@@ -305,43 +314,34 @@ class Tournament:
         rating = self.ratings[self.players[i]]
         return replace(standing, wins=wins, draws=draws, losses=losses, rating=rating)
 
-    def _points(self, weights: np.ndarray) -> np.ndarray:
-        """Return what rows took from columns, (draws, players, players).
-
-        Args:
-          weights: how often each episode counts, (draws, episodes).
-        """
+    @property
+    def _points(self) -> np.ndarray:
+        """What rows took from columns, (players, players)."""
         own = self._shown("points")
         lost = np.swapaxes(1.0 - own, 1, 2)
-        per_episode = np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)
-        return np.moveaxis(per_episode @ weights.T, -1, 0)
-
-    @cached_property
-    def _weights(self) -> np.ndarray:
-        """How often each episode is drawn by the bootstrap, (draws, episodes)."""
-        places = np.arange(self.settings["episodes"])
-        return np.stack([np.bincount(d, minlength=len(d)) for d in resample(places)[0]])
-
-    @cached_property
-    def _drawn_ratings(self) -> np.ndarray:
-        return bradley_terry(self._points(self._weights))
+        return (np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)).sum(-1)
 
     def _group(self, runs: list[int]) -> dict[str, Statistic]:
-        count = len(runs)
-        # Drawn after the episodes, because draws of runs alone would repeat theirs.
-        _, drawn = resample(np.arange(self.settings["episodes"]), np.arange(count))
         if self.is_divided:
-            ratings = np.take_along_axis(self._drawn_ratings[:, runs], drawn, axis=1)
-            mean = np.mean([self.ratings[self.players[i]].mean for i in runs])
-            return {"rating": self._between(float(mean), ratings.mean(1))}
+            ratings = [self.ratings[self.players[i]].mean for i in runs]
+            return {"rating": Statistic.of(ratings)}
         told = {}
         for measure, values in self.values.items():
-            cells = _mean(values[:, runs][:, :, runs])
-            plain = _selves_and_others(cells.mean(-1)[None], np.arange(count)[None])
-            means = np.moveaxis(cells @ self._weights.T / values.shape[-1], -1, 0)
-            draws = _selves_and_others(means, drawn)
+            cells = _mean(_mean(np.moveaxis(values[:, runs][:, :, runs], -1, 0)))
+            whole = _selves_and_others(cells)
+            left = [
+                _selves_and_others(np.delete(np.delete(cells, i, 0), i, 1))
+                for i in range(len(runs))
+            ]
             for i, name in enumerate(("of self-play", "of cross-play", "lost")):
-                told[f"{measure} {name}"] = self._between(plain[i][0], draws[i])
+                is_share = measure in SHARES and name != "lost"
+                found = jackknifed(
+                    [each[i] for each in left], whole[i], is_share=is_share
+                )
+                ends = found.low, found.high
+                told[f"{measure} {name}"] = Statistic(
+                    whole[i], *ends, whole[i], whole[i]
+                )
         return told
 
     def to_json(self) -> str:
@@ -392,7 +392,7 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
 
 def format_measure(measure: str, value: float) -> str:
     """Return a number of a measure for people, such as "97 %"; a dash for NaN."""
-    if measure in SHARES or measure == "performance":
+    if measure in SHARES:
         return "-" if math.isnan(value) else f"{100 * value:.0f} %"
     return format_number(value, digits=1 if abs(value) < 100 else 0)
 
@@ -414,21 +414,15 @@ def _mean(values: np.ndarray) -> np.ndarray:
     return np.where(known.any(0), total / np.maximum(known.sum(0), 1), math.nan)
 
 
-def _selves_and_others(means: np.ndarray, drawn: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the means with oneself, with others, and their difference, by draw.
+def _selves_and_others(cells: np.ndarray) -> tuple[float, float, float]:
+    """Return the means with oneself, with others, and their difference.
 
     Args:
-      means: of rows with columns, (draws, runs, runs).
-      drawn: the runs of each draw, (draws, runs).
+      cells: of rows with columns, (runs, runs).
     """
-    draw = np.arange(len(drawn))[:, None, None]
-    cells = means[draw, drawn[:, :, None], drawn[:, None, :]]
-    is_self = drawn[:, :, None] == drawn[:, None, :]
-    of_selves, of_others = (
-        _mean(np.where(which, cells, math.nan).reshape(len(drawn), -1).T)
-        for which in (is_self, ~is_self)
-    )
-    return of_selves, of_others, of_selves - of_others
+    is_self = np.eye(len(cells), dtype=bool)
+    own, others = (float(_mean(cells[which])) for which in (is_self, ~is_self))
+    return own, others, own - others
 
 
 def _plain(value: Any) -> Any:
