@@ -36,6 +36,7 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/demo: pyproject.toml constraints.txt | .venv/bin/pip
+	@echo "installing into .venv first, which takes a minute or two"
 	$(PIP) --editable ".[video,view]"
 	touch $@
 
@@ -44,5 +45,6 @@ clean:
 	touch $@
 
 .venv/dev: pyproject.toml constraints.txt | .venv/bin/pip
+	@echo "installing into .venv first, which takes a few minutes"
 	$(PIP) --editable ".[dev]"
 	touch $@ .venv/demo .venv/docs

@@ -247,7 +247,8 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
     names = ["contact_sheet.png", f"{carry_id}.mp4", "TugPandas-v0.mp4"]
     assert lines[1:4] == [f"wrote {folder / name}" for name in names]
     assert {path.name for path in folder.iterdir()} >= {*names, "table11.md"}
-    assert "2 episodes" in lines[4] and f"are in {folder}/." in lines[-2]
+    assert "2 episodes" in lines[4] and f"are in {folder}/." in lines[-4]
+    assert lines[-3] == "  .venv/bin/collaborative-gym reproduce table11"
     assert lines[-1].startswith(f"  .venv/bin/collaborative-gym view {carry_id} --")
 
 
