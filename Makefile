@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test check format docs serve-docs clean
+.PHONY: demo test quick check format docs serve-docs clean
 
 # Draw, film and measure the baselines; the last line tells how to watch them.
 demo: .venv/demo
@@ -12,6 +12,12 @@ demo: .venv/demo
 # another on two cores.
 test: check
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal
+
+# Format, lint, and the tests that take no more than a second or two.
+quick: .venv/dev
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" $(QUICK) --numprocesses 2
 
 check: .venv/dev
 	$(BIN)/ruff format --check
