@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test check format docs serve-docs clean
+.PHONY: demo test quick check format docs serve-docs clean
 
 # Draw, film and measure the baselines; the last line tells how to watch them.
 demo: .venv/demo
@@ -12,6 +12,12 @@ demo: .venv/demo
 # another on two cores.
 test: check
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal
+
+# Format, lint, and the tests that take no more than a second or two.
+quick: .venv/dev
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" $(QUICK) --numprocesses 2
 
 check: .venv/dev
 	$(BIN)/ruff format --check
@@ -36,6 +42,7 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/demo: pyproject.toml constraints.txt | .venv/bin/pip
+	@echo "installing into .venv first, which takes a minute or two"
 	$(PIP) --editable ".[video,view]"
 	touch $@
 
@@ -44,5 +51,6 @@ clean:
 	touch $@
 
 .venv/dev: pyproject.toml constraints.txt | .venv/bin/pip
+	@echo "installing into .venv first, which takes a few minutes"
 	$(PIP) --editable ".[dev]"
 	touch $@ .venv/demo .venv/docs

@@ -44,6 +44,8 @@ class Budget:
     def __post_init__(self) -> None:
         check_settings(self)
         shares = check_numbers("fractions", self.fractions)
+        if not shares:
+            raise ValueError("fractions must have a share or more, such as 0.5, got ()")
         for share in shares:
             check_number("each of fractions", share, at_least=0.01, at_most=0.99)
         object.__setattr__(self, "fractions", tuple(sorted(set(shares))))

@@ -21,6 +21,10 @@ _SHEET_SIZE = (480, 360)
 _GAME, _GAME_STEPS = "HockeyPandas-v0", 100
 """What the scripted player plays, and for how many control steps."""
 
+_SECONDS = 6.0
+"""How long a film lasts at least, in s. Without a graphics card, a second of it takes
+two seconds of a core."""
+
 
 def program() -> str:
     """Return what to type to call the command line again as it was called."""
@@ -80,4 +84,4 @@ def _film_one(job: tuple[str, str, Path]) -> Path:
     env_id, policy, output = job
     is_game = env_id == _GAME
     task = make_task(env_id, max_episode_steps=_GAME_STEPS) if is_game else env_id
-    return recording.record(task, output, policy=policy)
+    return recording.record(task, output, policy=policy, seconds=_SECONDS)

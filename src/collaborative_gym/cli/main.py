@@ -153,9 +153,18 @@ def _run(arguments: list[str]) -> None:
             description=_DESCRIPTION,
             args=arguments,
         )
+    _check_lists(command, arguments)
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _check_lists(command: Any, arguments: list[str]) -> None:
+    """Raise ValueError for an option that takes several values and has none."""
+    for name, value in vars(command).items():
+        option = f"--{name.replace('_', '-')}"
+        if value == () and option in arguments:
+            raise ValueError(f"{option} takes a value, or several, got none")
 
 
 def _any_command() -> Any:

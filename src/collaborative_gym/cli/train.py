@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, tell
+from collaborative_gym.errors import check_count
 from collaborative_gym.learning.config import (
     Algorithm,
     Hyperparameters,
@@ -129,6 +130,7 @@ class Train(Command):
 
     def run(self) -> None:
         """Train, showing how it goes."""
+        check_count("jobs", self.jobs or 0)
         if self.all:
             self._train_all()
             return
@@ -189,11 +191,18 @@ class Train(Command):
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
-        return {
+        given = {
             name: value
             for name, value in vars(self.hyperparameters).items()
             if not isinstance(value, _NotGiven)
         }
+        for name in given if self.resume is None else ():
+            for word, option in (("population", "partner"), ("league", "opponent")):
+                if name.startswith(word) and word not in getattr(self, option):
+                    raise ValueError(
+                        f"--{name.replace('_', '-')} goes with --{option} {word}"
+                    )
+        return given
 
     def _train_several(self) -> None:
         """Train several runs, and tell at the end which failed."""

@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control.grips import Grips
-from collaborative_gym.errors import check_word, look_up
+from collaborative_gym.errors import (
+    check_kind,
+    check_number,
+    check_word,
+    look_up,
+    shown,
+)
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import EnvIds, Sim
@@ -40,6 +46,10 @@ class Motion:
     grips: np.ndarray | bool = False
     in_step: bool = False
     mass: np.ndarray | float = 0.0
+
+    def __post_init__(self) -> None:
+        a = "an array (num_envs, joints) of changes in rad"
+        check_kind("a Motion's change", self.change, np.ndarray, a)
 
 
 @dataclass(frozen=True)
@@ -196,6 +206,12 @@ class ActionMode:
           grips: whether all of them grip; or in which worlds each one grips, by agent.
             Agents that are not named do not grip.
         """
+        for own in grips.values() if isinstance(grips, Mapping) else (grips,):
+            if np.asarray(own).dtype.kind not in "biuf":
+                raise TypeError(
+                    "grips must be True or False, or by agent in which worlds, got"
+                    f" {shown(grips)}"
+                )
         idle = {agent: np.zeros((num_envs, self.size(agent))) for agent in self.arms}
         for agent, action in idle.items() if self.gripping else ():
             own = grips.get(agent, False) if isinstance(grips, Mapping) else grips
@@ -214,6 +230,7 @@ class ActionMode:
         Raises:
           ValueError: if they are not motions of these arms; says what to give.
         """
+        pace = check_number("pace", pace, at_least=0.0, at_most=1.0)
         self._check_motions(motions)
         moves, most = self.moves(motions)
         together = [most[agent] for agent in self.arms if motions[agent].in_step]

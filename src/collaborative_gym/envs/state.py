@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.errors import check_kind
+from collaborative_gym.errors import check_flag, check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.robots import Robot
 from collaborative_gym.sim.sim import Sim
@@ -74,6 +74,7 @@ def check_state(
       ValueError: if it is of another environment, does not fit, or cannot be the state
         of any world.
     """
+    from_another = check_flag("from_another", from_another)
     if not isinstance(state, EnvState):
         raise TypeError(
             f"a state comes from get_state(), and is not a {type(state).__name__}"
@@ -102,8 +103,13 @@ def check_state(
         for name, array in given.items():
             _check_rows(f"{part} {name!r}", np.asarray(array), np.asarray(own[name]))
         # What a task remembers may be infinite, such as the least distance so far.
-        if part != "memory":
-            _check_finite(part, given)
+        is_sane = np.isfinite if part != "memory" else _is_number
+        for name, array in given.items():
+            if not is_sane(np.asarray(array)).all():
+                raise ValueError(
+                    f"the state's {part} {name!r} is not finite; take it from"
+                    " get_state()"
+                )
     _check_counts(state.progress, max_steps)
 
 
@@ -114,12 +120,8 @@ def _check_rows(what: str, given: np.ndarray, own: np.ndarray) -> None:
         )
 
 
-def _check_finite(part: str, given: Mapping[str, Array]) -> None:
-    for name, array in given.items():
-        if not np.isfinite(np.asarray(array)).all():
-            raise ValueError(
-                f"the state's {part} {name!r} is not finite; take it from get_state()"
-            )
+def _is_number(array: np.ndarray) -> np.ndarray:
+    return array == array
 
 
 def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:

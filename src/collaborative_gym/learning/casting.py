@@ -194,6 +194,12 @@ def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) 
             f"{task.name} has {len(task.sides)} sides; policies to play with are given"
             " as opponent there, not as partner"
         )
+    for word in (SELF, LEAGUE) if partners else ():
+        if word in partners:
+            raise ValueError(
+                f"{word} is for opponents; a partner is a policy, or {POPULATION}; a"
+                f" file of that name is ./{word}"
+            )
     words = tuple(opponents or partners)
     for word in (SELF,) if opponents else (POPULATION,):
         if word in words and len(words) > 1:

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, look_up, shown, unknown
+from collaborative_gym.errors import UnknownName, check_flag, look_up, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
@@ -110,6 +110,7 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
     Raises:
       Exception: as `load_policy` does.
     """
+    any_env = check_flag("any_env", any_env)
     if not isinstance(policy, Mapping):
         return commanding(env.agents, policy, env, any_env)
     for agent in policy:

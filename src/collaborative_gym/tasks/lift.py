@@ -93,7 +93,7 @@ class LiftConfig(TaskConfig):
     target: tuple[float, float, float] | None = None
     pot_mass: float | None = bounded(None, 0.01, 1000.0)
     success_radius: float = bounded(0.15, 0.001, 10.0)
-    success_tilt: float = bounded(float(np.radians(15.0)), 0.001, 10.0)
+    success_tilt: float = bounded(float(np.radians(15.0)), 0.001, 1.5)
     success_speed: float = bounded(0.3, 0.001, 100.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
 

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, naming, shown, unknown
+from collaborative_gym.errors import UnknownName, check_flag, naming, shown, unknown
 from collaborative_gym.policies import AnyPolicy, Policy, name_policy
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX
 from collaborative_gym.policies.policy import commanding, read_policy
+
+_LONGEST_NAME = 200
+"""More letters than a column of a table has room for; files are named by fewer, too."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ def enter(
       TypeError: if they are neither a list nor a dictionary.
       ValueError: if there are fewer than two, or two of one name.
     """
+    any_env = check_flag("any_env", any_env)
     if not isinstance(policies, Mapping):
         if isinstance(policies, str | Path) or not isinstance(policies, Sequence):
             raise TypeError(
@@ -79,6 +83,12 @@ def enter(
         raise ValueError(
             f"a tournament needs two policies or more, got {len(policies)} ({listed})"
         )
+    for name in map(str, policies):
+        if not 0 < len(name) <= _LONGEST_NAME:
+            raise ValueError(
+                f"a player's name must have 1 to {_LONGEST_NAME} letters, got"
+                f" {shown(name)}"
+            )
     return [
         _enter(str(name), policy, env, any_env) for name, policy in policies.items()
     ]
