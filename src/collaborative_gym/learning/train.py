@@ -207,12 +207,14 @@ def _task(
     env: str | Task, started: Checkpoint | None, *, robots: Any, randomization: Any
 ) -> Task:
     """Return what to learn; a run that goes on knows its own arms and starts."""
+    settings = {}
     if started is not None and not isinstance(env, Task):
         own = started.settings.identity
         robots = own.robot_names if robots is None else robots
+        settings["action"] = own.config["action"]
         if randomization is None:
             randomization = Randomization(**own.config["randomization"])
-    return as_task(env, robots, randomization)
+    return as_task(env, robots, randomization, **settings)
 
 
 def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:

@@ -27,6 +27,9 @@ ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
 ON_STATE = ("name",)
 """What may differ between worlds that take each other's states: bits stay the same."""
 
+_FORMERLY = {"action": "joints"}
+"""What settings were before they could be chosen, which decide whether things fit."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -89,7 +92,8 @@ class Identity:
                 str(agent): {key: str(robot[key]) for key in ("name", "digest")}
                 for agent, robot in content["robots"].items()
             }
-            config, versions = dict(content["config"]), dict(content["versions"])
+            config = _FORMERLY | dict(content["config"])
+            versions = dict(content["versions"])
             name, task = str(content["name"]), str(content["task"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
@@ -103,7 +107,7 @@ class Identity:
         """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
 
         Settings that only one of them has are not compared: a later version brought
-        them.
+        them. Without an action mode, actions are joint changes.
 
         Args:
           other: what this one should be.

@@ -173,6 +173,7 @@ def as_task(
     env: str | Task,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
+    **settings: Any,
 ) -> Task:
     """Return a task as it is, or the one of a name as `make_task` does.
 
@@ -180,12 +181,13 @@ def as_task(
       env: an environment id, a task's name, or a task.
       robots: as in `make_task`; only beside a name.
       randomization: as in `make_task`; only beside a name.
+      **settings: as in `make_task`; not used for a task.
 
     Raises:
       ValueError: if robots or randomization are given beside a task.
     """
     if not isinstance(env, Task):
-        return make_task(env, robots, randomization)
+        return make_task(env, robots, randomization, **settings)
     if robots is not None or randomization is not None:
         raise ValueError(
             "a task has its own robots and randomization; pass them to make_task"
