@@ -211,7 +211,7 @@ def _task(
     if started is not None and not isinstance(env, Task):
         own = started.settings.identity
         robots = own.robot_names if robots is None else robots
-        settings["action"] = own.config["action"]
+        settings["action"] = own.action
         if randomization is None:
             randomization = Randomization(**own.config["randomization"])
     return as_task(env, robots, randomization, **settings)

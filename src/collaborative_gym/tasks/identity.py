@@ -27,9 +27,6 @@ ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
 ON_STATE = ("name",)
 """What may differ between worlds that take each other's states: bits stay the same."""
 
-_FORMERLY = {"action": "joints"}
-"""What settings were before they could be chosen, which decide whether things fit."""
-
 
 @dataclass(frozen=True)
 class Identity:
@@ -76,6 +73,12 @@ class Identity:
         """The arms' names, in the order of the agents."""
         return tuple(robot["name"] for robot in self.robots.values())
 
+    @property
+    def action(self) -> str:
+        """The name of its action mode."""
+        # Without one it is of a time when all actions were joint changes.
+        return self.config.get("action", "joints")
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain dictionaries, lists, numbers and texts."""
         return asdict(self)
@@ -92,8 +95,7 @@ class Identity:
                 str(agent): {key: str(robot[key]) for key in ("name", "digest")}
                 for agent, robot in content["robots"].items()
             }
-            config = _FORMERLY | dict(content["config"])
-            versions = dict(content["versions"])
+            config, versions = dict(content["config"]), dict(content["versions"])
             name, task = str(content["name"]), str(content["task"])
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
@@ -132,8 +134,12 @@ class Identity:
             # Other arms stand elsewhere, which tells nothing more.
             ignore = {*ignore, "placements"}
         own, others = (
-            {name: value for name, value in config.items() if name not in ignore}
-            for config in (self.config, other.config)
+            {
+                name: value
+                for name, value in {**each.config, "action": each.action}.items()
+                if name not in ignore
+            }
+            for each in (self, other)
         )
         found += _differing("", own, others)
         if "versions" not in ignore:
