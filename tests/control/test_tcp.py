@@ -55,6 +55,13 @@ def asked(env, rows):
     return dict.fromkeys(env.agents, np.concatenate([rows, still], axis=1))
 
 
+def leans(env, posture):
+    """Let all arms keep to a posture."""
+    env.scene.postures |= dict.fromkeys(env.agents, posture)
+    mode = get_mode(env.task.config.action)
+    env.action_mode = mode(env.scene, env.sim, env.task.gripping)
+
+
 def test_modes_have_names_and_a_wrong_one_is_told(carry):
     assert list_modes()[:3] == ("joints", "tcp", "tcp_position")
     with pytest.raises(KeyError, match=r"no action mode 'tpc' \(did you mean 'tcp'\?"):
@@ -91,7 +98,7 @@ def test_no_step_is_longer_and_no_joint_faster_than_allowed(free, robots):
     fastest = []
     for _ in range(20):
         actions = {a: rng.uniform(-1, 1, (8, 7)) for a in env.agents}
-        for command in env.task.action_mode.commands(actions).values():
+        for command in env.action_mode.commands(actions).values():
             assert np.abs(command.moves).max() <= 1.0 + 1e-12
         for shift, turn in moved(env, actions).values():
             assert math.norm(shift).max() < 1.2 * 0.05
@@ -107,8 +114,8 @@ def test_no_step_is_longer_and_no_joint_faster_than_allowed(free, robots):
 @pytest.mark.parametrize("action", ["tcp", "tcp_position"])
 def test_idle_arms_hold_still_and_keep_what_they_exert(free, action):
     env = free(2, "panda", "jaco", action=action)
-    env.task.action_mode.prefer({a: np.zeros(7) for a in env.agents})
-    for command in env.task.action_mode.commands(env.idle()).values():
+    leans(env, np.zeros(7))
+    for command in env.action_mode.commands(env.idle()).values():
         assert not command.moves.any() and not command.grips.any()
     for shift, turn in moved(env, env.idle()).values():
         assert max(math.norm(shift).max(), math.norm(turn).max()) < 1e-3
@@ -117,7 +124,7 @@ def test_idle_arms_hold_still_and_keep_what_they_exert(free, action):
 def test_what_an_expert_means_is_what_the_tool_does(free):
     """Of motions that are too fast the tool makes a part, in the same direction."""
     env, rng = free(6, "panda", "jaco"), np.random.default_rng(3)
-    mode, before = env.task.action_mode, poses(env)
+    mode, before = env.action_mode, poses(env)
     motions, goals = {}, {}
     for agent, arm in env.scene.arms.items():
         change = 0.02 * rng.uniform(-1, 1, (6, 7))
@@ -145,7 +152,7 @@ def test_what_an_expert_means_is_what_the_tool_does(free):
 def test_arms_in_step_slow_down_alike(free):
     env = free(2, "panda", "panda")
     slow, fast = (np.full((2, 7), size) for size in (0.01, 0.2))
-    encode = env.task.action_mode.encode
+    encode = env.action_mode.encode
     alone = encode({"robot_1": cg.Motion(slow), "robot_2": cg.Motion(fast)})
     steady = {"robot_1": cg.Motion(slow, in_step=True)}
     together = encode(steady | {"robot_2": cg.Motion(fast, in_step=True)})
@@ -175,7 +182,7 @@ def test_a_redundant_arm_goes_to_its_posture_as_it_moves(free):
     arm, home = env.scene.arms["robot_1"], poses(env)["robot_1"][0].copy()
     start = env.sim.qpos[:, arm.qpos].copy()
     posture = start[0] + 0.4 * np.eye(7)[2]
-    env.task.action_mode.prefer(dict.fromkeys(env.agents, posture))
+    leans(env, posture)
     to_and_fro = np.zeros((2, 6))
     for i in range(12):
         to_and_fro[:, 0] = 0.2 * (-1) ** i
@@ -224,7 +231,7 @@ def test_an_episode_is_the_same_in_any_batch_and_restored(make_env):
 def test_effort_is_that_of_the_joint_changes_that_actions_come_to(free):
     env = free(3, "panda", "jaco")
     actions = asked(env, np.full((3, 6), 0.2))
-    commands = env.task.action_mode.commands(actions)
+    commands = env.action_mode.commands(actions)
     *_, infos = env.step(actions)
     for agent, command in commands.items():
         expected = -math.dot(command.moves, command.moves) / 100

@@ -144,14 +144,6 @@ class ActionMode:
         for arm in self.arms.values():
             self._sim.ctrl[env_ids, arm.fingers] = arm.robot.gripper.open_position
 
-    def prefer(self, postures: Mapping[str, Array]) -> None:
-        """Let arms keep to postures where actions leave it open how they do something.
-
-        Args:
-          postures: by agent, joint angles in rad. Arms keep to their home poses unless
-            a task sets others at its set-up.
-        """
-
     def size(self, agent: str) -> int:
         """Return the number of components of an agent's action."""
         return self.num_moves(agent) + self.gripping

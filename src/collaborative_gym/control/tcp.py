@@ -32,7 +32,7 @@ class TcpChanges(ServoMode):
     and 0.15 rad; a longer vector is shortened to that. They become joint changes, which
     keep the limits of joints, speeds and torques: where one joint would be too fast,
     all are slower. So the tool slows down near singular poses. An arm that can hold the
-    tool in many ways moves to its posture meanwhile; see `prefer`.
+    tool in many ways goes to its posture meanwhile, as `Scene.postures` has it.
     """
 
     axes = (0, 1, 2, 3, 4, 5)
@@ -49,12 +49,8 @@ class TcpChanges(ServoMode):
         stride = self._columns([xp.asarray(arm.stride[None]) for arm in arms])
         self._stride = xp.where(self._kinematics.moves > 0.0, stride, 1.0)
         self._farthest = xp.asarray(_FARTHEST[:, None, None])
-        self.prefer({agent: arm.robot.home for agent, arm in self.arms.items()})
-
-    def prefer(self, postures: Mapping[str, Array]) -> None:
-        xp = self._sim.xp
-        rows = [xp.asarray(postures[agent])[None] for agent in self.arms]
-        self._postures = self._columns(rows)
+        postures = [xp.asarray(scene.postures[agent])[None] for agent in self.arms]
+        self._postures = self._columns(postures)
 
     def num_moves(self, agent: str) -> int:
         return len(self.axes)

@@ -232,8 +232,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             self._start[agent] = solve_pose(
                 model, arm, goal=(place, way.approach), start=angles[0]
             )
-        halfway = np.array([0.5])
-        action_mode.prefer({a: way.at(halfway)[0] for a, way in self._ways.items()})
+            scene.postures[agent] = self._ways[agent].at(np.array([0.5]))[0]
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
