@@ -108,15 +108,13 @@ class Record(Played, _Policy):
 
         with progress_bars() as progress:
             record(
-                self.env,
+                self.task(self.env),
                 self.output,
                 policy=[read_policy(self.policy), *read_policies(self.beside)],
                 any_env=self.any_env,
                 seconds=self.seconds,
                 seed=self.seed,
                 only_episodes=self.only_episodes or None,
-                robots=self.robots or None,
-                randomization=self.randomization,
                 size=None if self.size == OWN_SIZE else self.size,
                 on_progress=progress(self.env),
             )
@@ -172,13 +170,11 @@ class Evaluate(Played, _Policy):
             for env_id in env_ids:
                 reports.append(
                     evaluate(
-                        env_id,
+                        self.task(env_id),
                         policy,
                         any_env=self.any_env,
                         episodes=self.episodes,
                         seed=self.seed,
-                        robots=self.robots or None,
-                        randomization=self.randomization,
                         delay=self.delay,
                         num_envs=self.num_envs,
                         num_threads=self.num_threads,
@@ -187,7 +183,9 @@ class Evaluate(Played, _Policy):
                 )
         table = reports_table(reports)
         delay = f", delay {self.delay}" if self.delay else ""
-        table.title = f"{' '.join(self.policy)} on {self.randomization}{delay}"
+        action = f", action {self.action}" if self.action else ""
+        title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
+        table.title = title
         table.title_justify = "left"
         tell(table, besides=(self.json, self.csv))
         tell(strain_table(reports), besides=(self.json, self.csv))
@@ -203,7 +201,6 @@ def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
       ValueError: if none is named, or its task cannot be done so.
     """
     from collaborative_gym import list_envs
-    from collaborative_gym.tasks.registry import as_task
 
     if command.all and command.envs:
         raise ValueError("name environments or pass --all, not both")
@@ -212,7 +209,7 @@ def _env_ids(command: "Evaluate | Certify") -> Sequence[str]:
         verb = type(command).__name__.lower()
         raise ValueError(f"name the environments to {verb}, or pass --all")
     for env_id in env_ids:
-        as_task(env_id, command.robots or None, command.randomization)
+        command.task(env_id)
     return env_ids
 
 
@@ -301,11 +298,9 @@ class Certify(Worlds):
             for env_id in env_ids:
                 tell(f"{env_id}: each arm in turn is still; each trial prints a line")
                 certificate = certify(
-                    env_id,
+                    self.task(env_id),
                     budget=QUICK if self.quick else self.budget,
                     seed=self.seed,
-                    robots=self.robots or None,
-                    randomization=self.randomization,
                     output=self.output / env_id.replace("/", "-"),
                     num_threads=self.num_threads,
                     on_trial=lambda trial, name=env_id: tell(f"{name}, {trial.title}"),
@@ -379,14 +374,12 @@ class View(Played, _Policy):
         from collaborative_gym.viewer import view
 
         view(
-            self.env,
+            self.task(self.env),
             tell,
             warn=warn,
             policy=read_policy(self.policy),
             any_env=self.any_env,
             seed=self.seed,
-            robots=self.robots or None,
-            randomization=self.randomization,
             web=self.web,
             host=self.host,
             port=self.port,

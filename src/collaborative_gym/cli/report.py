@@ -64,12 +64,11 @@ class Report(Played):
 
         from collaborative_gym.cards.card import report_card
         from collaborative_gym.evaluation.report import plain_to_json
-        from collaborative_gym.tasks.registry import as_task
 
         if not self.envs:
             raise ValueError("name the environments to report on")
-        robots, policies = self.robots or None, read_policies(self.policies)
-        tasks = [as_task(each, robots, self.randomization) for each in self.envs]
+        policies = read_policies(self.policies)
+        tasks = [self.task(each) for each in self.envs]
         pages = {task: self._page(task) for task in tasks if self.output is not None}
         check_files(*pages.values(), self.json)
         cards, besides = {}, (self.json,)

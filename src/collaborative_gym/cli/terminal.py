@@ -26,6 +26,8 @@ from collaborative_gym.files import check_writable, write_text
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
+    from collaborative_gym.tasks.task import Task
+
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
@@ -63,6 +65,10 @@ Policies = Annotated[
     tuple[str, ...], tyro.conf.arg(metavar="POLICY | AGENT=POLICY ...")
 ]
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
+Action = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="MODE", help_behavior_hint="(default: its own, joints)"),
+]
 Robots = Annotated[
     tuple[str, ...],
     tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
@@ -95,12 +101,22 @@ class Worlds(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, or hard for starts twice as far
         off and disturbances.
+      action: what actions mean: joints for changes of joint angles, tcp for changes of
+        the tool's pose, tcp_position for changes of its place and its turn about the
+        vertical.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 
     robots: Robots = ()
     randomization: Randomization = "default"
+    action: Action = None
     seed: int = 0
+
+    def task(self, env: str) -> "Task":
+        """Return an environment's task as these options have it."""
+        from collaborative_gym.tasks.registry import as_task
+
+        return as_task(env, self.robots or None, self.randomization, self.action)
 
 
 @dataclass(frozen=True, kw_only=True)

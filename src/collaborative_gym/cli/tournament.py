@@ -84,14 +84,12 @@ class Tournament(Played):
         stoppable = continuing() if self.output else nullcontext()
         with stoppable, progress_bars() as progress:
             played = tournament(
-                self.env,
+                self.task(self.env),
                 read_policies(self.policies),
                 episodes=self.episodes,
                 seed=self.seed,
                 seats=self.seats,
                 groups=_groups(self.groups),
-                robots=self.robots or None,
-                randomization=self.randomization,
                 num_envs=self.num_envs,
                 num_threads=self.num_threads,
                 any_env=self.any_env,

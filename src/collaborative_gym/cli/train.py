@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, tell
+from collaborative_gym.cli.terminal import (
+    Action,
+    Command,
+    Envs,
+    Folder,
+    Robots,
+    tell,
+)
 from collaborative_gym.learning.config import (
     Algorithm,
     Hyperparameters,
@@ -80,6 +87,9 @@ class Train(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, or hard for starts twice as far
         off and disturbances.
+      action: what actions mean: joints for changes of joint angles, tcp for changes of
+        the tool's pose, tcp_position for changes of its place and its turn about the
+        vertical.
       opponent: who plays against the learner, if a task has several sides. The default
         is self: the latest policies play all sides. If you name policies, as in
         evaluate, each episode draws one of them; side_2=POLICY plays only that side.
@@ -113,6 +123,7 @@ class Train(Command):
     resume: Folder = None
     robots: Robots = ()
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
+    action: Action = None
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
@@ -146,6 +157,7 @@ class Train(Command):
                 resume=self.resume,
                 robots=self.robots or None,
                 randomization=self.randomization,
+                action=self.action,
                 hyperparameters=hyperparameters,
                 opponent=self.opponent or None,
                 partner=self.partner or None,
@@ -210,7 +222,7 @@ class Train(Command):
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import write_baseline
 
-        own = "mode modes seed resume robots randomization opponent partner"
+        own = "mode modes seed resume robots randomization action opponent partner"
         for option in (*own.split(), "backend", "algorithm"):
             if getattr(self, option) not in (None, ()):
                 raise ValueError(
@@ -246,6 +258,7 @@ class Train(Command):
             shared={
                 "robots": self.robots or None,
                 "randomization": self.randomization,
+                "action": self.action,
                 "opponent": self.opponent or None,
                 "partner": self.partner or None,
                 "start_from": self.start_from,

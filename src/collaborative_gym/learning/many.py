@@ -92,6 +92,7 @@ def train_all(
     output: str | Path = "runs",
     robots: Sequence[str] | None = None,
     randomization: str | None = None,
+    action: str | None = None,
     changes: Mapping[str, Any] | None = None,
     advised: bool = False,
     opponent: Named | None = None,
@@ -119,6 +120,7 @@ def train_all(
       output: the folder of all runs.
       robots: as in `train`, for all runs; the same holds for the arguments below.
       randomization: how starts are drawn.
+      action: the action mode's name.
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name.
       advised: whether they learn with the expert's advice, by recipes of its own.
@@ -153,6 +155,7 @@ def train_all(
         shared={
             "robots": robots,
             "randomization": randomization,
+            "action": action,
             "opponent": opponent,
             "partner": partner,
             "start_from": start_from,
@@ -185,7 +188,7 @@ def plan_runs(
       output: the folder of all.
       changes: hyperparameters in place of the recipes'.
       advised: whether they learn with the expert's advice.
-      shared: what else `settle` takes, `robots` and `randomization`.
+      shared: what else `settle` takes, and what `as_task` does.
       checkpoint_interval: environment steps between two checkpoints.
 
     Raises:
@@ -194,7 +197,7 @@ def plan_runs(
     check_kind("output", output, (str, Path), "a folder's name")
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
     check_flag("advised", advised)
-    world = {name: shared[name] for name in ("robots", "randomization")}
+    world = {name: shared[name] for name in ("robots", "randomization", "action")}
     others = {name: value for name, value in shared.items() if name not in world}
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):

@@ -50,6 +50,7 @@ def train(
     resume: str | Path | None = None,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
+    action: str | None = None,
     hyperparameters: Hyperparameters | None = None,
     opponent: Named | None = None,
     partner: Named | None = None,
@@ -79,6 +80,7 @@ def train(
         `total_steps` and change the validations.
       robots: other arms than the environment's own, in the order of the agents.
       randomization: how starts are drawn; None for "default".
+      action: the action mode's name; None for the environment's.
       hyperparameters: how it learns; None for `recipe(env, algorithm)`.
       opponent: who plays against the learner, if there are several sides. "self", or
         None: the latest policies play all sides. Names of policies, as `load_policy`
@@ -123,7 +125,8 @@ def train(
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
         folder, started = _resume(resume, stack)
-        task = _task(env, started, robots=robots, randomization=randomization)
+        own = {"robots": robots, "randomization": randomization, "action": action}
+        task = _task(env, started, **own)
         settings = settle(
             task,
             None if started is None else started.settings,
@@ -204,17 +207,21 @@ def _resume(
 
 
 def _task(
-    env: str | Task, started: Checkpoint | None, *, robots: Any, randomization: Any
+    env: str | Task,
+    started: Checkpoint | None,
+    *,
+    robots: Any,
+    randomization: Any,
+    action: str | None,
 ) -> Task:
-    """Return what to learn; a run that goes on knows its own arms and starts."""
-    settings = {}
+    """Return what to learn; a run that goes on knows its own arms, starts, actions."""
     if started is not None and not isinstance(env, Task):
         own = started.settings.identity
         robots = own.robot_names if robots is None else robots
-        settings["action"] = own.action
+        action = own.action if action is None else action
         if randomization is None:
             randomization = Randomization(**own.config["randomization"])
-    return as_task(env, robots, randomization, **settings)
+    return as_task(env, robots, randomization, action)
 
 
 def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:

@@ -173,7 +173,7 @@ def as_task(
     env: str | Task,
     robots: Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
-    **settings: Any,
+    action: str | None = None,
 ) -> Task:
     """Return a task as it is, or the one of a name as `make_task` does.
 
@@ -181,16 +181,18 @@ def as_task(
       env: an environment id, a task's name, or a task.
       robots: as in `make_task`; only beside a name.
       randomization: as in `make_task`; only beside a name.
-      **settings: as in `make_task`; not used for a task.
+      action: name of the action mode; None for its own; only beside a name.
 
     Raises:
-      ValueError: if robots or randomization are given beside a task.
+      ValueError: if something is given beside a task.
     """
     if not isinstance(env, Task):
+        settings = {} if action is None else {"action": action}
         return make_task(env, robots, randomization, **settings)
-    if robots is not None or randomization is not None:
+    if any(given is not None for given in (robots, randomization, action)):
         raise ValueError(
-            "a task has its own robots and randomization; pass them to make_task"
+            "a task has its own robots, randomization and action mode; pass them to"
+            " cg.task"
         )
     return env
 

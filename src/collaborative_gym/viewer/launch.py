@@ -1,28 +1,25 @@
 """Showing a policy at work, in real time."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.policies import AnyPolicy, as_policy
-from collaborative_gym.robots import Robot
-from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.task import Randomization
+from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.tasks.task import Task
 from collaborative_gym.viewer.session import Session
 
 
 def view(
-    env_id: str,
+    env: str | Task,
     tell: Callable[[str], object],
     *,
     warn: Callable[[str], object],
     policy: AnyPolicy = "expert",
     any_env: bool = False,
     seed: int = 0,
-    robots: Sequence[str | Robot] | None = None,
-    randomization: str | Randomization = "default",
     web: bool = False,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -33,14 +30,12 @@ def view(
     reaches it may watch and control.
 
     Args:
-      env_id: an environment id or a task's name.
+      env: an environment id, a task's name, or a task.
       tell: takes what the user needs to know, such as where the page is.
       warn: takes what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
       seed: which episodes.
-      robots: other arms than the environment's own, in the order of the agents.
-      randomization: how starts are drawn.
       web: whether to show a page even if a window can be opened.
       host: address that the page's server listens on.
       port: its port; the next free one is taken if it is in use.
@@ -50,14 +45,14 @@ def view(
       KeyError: if a name is unknown.
       OSError: if the server cannot listen there.
     """
-    task = make_task(env_id, robots, randomization)
-    tell(f"building the world of {env_id} ...")
-    env = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
-    with closing(env):
-        act = as_policy(policy, env, any_env=any_env)
+    task = as_task(env)
+    tell(f"building the world of {task.name} ...")
+    worlds = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
+    with closing(worlds):
+        act = as_policy(policy, worlds, any_env=any_env)
         is_shared = not isinstance(policy, Mapping)
-        policies = dict.fromkeys(env.agents, policy) if is_shared else policy
-        session = Session(env, act, warn, policies=policies)
+        policies = dict.fromkeys(worlds.agents, policy) if is_shared else policy
+        session = Session(worlds, act, warn, policies=policies)
         face = None if web else _window(session, tell)
         if face is None:
             face = _page(session, any_env, host, port)

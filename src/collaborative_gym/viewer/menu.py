@@ -191,7 +191,7 @@ class Menu:
         if names == (own.name, _arms(own), own.config.randomization):
             return own
         robots = [self._robots[name] for name in choice.robots]
-        return make_task(choice.env, robots, randomization)
+        return make_task(choice.env, robots, randomization, action=own.config.action)
 
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
         """Return the choice with the expert for each policy that cannot play there.
