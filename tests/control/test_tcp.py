@@ -48,6 +48,22 @@ def moved(env, actions):
     return ways
 
 
+def meant(env, actions):
+    """Return the moves of tools whose joints turn exactly as actions come to."""
+    before, start = poses(env), env.get_state()
+    for agent, command in env.action_mode.commands(actions).items():
+        arm = env.scene.arms[agent]
+        env.sim.qpos[:, arm.qpos] += command.moves * arm.stride
+    env.sim.forward()
+    ways = {}
+    for agent, (place, quat) in poses(env).items():
+        turn = math.multiply(quat, math.conjugate(before[agent][1]))
+        shift, turn = place - before[agent][0], math.rotation_vector(turn)
+        ways[agent] = np.concatenate([shift / 0.05, turn / 0.15], axis=1)
+    env.set_state(start)
+    return ways
+
+
 def asked(env, rows):
     """Return the same moves for each arm, with open grips."""
     rows = np.asarray(rows, float)
@@ -87,9 +103,11 @@ def test_all_arms_have_one_action_space():
 def test_a_tool_goes_where_it_is_sent_in_the_frame_of_its_base(free, robots):
     env = free(12, *robots)
     sent = 0.3 * np.concatenate([np.eye(6), -np.eye(6)])
+    exact = meant(env, asked(env, sent))
     for agent, (shift, turn) in moved(env, asked(env, sent)).items():
         way = np.concatenate([shift / 0.05, turn / 0.15], axis=1)
         assert np.abs(way - sent).max() < 0.06, agent
+        assert np.abs(exact[agent] - sent).max() < 0.004, agent
 
 
 @pytest.mark.parametrize("robots", ARMS)
