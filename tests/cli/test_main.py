@@ -118,7 +118,7 @@ def test_thesis_and_we_count_200_episodes(carry_id):
 
 def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path):
     file = tmp_path / "a.json"
-    options = "--episodes 1 --seed 5 --randomization paper"
+    options = "--episodes 1 --seed 5 --randomization paper --action tcp"
     robots = "--robots panda jaco --policy robot_1=random robot_2=idle"
     arguments = ["evaluate", "Carry", *options.split(), *robots.split()]
     assert main([*arguments, "--json", str(file)]) == 0
@@ -126,6 +126,7 @@ def test_evaluate_takes_robots_presets_and_a_policy_for_each(carry_id, tmp_path)
     identity = Identity.from_dict(settings["identity"])
     assert identity.robot_names == ("panda", "jaco")
     assert identity.config["randomization"]["joint_noise"] == 0.0
+    assert identity.action == "tcp"
     assert (settings["seed"], settings["policy"]) == (5, "robot_1=random robot_2=idle")
 
 
@@ -409,29 +410,28 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         viewer, "view", lambda *given, **named: asked.append((given, named))
     )
     assert main(["view", "Lift"]) == 0
-    options = "--seed 3 --robots panda jaco --randomization paper --any-env"
+    options = "--seed 3 --robots panda jaco --action tcp --any-env"
     served = "--policy robot_1=expert robot_2=idle --web --host 0.0.0.0 --port 99"
     assert main(["view", "Lift", *options.split(), *served.split()]) == 0
-    (env_id, tell), named = asked[0]
+    (task, tell), named = asked[0]
     warn = named.pop("warn")
-    assert env_id == "Lift"
+    assert (task.name, task.config.action) == ("Lift", "joints")
     assert named == {
         "policy": "expert",
         "any_env": False,
         "seed": 0,
-        "robots": None,
-        "randomization": "default",
         "web": False,
         "host": "127.0.0.1",
         "port": 8080,
     }
+    other = asked[1][0][0]
+    arms = [robot.name for robot in other.robots.values()]
+    assert (arms, other.config.action) == (["panda", "jaco"], "tcp")
     assert asked[1][1] == {
         "warn": warn,
         "policy": {"robot_1": "expert", "robot_2": "idle"},
         "any_env": True,
         "seed": 3,
-        "robots": ("panda", "jaco"),
-        "randomization": "paper",
         "web": True,
         "host": "0.0.0.0",
         "port": 99,

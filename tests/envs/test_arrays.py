@@ -203,12 +203,16 @@ def plain(value):
     return value._data if isinstance(value, Strict) else value
 
 
-@pytest.mark.parametrize("env_id", cg.list_envs())
-def test_a_step_runs_on_other_arrays_to_the_same_bits(env_id, monkeypatch):
-    usual = cg.make_vec(env_id, num_envs=3, num_threads=1, max_episode_steps=4)
+@pytest.mark.parametrize(
+    ("env_id", "action"),
+    [*((env_id, "joints") for env_id in cg.list_envs()), ("LiftTaskJacos-v0", "tcp")],
+)
+def test_a_step_runs_on_other_arrays_to_the_same_bits(env_id, action, monkeypatch):
+    options = {"num_threads": 1, "max_episode_steps": 4, "action": action}
+    usual = cg.make_vec(env_id, num_envs=3, **options)
     for module in vector_env, world:
         monkeypatch.setattr(module, "CpuSim", StrictSim)
-    other = cg.make_vec(env_id, num_envs=3, num_threads=1, max_episode_steps=4)
+    other = cg.make_vec(env_id, num_envs=3, **options)
     expected, seen = [usual.reset(seed=0)], [other.reset(seed=0)]
     for step in range(6):
         actions = usual.expert()

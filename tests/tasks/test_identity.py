@@ -38,6 +38,19 @@ def test_a_setting_that_differs_is_told(changed, sentence):
     assert all(each.split(" ")[0].split(".")[0] in changed for each in found)
 
 
+def test_a_policy_of_one_action_mode_is_not_for_another():
+    tools, joints = identity("Lift", action="tcp"), identity("Lift")
+    sentence = "action is tcp, not joints"
+    assert tools.differences(joints, ignore=ON_PLAYING) == [sentence]
+    assert tools.differences(joints, ignore=ON_STATE) == [sentence]
+    # What was saved before there were modes is of joint changes.
+    old = joints.to_dict()
+    del old["config"]["action"]
+    old = Identity.from_dict(old)
+    assert old.differences(joints) == []
+    assert tools.differences(old) == [sentence]
+
+
 def test_equal_numbers_of_other_kinds_are_equal():
     one = identity("Lift", pot_mass=3, target=np.array([0, 0, 1]))
     assert one.differences(identity("Lift", pot_mass=3.0, target=(0, 0, 1.0))) == []

@@ -129,3 +129,14 @@ def test_what_a_viewer_was_started_with_may_be_chosen():
     assert menu.load(chosen, env)[2] == {"robot_1": mine, "robot_2": mine}
     assert menu.load(chosen, env)[0] is env
     assert get_robot("panda") is arm
+
+
+def test_other_arms_play_in_the_same_action_mode():
+    env = cg.make_vec("PokeTaskSawyers-v0", 1, num_threads=1, action="tcp")
+    menu = Menu(env, {"robot_1": "expert"})
+    choice = menu.armed(
+        Choice(env.task.name, SAWYERS, ("idle",) * 2, "default"), 0, "panda"
+    )
+    other, _, _ = menu.load(choice, env)
+    assert other.task.config.action == "tcp"
+    assert other.task.robots["robot_1"].name == "panda"

@@ -184,7 +184,9 @@ class Evaluate(Played, _Policy):
                 )
         table = reports_table(reports)
         delay = f", delay {self.delay}" if self.delay else ""
-        table.title = f"{' '.join(self.policy)} on {self.randomization}{delay}"
+        action = f", action {self.action}" if self.action else ""
+        title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
+        table.title = title
         table.title_justify = "left"
         tell(table, besides=(self.json, self.csv))
         tell(strain_table(reports), besides=(self.json, self.csv))

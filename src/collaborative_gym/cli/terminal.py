@@ -28,6 +28,8 @@ from collaborative_gym.tasks.task import Task
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
+    from collaborative_gym.tasks.task import Task
+
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
@@ -65,6 +67,10 @@ Policies = Annotated[
     tuple[str, ...], tyro.conf.arg(metavar="POLICY | AGENT=POLICY ...")
 ]
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
+Action = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="MODE", help_behavior_hint="(default: its own, joints)"),
+]
 Robots = Annotated[
     tuple[str, ...],
     tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
@@ -88,6 +94,17 @@ Size = Annotated[
 ]
 
 
+def chosen_task(
+    env: str,
+    robots: Sequence[str],
+    randomization: str | None,
+    action: str | None,
+) -> Task:
+    """Return the task that options choose, which are empty where they are not given."""
+    own = {} if action is None else {"action": action}
+    return make_task(env, robots or None, randomization=randomization, **own)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Worlds(Command):
     """What the commands have that start episodes.
@@ -97,16 +114,20 @@ class Worlds(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, or hard for starts twice as far
         off and disturbances.
+      action: what actions mean: joints for changes of joint angles, tcp for changes of
+        the tool's pose, tcp_position for changes of its place and its turn about the
+        vertical.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 
     robots: Robots = ()
     randomization: Randomization = "default"
+    action: Action = None
     seed: int = 0
 
     def task(self, env: str) -> Task:
         """Return what to do in an environment of this name."""
-        return make_task(env, self.robots or None, randomization=self.randomization)
+        return chosen_task(env, self.robots, self.randomization, self.action)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from collaborative_gym.cli.terminal import Command, Envs, Folder, Robots, tell
+from collaborative_gym.cli.terminal import (
+    Action,
+    Command,
+    Envs,
+    Folder,
+    Robots,
+    chosen_task,
+    tell,
+)
 from collaborative_gym.errors import check_count
 from collaborative_gym.learning.config import (
     Algorithm,
@@ -19,7 +27,6 @@ from collaborative_gym.learning.config import (
     Resources,
     recipe,
 )
-from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -83,6 +90,9 @@ class Train(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, or hard for starts twice as far
         off and disturbances.
+      action: what actions mean: joints for changes of joint angles, tcp for changes of
+        the tool's pose, tcp_position for changes of its place and its turn about the
+        vertical.
       opponent: who plays against the learner, if a task has several sides. The default
         is self: the latest policies play all sides. If you name policies, as in
         evaluate, each episode draws one of them; side_2=POLICY plays only that side.
@@ -116,6 +126,7 @@ class Train(Command):
     resume: Folder = None
     robots: Robots = ()
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
+    action: Action = None
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
@@ -185,9 +196,8 @@ class Train(Command):
 
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""
-        if not self.robots and self.randomization is None:
-            return env
-        return make_task(env, self.robots or None, randomization=self.randomization)
+        chosen = self.robots, self.randomization, self.action
+        return chosen_task(env, *chosen) if any(chosen) else env
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
@@ -225,7 +235,7 @@ class Train(Command):
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import write_baseline
 
-        own = "mode modes seed resume robots randomization opponent partner"
+        own = "mode modes seed resume robots randomization action opponent partner"
         for option in (*own.split(), "backend", "algorithm"):
             if getattr(self, option) not in (None, ()):
                 raise ValueError(

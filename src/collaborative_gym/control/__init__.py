@@ -9,12 +9,15 @@ from collaborative_gym.control.modes import (
     list_modes,
     register_mode,
 )
+from collaborative_gym.control.tcp import TcpChanges, TcpPositionChanges
 
 __all__ = [
     "ActionMode",
     "Command",
     "JointChanges",
     "Motion",
+    "TcpChanges",
+    "TcpPositionChanges",
     "get_mode",
     "list_modes",
     "register_mode",

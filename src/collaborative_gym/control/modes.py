@@ -36,6 +36,7 @@ class Motion:
     Attributes:
       change: of the joint angles, (num_envs, joints), in rad. Where it is more than the
         arm can do, all of it is scaled down, so that the motion keeps its direction.
+        Where actions move the tool, it goes the way on which this would bring it.
       grips: in which worlds to grip, (num_envs,) booleans, or one for all.
       in_step: whether this arm slows down with the slowest of all arms that are in
         step. Arms that hold one thing must do so.

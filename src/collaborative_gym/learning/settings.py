@@ -29,7 +29,7 @@ from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import Task, TaskConfig
 
 BACKENDS = ("skrl", "ray")
 
@@ -122,11 +122,12 @@ class Settings:
 
     @property
     def _kind(self) -> list[str]:
-        """What to call algorithm, opponents and partners that are not the usual."""
+        """What to call actions, algorithm and others that are not the usual."""
         words = set(self.opponents or self.partners) - {SELF}
         known = [word for word in (LEAGUE, POPULATION) if word in words]
-        algorithm = [] if self.algorithm == "ppo" else [self.algorithm]
-        return algorithm + (known or (["guests"] if words else []))
+        pairs = (self.identity.action, TaskConfig.action), (self.algorithm, "ppo")
+        own = [own for own, usual in pairs if own != usual]
+        return own + (known or (["guests"] if words else []))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""

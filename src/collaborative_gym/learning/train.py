@@ -203,7 +203,8 @@ def _task(env: str | Task, started: Checkpoint | None) -> Task:
         return as_task(env)
     own = started.settings.identity
     randomization = Randomization(**own.config["randomization"])
-    return make_task(env, own.robot_names, randomization=randomization)
+    drawn = {"randomization": randomization, "action": own.action}
+    return make_task(env, own.robot_names, **drawn)
 
 
 def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:

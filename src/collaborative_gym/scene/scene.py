@@ -46,6 +46,9 @@ class Scene:
       grips: the grips that were added.
       tools: names of what was fixed to an arm, by agent.
       arms: after `compile`, each agent's arm in the compiled arrays.
+      postures: after `compile`, joint angles that each arm keeps to where actions leave
+        it open how it holds its tool, by agent, in rad; home unless a task's `setup`
+        sets others.
     """
 
     def __init__(self) -> None:
@@ -56,6 +59,7 @@ class Scene:
         self.grips: list[Grip] = []
         self.tools: dict[str, list[str]] = {}
         self.arms: dict[str, Arm] = {}
+        self.postures: dict[str, np.ndarray] = {}
         self._objects: list[str] = []
         self._targets: list[str] = []
         self._finger_bodies: set[str] = set()
@@ -351,6 +355,7 @@ class Scene:
         self.arms = {
             agent: find_arm(model, agent, robot) for agent, robot in self.robots.items()
         }
+        self.postures = {a: np.array(robot.home) for a, robot in self.robots.items()}
         self._grip_ids: dict[str, list[int]] = {}
         for grip in self.grips:
             ids = self._grip_ids.setdefault(grip.agent, [])

@@ -170,6 +170,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             self._posture[agent] = motion.central_pose(
                 model, scene.arms[agent], poses=poses
             )
+        scene.postures |= self._posture
 
     def poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the board's nominal pose and those that an arm should have at hand."""

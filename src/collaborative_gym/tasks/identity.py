@@ -73,6 +73,12 @@ class Identity:
         """The arms' names, in the order of the agents."""
         return tuple(robot["name"] for robot in self.robots.values())
 
+    @property
+    def action(self) -> str:
+        """The name of its action mode."""
+        # Without one it is of a time when all actions were joint changes.
+        return self.config.get("action", "joints")
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain dictionaries, lists, numbers and texts."""
         return asdict(self)
@@ -103,7 +109,7 @@ class Identity:
         """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
 
         Settings that only one of them has are not compared: a later version brought
-        them.
+        them. Without an action mode, actions are joint changes.
 
         Args:
           other: what this one should be.
@@ -128,8 +134,12 @@ class Identity:
             # Other arms stand elsewhere, which tells nothing more.
             ignore = {*ignore, "placements"}
         own, others = (
-            {name: value for name, value in config.items() if name not in ignore}
-            for config in (self.config, other.config)
+            {
+                name: value
+                for name, value in {**each.config, "action": each.action}.items()
+                if name not in ignore
+            }
+            for each in (self, other)
         )
         found += _differing("", own, others)
         if "versions" not in ignore:

@@ -13,7 +13,8 @@ Reward of each agent:
 - `reach`: minus the distance from its tool centre point to its handle, in m.
 - `lift`: -2 times the distance from the pot's middle to the target, in m.
 - `tilt`: -0.2 (|roll| + |pitch|) of the pot, in rad.
-- `effort`: minus 0.01 times the Euclidean norm of its joints' part of the action.
+- `effort`: minus 0.01 times the Euclidean norm of its joints' part of the action; in
+  another action mode, of the joint changes that the action comes to.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its
   handle, else 0.
 
@@ -232,6 +233,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             self._start[agent] = solve_pose(
                 model, arm, goal=(place, way.approach), start=angles[0]
             )
+            scene.postures[agent] = self._ways[agent].at(np.array([0.5]))[0]
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization

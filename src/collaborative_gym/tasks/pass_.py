@@ -25,7 +25,7 @@ Reward of each agent: robot_2 is "near" while its tool centre point is within
 - `carry` of robot_2: minus the distance from the cube to the target, in m.
 - `grip` of robot_2: 0.1 while it is near and asks for a grip, else 0.
 - `effort` of both: minus 0.01 times the Euclidean norm of the joints' part of the
-  action.
+  action; in another action mode, of the joint changes that the action comes to.
 - `success` of both: 1 while the goal is reached, else 0.
 
 Success: the cube is within `success_radius` of the target and robot_2 holds it. The

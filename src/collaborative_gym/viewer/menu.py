@@ -191,7 +191,8 @@ class Menu:
         if names == (own.name, _arms(own), own.config.randomization):
             return own
         robots = [self._robots[name] for name in choice.robots]
-        return make_task(choice.env, robots, randomization=randomization)
+        drawn = {"randomization": randomization, "action": own.config.action}
+        return make_task(choice.env, robots, **drawn)
 
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
         """Return the choice with the expert for each policy that cannot play there.
