@@ -13,11 +13,14 @@ demo: .venv/demo
 test: check
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal
 
-# Format, lint, and the tests that take no more than a second or two.
+# Format, lint, and the quick tests of the rooms that change most: 200 core-seconds.
+QUICK := $(addprefix tests/,robots scene sim control comparisons policies tasks \
+  evaluation test_api.py test_errors.py test_math.py test_imports.py test_plugins.py)
 quick: .venv/dev
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
-	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" $(QUICK) --numprocesses 2
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow" $(QUICK) --numprocesses 2 \
+	  --dist worksteal
 
 check: .venv/dev
 	$(BIN)/ruff format --check
