@@ -106,7 +106,7 @@ def arguments(name: str) -> tuple[str, tuple[str, ...] | None]:
 def lifts_alone(name: str, lifter: str, mass: float) -> bool:
     """Return whether one arm brings a pot of this mass near the target."""
     env_id, robots = arguments(name)
-    model = make_task(env_id, robots, "paper", pot_mass=mass)
+    model = make_task(env_id, robots, randomization="paper", pot_mass=mass)
     task = LiftAlone(tuple(model.robots.values()), model.config)
     task.lifter = lifter
     env = cg.VectorEnv(task, num_envs=1, num_threads=1)
@@ -121,7 +121,7 @@ def lifts_alone(name: str, lifter: str, mass: float) -> bool:
 def lift_together(name: str, mass: float) -> bool:
     """Return whether the expert brings a pot of this mass to the target and stays."""
     env_id, robots = arguments(name)
-    task = make_task(env_id, robots, "paper", pot_mass=mass)
+    task = make_task(env_id, robots, randomization="paper", pot_mass=mass)
     env = cg.VectorEnv(task, num_envs=1, num_threads=1)
     env.reset(seed=0)
     inside = [env.step(env.expert())[4]["success"][0] for _ in range(STEPS)]
@@ -146,7 +146,7 @@ def main() -> None:
         table.add_column(heading, justify="right")
     for name in sys.argv[1:] or ids + pairs:
         env_id, robots = arguments(name)
-        env = cg.VectorEnv(make_task(env_id, robots, "paper"), num_envs=1)
+        env = cg.VectorEnv(make_task(env_id, robots, randomization="paper"), num_envs=1)
         mass = env.task.pot_mass
         alone = [
             greatest(partial(lifts_alone, name, agent), 0.1 * mass, 1.5 * mass)

@@ -9,6 +9,7 @@ import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
+from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task, named_facts
@@ -215,9 +216,18 @@ def check_isolation(trial: Trial) -> None:
     expected, seen = play(env, 4), play(other, 4)
     for episode in (0, 2, 4, 5, 6):
         assert _agree(seen[0, episode], expected[0, episode]), (
-            f"episode {episode} changes when worlds 1 and 3 start another; write only"
-            " the rows env_ids in reset(), of sim and of sim.memory"
+            f"episode {episode} changes when worlds 1 and 3 start another; touch no"
+            " other worlds in disturb() and measure()"
         )
+    sim, others = other.sim, np.array([0, 2, 4, 5, 6])
+    sim.memory = {name: array.copy() for name, array in sim.memory.items()}
+    state, memory = sim.get_state(others), dict(sim.memory)
+    memory = {name: array[others] for name, array in memory.items()}
+    begun = np.array([1, 3])
+    other.task.reset(sim, begun, rng=EpisodeRandom(0 * begun, begun))
+    assert _equal(sim.get_state(others), state) and all(
+        _equal(sim.memory[name][others], rows) for name, rows in memory.items()
+    ), "write only the rows env_ids in reset(), of sim and of sim.memory"
 
 
 def check_saving(trial: Trial) -> None:

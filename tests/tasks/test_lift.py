@@ -76,7 +76,7 @@ def test_expert_lifts_from_every_start_and_holds(env):
 @pytest.mark.parametrize("name", (*VARIANTS, "Lift"))
 def test_expert_lifts_gently_even_where_its_actions_come_late(name):
     robots = ("panda", "jaco") if name == "Lift" else None
-    task = make_task(name, robots, Randomization(delay=1))
+    task = make_task(name, robots, randomization=Randomization(delay=1))
     metrics = play(VectorEnv(task, 6, num_threads=1, strain=True))["metrics"]
     assert metrics["completion"].all()
     assert metrics["performance"].mean() > 0.95

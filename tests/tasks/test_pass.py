@@ -149,7 +149,7 @@ def test_expert_passes_the_cube(variant):
 @pytest.mark.parametrize("name", (*IDS, "Pass"))
 def test_expert_passes_the_cube_gently_even_where_its_actions_come_late(name):
     robots = ("panda", "jaco") if name == "Pass" else None
-    task = make_task(name, robots, Randomization(delay=1))
+    task = make_task(name, robots, randomization=Randomization(delay=1))
     env = VectorEnv(task, 8, num_threads=1, strain=True)
     env.reset(seed=1)
     for _ in range(70):

@@ -43,7 +43,7 @@ class Disturbances:
         self._mode, self._progress = mode, progress
         self._bounds = bounds = task.config.randomization
         self._changes_models = any(getattr(bounds, name) for name in _OF_MODELS)
-        self._has_noise = bounds.position_noise > 0 or bounds.angle_noise > 0
+        self.has_noise = bounds.position_noise > 0 or bounds.angle_noise > 0
         self._is_on = self._changes_models or any(
             getattr(bounds, name) for name in _OF_STEPS
         )
@@ -57,7 +57,7 @@ class Disturbances:
         worlds, steps = sim.num_envs, task.config.max_episode_steps
         self._is_late = np.zeros(worlds, bool)
         self._is_lost = np.zeros((worlds, steps, len(task.agents)), bool)
-        if self._has_noise:
+        if self.has_noise:
             # Single precision, because there is much of it, and observations have no
             # more.
             shape = worlds, steps + 1, sum(self._sizes)
@@ -95,7 +95,7 @@ class Disturbances:
         self._is_late[env_ids] = rng.uniform(0.0, 1.0) < bounds.delayed
         lost = rng.uniform(0.0, 1.0, self._is_lost.shape[1:])
         self._is_lost[env_ids] = lost < bounds.lost_actions
-        if self._has_noise:
+        if self.has_noise:
             bound = [bounds.angle_noise, bounds.position_noise, bounds.angle_noise]
             size = self._noise.shape[1:]
             self._noise[env_ids] = rng.within(np.repeat(bound, self._sizes), size)
@@ -145,7 +145,7 @@ class Disturbances:
 
     def see(self, facts: Any) -> Any:
         """Return the facts as the robots see them, of the present state."""
-        if not (self._is_on and self._has_noise):
+        if not (self._is_on and self.has_noise):
             return facts
         sim, task, xp = self._sim, self._task, self._sim.xp
         ends = np.cumsum(self._sizes)[:-1]

@@ -9,6 +9,7 @@ from collaborative_gym.control import Command
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
+from collaborative_gym.envs.starts import Starts
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
@@ -23,7 +24,7 @@ from collaborative_gym.errors import (
 )
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
-from collaborative_gym.rng import EpisodeDraws, EpisodeRandom, Stream, check_seed
+from collaborative_gym.rng import EpisodeDraws, Stream, check_seed
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.identity import Identity
@@ -90,7 +91,6 @@ class VectorEnv:
       action_mode: what actions mean here.
       substeps: physics steps in a control step.
       control_dt: time of a control step, in s.
-      facts: what the task measured of the present state.
       strain: what measures the strain, None unless it was asked for.
     """
 
@@ -123,6 +123,10 @@ class VectorEnv:
         self.single_action_spaces = world.definition.action_spaces
         self.reward_terms = world.definition.reward_terms
         self.sides = world.definition.sides
+        apart = CpuSim(self.model, num_envs, num_threads, world.refinement)
+        mode = world.mode(self.scene, apart, task.gripping)
+        self._starts = Starts(self.task, apart, mode, self._observe)
+        self._facts: Any = None
         self._turns = Turns()
         self._camera: Camera | None = None
         self._watcher: Callable[[], object] | None = None
@@ -148,6 +152,13 @@ class VectorEnv:
         arms = tuple(task.robots.values())
         made = type(task), arms, task.config, task.name
         return made_anew, (type(self), made, self._options, state)
+
+    @property
+    def facts(self) -> Any:
+        """What the task measures of the present state."""
+        if self._facts is None:
+            self._facts = self.task.measure(self.sim)
+        return self._facts
 
     @property
     def identity(self) -> Identity:
@@ -198,14 +209,12 @@ class VectorEnv:
             self._start_episodes(rows)
             if stagger:
                 self._progress.stagger(rows)
-            facts = self.task.measure(self.sim)
-            observations = self._observe(facts)
-            success, terms = self._progress.begun(facts)
+            observations = self._seen()
+            success, terms = self._progress.begun(self.facts)
             resting = self._progress.has_ended
             last = copied(observations, self.sim.xp)
             infos = self._progress.infos(success, terms, resting, last)
-            self._is_started, self.facts = True, facts
-            self._observations = observations
+            self._is_started, self._observations = True, observations
             return copied(observations, self.sim.xp), infos
 
     def step(
@@ -240,11 +249,11 @@ class VectorEnv:
             actions = self.action_mode.check(actions)
             actions = self._disturbances.deliver(actions, resting)
             commands, diverged = self._advance(actions, resting)
-            facts = self.task.measure(self.sim)
+            facts = self._facts = self.task.measure(self.sim)
             lost = resting | diverged
             terms, rewards = self._reward(facts, commands, lost)
             success = progress.count(facts, terms, diverged)
-            last = self._observe(facts)
+            last = self._seen()
             if xp.any(lost):
                 for agent in self.agents:
                     last[agent][lost] = self._observations[agent][lost]
@@ -252,10 +261,10 @@ class VectorEnv:
             terminated, truncated = progress.endings(self.agents)
             observations, has_ended = last, infos["ended"] & ~resting
             if self._auto_reset and xp.any(has_ended):
-                self._start_episodes(_where(has_ended, xp))
-                facts = self.task.measure(self.sim)
-                observations = self._observe(facts)
-            self.facts, self._observations = facts, copied(observations, xp)
+                begun = _where(has_ended, xp)
+                self._start_episodes(begun)
+                observations = self._begun(last, begun)
+            self._observations = copied(observations, xp)
             return copied(observations, xp), rewards, terminated, truncated, infos
 
     def expert(self, style: str = "", *, pace: float = 1.0) -> dict[str, Array]:
@@ -329,8 +338,8 @@ class VectorEnv:
             check_state(state, own, steps, from_another=from_another)
             put(state, *parts, rows)
             self._disturbances.draw(np.sort(rows))
-            self.facts = self.task.measure(self.sim)
-            self._observations = self._observe(self.facts)
+            self._facts = None
+            self._observations = self._seen()
             self._is_started = True
             return copied(self._observations, self.sim.xp)
 
@@ -395,9 +404,11 @@ class VectorEnv:
         # Arrays of memory and progress are not written to, but replaced.
         physics = self.sim.get_state()
         memory, rows = dict(self.sim.memory), dict(self._progress.rows)
+        facts = self._facts
 
         def put_back() -> None:
             self.sim.memory, self._progress.rows = memory, rows
+            self._facts = facts
             self._disturbances.draw(np.arange(self.num_envs))
             self.sim.set_state(physics)
 
@@ -466,21 +477,34 @@ class VectorEnv:
         }
         return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
 
+    def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:
+        """Return observations after the start of episodes in some worlds."""
+        if self._disturbances.has_noise:
+            return self._seen()
+        observations = copied(last, self.sim.xp)
+        for agent, rows in self._starts.observations.items():
+            observations[agent][env_ids] = rows[env_ids]
+        return observations
+
     def _start_episodes(self, env_ids: np.ndarray) -> None:
         if not len(env_ids):
             return
-        seeds, episodes = self._progress.start(env_ids)
-        self.sim.reset(env_ids)
+        self._progress.start(env_ids)
+        self._starts.prepare(env_ids, self._progress.rows)
+        waiting = self._starts.sim
         memory = self.sim.memory = copied(self.sim.memory, self.sim.xp)
-        for name, array in self.task.remember(len(env_ids)).items():
-            memory[name][env_ids] = array
-        self.task.reset(self.sim, env_ids, rng=EpisodeRandom(seeds, episodes))
-        self.action_mode.start(env_ids)
+        for name, array in waiting.memory.items():
+            memory[name][env_ids] = array[env_ids]
         self._disturbances.start(env_ids)
-        self.sim.forward(env_ids)
+        self.sim.set_state(waiting.get_state(env_ids), env_ids)
+        self._facts = None
+
+    def _seen(self) -> Observations:
+        """Return what the robots see of the present state."""
+        return self._observe(self._disturbances.see(self.facts))
 
     def _observe(self, facts: Any) -> Observations:
-        xp, facts = self.sim.xp, self._disturbances.see(facts)
+        xp = self.sim.xp
         return {
             agent: xp.astype(xp.concat(list(blocks.values()), axis=1), xp.float32)
             for agent, blocks in self.task.observe(facts).items()
