@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import zip_longest
+from statistics import median
 
 from rich.table import Table
 from rich.text import Text
@@ -23,7 +24,7 @@ from collaborative_gym.evaluation.report import (
     strain_lines,
     told_episodes,
 )
-from collaborative_gym.evaluation.speed import Benchmark
+from collaborative_gym.evaluation.speed import Benchmark, Rates
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
 from collaborative_gym.tournaments.result import (
     Tournament,
@@ -225,9 +226,12 @@ def benchmark_table(benchmark: Benchmark) -> Table:
     """Return what was measured, one line per environment."""
     table = new_table(
         "environment",
-        "bare\n1/s",
-        "env\n1/s",
-        "ratio\n",
+        "expert\nbare, 1/s",
+        "\nenv, 1/s",
+        "\nratio",
+        "random\nbare, 1/s",
+        "\nenv, 1/s",
+        "\nratio",
         "single\n1/s",
         "reset\nms",
         "make\ns",
@@ -236,25 +240,35 @@ def benchmark_table(benchmark: Benchmark) -> Table:
     for speed in benchmark.environments:
         table.add_row(
             speed.environment,
-            f"{speed.bare_rate:,.0f}",
-            f"{speed.env_rate:,.0f}",
-            f"{speed.ratio:.0%}",
+            *_rates(speed.expert),
+            *_rates(speed.random),
             f"{speed.single_rate:,.0f}",
             f"{speed.reset_ms:.2f}",
             f"{speed.make_s:.2f}",
             f"{speed.kb_per_env:.0f}",
         )
     machine, threads = benchmark.machine, benchmark.num_threads
-    rates = [speed.rate_per_core for speed in benchmark.environments]
+    kept = [
+        f"{median(each):.0%} ({min(each):.0%} at least)"
+        for each in zip(
+            *((s.expert.ratio, s.random.ratio) for s in benchmark.environments),
+            strict=True,
+        )
+    ]
     table.caption = (
         f"Control steps per second (1/s); bare physics and environment with"
         f" {benchmark.num_envs} worlds on {threads}"
-        f" {'thread' if threads == 1 else 'threads'}, the environment"
-        f" {_ends(rates)} per core; single: one PettingZoo environment.\n"
+        f" {'thread' if threads == 1 else 'threads'}, with the expert's and with random"
+        f" actions, which keep {kept[0]} and {kept[1]} of bare physics in the median;"
+        " single: one PettingZoo environment.\n"
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}"
     )
     return table
+
+
+def _rates(rates: Rates) -> tuple[str, str, str]:
+    return f"{rates.bare:,.0f}", f"{rates.env:,.0f}", f"{rates.ratio:.0%}"
 
 
 def _two_lines(statistic: Statistic, percent: bool = False, unit: str = "") -> Text:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -18,12 +19,14 @@ from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.timing import CONTROL_DT
+from collaborative_gym.tasks.task import Task
+
+Actions = dict[str, np.ndarray]
 
 _ROUNDS = 11
 """Alternations of bare physics and environment, whose median counts."""
 
-_STEPS = 10
+_STEPS = 8
 """Control steps of one round."""
 
 _MEMORY_ENVS = 1024
@@ -31,28 +34,38 @@ _MEMORY_ENVS = 1024
 
 
 @dataclass(frozen=True)
-class Speed:
-    """What was measured in one environment, under random actions.
+class Rates:
+    """Control steps of one world per second, with one kind of actions.
 
-    A step is a control step of one world. Rates are steps per second.
+    Attributes:
+      bare: of `mujoco.batch` alone, from the same states with the same controls.
+      env: of `VectorEnv.step`, with its resets.
+      ratio: the median of the rounds' env / bare.
+    """
+
+    bare: float
+    env: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What was measured in one environment.
 
     Attributes:
       environment: its id.
-      bare_rate: of `mujoco.batch` alone, with random controls.
-      env_rate: of `VectorEnv.step`, with its resets.
-      ratio: the median of the rounds' env_rate / bare_rate.
-      rate_per_core: env_rate by the threads that it used.
-      single_rate: of one PettingZoo environment, with its resets.
+      expert: with the scripted expert's actions; of robots that hold still where there
+        is no expert.
+      random: with random actions, under which arms crash.
+      single_rate: steps per second of one PettingZoo environment, with its resets.
       reset_ms: time of one world's reset, in ms.
       make_s: time to make the first PettingZoo environment of a process, in s.
       kb_per_env: memory per world, in kB.
     """
 
     environment: str
-    bare_rate: float
-    env_rate: float
-    ratio: float
-    rate_per_core: float
+    expert: Rates
+    random: Rates
     single_rate: float
     reset_ms: float
     make_s: float
@@ -113,14 +126,13 @@ def benchmark(
 
 def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     env = VectorEnv(make_task(env_id), num_envs, num_threads=num_threads)
-    bare_rate, env_rate, ratio = _compare(env, num_threads)
     single = PettingZooEnv(make_task(env_id))
+    has_expert = type(env.task).expert is not Task.expert
+    usual = env.expert if has_expert else env.idle
     return Speed(
         environment=env_id,
-        bare_rate=bare_rate,
-        env_rate=env_rate,
-        ratio=ratio,
-        rate_per_core=env_rate / min(num_threads, num_envs),
+        expert=_compare(env, num_threads, lambda _: usual()),
+        random=_compare(env, num_threads, lambda rng: _random(env, rng)),
         single_rate=_single_rate(single),
         reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
         make_s=_in_fresh_process(_time_to_make, env_id),
@@ -128,52 +140,58 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     )
 
 
-def _compare(env: VectorEnv, num_threads: int) -> tuple[float, float, float]:
-    """Return the bare rate, the environment's, and their ratio.
+def _compare(
+    env: VectorEnv, num_threads: int, act: Callable[[np.random.Generator], Actions]
+) -> Rates:
+    """Return the rates of the bare physics and of the environment, and their ratio.
 
-    The rounds alternate, so that another program's load slows both alike. In each
-    round both start from the same states, which are spread over whole episodes.
+    In each round both do the same control steps, from states that are spread over whole
+    episodes. They take turns, so that another program's load slows both alike.
     """
     rng = np.random.default_rng(0)
     env.reset(seed=0, stagger=True)
+    for _ in range(_STEPS):
+        env.step(act(rng))
     bare = batch.Batch(env.model, env.num_envs, num_threads)
-    _step_env(env, rng)
     bare_times, env_times = [], []
     for _ in range(_ROUNDS):
-        bare.state[:] = env.sim.get_state()
-        bare_times.append(_step_bare(bare, env, rng))
-        env_times.append(_step_env(env, rng))
+        start, actions, rounds = env.get_state(), [], []
+        for _ in range(_STEPS):
+            actions.append(act(rng))
+            commands = env.action_mode.commands(env.action_mode.check(actions[-1]))
+            before = env.sim.get_state()
+            controls = env.action_mode.prepare(commands)
+            rounds.append((env.sim.get_state(), controls))
+            env.sim.set_state(before)
+            env.step(actions[-1])
+        env.set_state(start)
+        env_times.append(_time(partial(_play, env, actions)))
+        bare_times.append(sum(_roll(bare, *each) for each in rounds))
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
-    return steps / median(bare_times), steps / median(env_times), median(ratios)
+    return Rates(
+        bare=steps / median(bare_times),
+        env=steps / median(env_times),
+        ratio=median(ratios),
+    )
 
 
-def _step_env(env: VectorEnv, rng: np.random.Generator) -> float:
-    """Return the time of a round of random actions, in s."""
-    sizes = {agent: s.shape[0] for agent, s in env.single_action_spaces.items()}
-    actions = [
-        {agent: rng.uniform(-1, 1, (env.num_envs, k)) for agent, k in sizes.items()}
-        for _ in range(_STEPS)
-    ]
-    return _time(lambda: [env.step(action) for action in actions])
+def _play(env: VectorEnv, actions: Sequence[Actions]) -> None:
+    for each in actions:
+        env.step(each)
 
 
-def _step_bare(bare: batch.Batch, env: VectorEnv, rng: np.random.Generator) -> float:
-    """Return the time of a round of random joint speeds, in s."""
-    controls = []
-    for _ in range(_STEPS):
-        control = bare.ctrl.copy()
-        for arm in env.scene.arms.values():
-            greatest, size = arm.stride / CONTROL_DT, (env.num_envs, arm.num_joints)
-            control[:, arm.servos] = rng.uniform(-greatest, greatest, size)
-        controls.append(control)
+def _random(env: VectorEnv, rng: np.random.Generator) -> Actions:
+    return {
+        agent: rng.uniform(-1, 1, (env.num_envs, *space.shape))
+        for agent, space in env.single_action_spaces.items()
+    }
 
-    def step() -> None:
-        for control in controls:
-            bare.ctrl[:] = control
-            bare.step(nstep=env.substeps)
 
-    return _time(step)
+def _roll(bare: batch.Batch, state: np.ndarray, controls: np.ndarray) -> float:
+    """Return the time of the physics steps of a control step, in s."""
+    bare.state[:] = state
+    return _time(lambda: bare.rollout(controls.shape[1], controls, record=()))
 
 
 def _single_rate(env: PettingZooEnv) -> float:
