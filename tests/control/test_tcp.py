@@ -155,9 +155,10 @@ def test_what_an_expert_means_is_what_the_tool_does(free):
         env.sim.qpos[:, env.scene.arms[agent].qpos] -= motions[agent].change
     env.sim.forward()
     actions = mode.encode(motions)
+    exact = meant(env, actions)
     for agent, (shift, turn) in goals.items():
         way = np.concatenate([shift / 0.05, turn / 0.15], axis=1)
-        np.testing.assert_allclose(actions[agent][:, :6], way, atol=1e-9)
+        np.testing.assert_allclose(exact[agent], way, atol=1e-3)
     for agent, (shift, turn) in moved(env, actions).items():
         assert math.distance(shift, goals[agent][0]).max() < 2e-3
         assert math.distance(turn, goals[agent][1]).max() < 8e-3
