@@ -188,23 +188,18 @@ def test_real_runs_end_as_those_that_train_alone(tiny, alone, tmp_path, simple_p
 
 
 def test_runs_in_another_action_mode_have_folders_of_their_own(tmp_path):
-    names = ("robots", "randomization", "opponent", "partner", "start_from", "backend")
-    shared = dict.fromkeys((*names, "algorithm"))
-    folders = []
-    for action in (None, "tcp"):
-        (plan,) = many.plan_runs(
-            "PokeTaskSawyers-v0",
-            "collaborative",
-            seeds=(0,),
-            output=tmp_path,
-            changes=None,
-            advised=False,
-            shared=shared | {"action": action},
-        )
-        assert plan.given["action"] == action
-        folders.append(plan.folder.name)
-    name = "PokeTaskSawyers-v0"
-    assert folders == [
-        f"{name}-collaborative-seed0",
-        f"{name}-tcp-collaborative-seed0",
+    names = "opponent", "partner", "start_from", "backend", "algorithm"
+    tasks = [cg.task("PokeTaskSawyers-v0", action=mode) for mode in ("joints", "tcp")]
+    plans = many.plan_runs(
+        tasks,
+        "collaborative",
+        seeds=(0,),
+        output=tmp_path,
+        changes=None,
+        advised=False,
+        shared=dict.fromkeys(names),
+    )
+    assert [plan.folder.name for plan in plans] == [
+        "PokeTaskSawyers-v0-collaborative-seed0",
+        "PokeTaskSawyers-v0-tcp-collaborative-seed0",
     ]

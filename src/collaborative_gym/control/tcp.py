@@ -74,15 +74,25 @@ class TcpChanges(ServoMode):
         change = self._columns([self._borne(a, motions[a]) for a in self.arms])
         # The tool goes the way that it goes in as much as joints can do in one step.
         excess = np.maximum(np.abs(change / self._stride).max(axis=0), 1.0)
-        start, _ = self._kinematics(angles)
-        end, _ = self._kinematics(angles + change / excess)
-        way = (travel(start, end) / self._farthest)[list(self.axes)]
+        way = self._way(angles, change / excess)
+        size = np.maximum(self._size(way), 1.0)
+        # What the least squares leave out of it is asked for once more.
+        done = self._way(angles, self._joint_changes(way / size))
+        way = (way + size * (way / size - done))[list(self.axes)]
         size = self._size(way)
         most = excess * np.where(excess > 1.0, np.maximum(size, 1.0), size)
         return (
             {agent: (excess * way)[:, i].T for i, agent in enumerate(self.arms)},
             {agent: most[i] for i, agent in enumerate(self.arms)},
         )
+
+    def _way(self, angles: Array, change: Array) -> Array:
+        """Return what joint changes do to the tools, as an action has it, (6, ...)."""
+        start, end = (self._kinematics(each)[0] for each in (angles, angles + change))
+        way = travel(start, end) / self._farthest
+        for axis in {*range(6)}.difference(self.axes):
+            way[axis] = 0.0
+        return way
 
     def _joint_changes(self, asked: Array) -> Array:
         """Return the joint changes that actions come to, (joints, arms, worlds).
