@@ -230,8 +230,7 @@ RESET = [
         "reset",
         "seed",
         lambda s, v: s.gymnasium_vector.reset(seed=v),
-        NO_COUNT[:6],
-        [-1],
+        [-1, 1.5, "a", {}, [1], [1, "a"], [1, -2], [1, 2, 3]],
     ),
     *table(
         "reset",

@@ -282,13 +282,12 @@ class ActionMode:
 
     def _checked(self, agent: str, given: Any) -> Array:
         xp, shape = self._sim.xp, (self._sim.num_envs, self.size(agent))
-        if not hasattr(given, "__array_namespace__"):
-            try:
-                given = xp.asarray(given)
-            except (TypeError, ValueError, RuntimeError) as error:
-                raise ValueError(
-                    f"the action of {agent} cannot be read as numbers: {error}"
-                ) from None
+        try:
+            given = xp.asarray(given)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ValueError(
+                f"the action of {agent} cannot be read as numbers: {error}"
+            ) from None
         if given.shape != shape:
             last = ", and one for the grip" if self.gripping else " (no grip)"
             raise ValueError(

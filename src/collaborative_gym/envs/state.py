@@ -128,8 +128,9 @@ def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:
     """Raise unless an episode can have come to these counts."""
     step, length = np.asarray(progress["step"]), np.asarray(progress["length"])
     last = 2**63 - 1
+    has_ended = np.asarray(progress["terminated"]) | np.asarray(progress["truncated"])
     bounds: dict[str, tuple[int, Any]] = {"seed": (0, last), "episode": (0, last)}
-    bounds |= {"step": (0, max_steps), "length": (0, step)}
+    bounds |= {"step": (0, max_steps - 1 + has_ended), "length": (0, step)}
     for name in progress:
         if name.endswith("performing_steps"):
             bounds[name] = (0, length)

@@ -11,6 +11,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any
 from xml.etree.ElementTree import ParseError, canonicalize
@@ -53,7 +54,10 @@ class Identity:
             name=task.name,
             task=type(task).__name__,
             robots={
-                agent: {"name": robot.name, "digest": _digest(robot)}
+                agent: {
+                    "name": robot.name,
+                    "digest": _digest(robot, robot.model_file.stat().st_mtime_ns),
+                }
                 for agent, robot in task.robots.items()
             },
             config=_plain(task.config),
@@ -180,8 +184,11 @@ def _plain(value: Any) -> Any:
     return getattr(value, "__qualname__", None) or str(value)
 
 
-def _digest(robot: Robot) -> str:
+@lru_cache
+def _digest(robot: Robot, changed: int) -> str:
     """Return a short digest that tells apart arms of one name.
+
+    It is worked out once for as long as the model file was last `changed` at that time.
 
     Fields that are left at their defaults do not count, so that a new field changes
     nothing. What only people read in the model file does not count either.
