@@ -73,7 +73,7 @@ def make(make_job):
         job = make_job(task)
         torch.manual_seed(0)
         learners = [
-            PPOLearner(each, job.sizes, job.hyperparameters, "cpu")
+            PPOLearner(each, job.layout, job.hyperparameters, "cpu")
             for each in job.learners
         ]
         collectors = RayCollectors(job, count, address) if count else OwnCollector(job)
