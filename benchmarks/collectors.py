@@ -22,12 +22,13 @@ from rich.console import Console
 from rich.table import Table
 
 import collaborative_gym as cg
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.collector import Job, OwnCollector
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.ray_collectors import RayCollectors
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 from collaborative_gym.tasks.registry import make_task
 
 TURNS = 5
@@ -63,7 +64,7 @@ def our_collectors(
 ) -> tuple[float, float]:
     """Return the rates of collecting alone, and of training; 0 for this process."""
     task = make_task(env_id)
-    sizes = Sizes.of(task)
+    sizes = World.of(task).definition.layout
     numbers, learners = Hyperparameters(), make_learners("independent", sizes)
     job = Job(task, learners, sizes, 0, numbers, num_threads)
     backend = Backend(

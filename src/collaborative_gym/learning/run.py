@@ -183,8 +183,7 @@ class Run:
             self._backend.weights(member),
             activation=settings.hyperparameters.activation,
             identity=settings.identity,
-            observation_sizes=settings.observation_sizes,
-            action_sizes=settings.action_sizes,
+            layout=settings.layout,
             metadata={name: content[name] for name in kept}
             | {"steps": self._backend.steps, "member": member},
         )
@@ -287,11 +286,11 @@ def _make_backend(
 ) -> Backend:
     hyperparameters = settings.hyperparameters
     learns = _LEARNERS[settings.algorithm]
-    sizes = settings.sizes(task)
+    layout = settings.layout
     job = Job(
         task,
         tuple(learners),
-        sizes,
+        layout,
         settings.seed,
         hyperparameters,
         resources.num_threads,
@@ -308,7 +307,7 @@ def _make_backend(
         collectors = OwnCollector(job)
     return Backend(
         [
-            learns(each, sizes, hyperparameters, resources.device, casting)
+            learns(each, layout, hyperparameters, resources.device, casting)
             for each in learners
         ],
         collectors,
