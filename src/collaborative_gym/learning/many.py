@@ -31,11 +31,11 @@ from collaborative_gym.learning.config import (
 )
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
-from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.settings import Named, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
+from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 

@@ -24,10 +24,10 @@ from collaborative_gym.learning.config import (
     recipe,
 )
 from collaborative_gym.learning.pool import read_guests
-from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.team import Learner, Sizes, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
+from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task, TaskConfig
 
