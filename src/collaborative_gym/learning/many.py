@@ -27,7 +27,7 @@ from collaborative_gym.learning.config import (
     Algorithm,
     Mode,
     Resources,
-    changed_recipe,
+    recipe,
 )
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
@@ -196,7 +196,7 @@ def plan_runs(
             check_name("each environment", env)
         task = as_task(env)
         algorithm = shared["algorithm"] or "ppo"
-        numbers = changed_recipe(task.name, changes, algorithm, advised=advised)
+        numbers = recipe(task.name, algorithm, advised=advised, changes=changes)
         for mode in (None,) if modes is None else _several("mode", modes):
             own = {"mode": mode, "hyperparameters": numbers}
             settled = settle(task, None, seed=None, **own, **shared)

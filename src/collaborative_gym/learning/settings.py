@@ -20,7 +20,7 @@ from collaborative_gym.learning.config import (
     Hyperparameters,
     Mode,
     changed,
-    check_algorithm,
+    foreign,
     recipe,
 )
 from collaborative_gym.learning.pool import read_guests
@@ -224,7 +224,7 @@ def settle(
         _check_company(settings)
         if settings.start_from:
             settings = replace(settings, start=_start(first_policy(settings, task)))
-    check_algorithm(algorithm, settings.hyperparameters)
+    _check_algorithm(algorithm, settings.hyperparameters)
     return settings
 
 
@@ -339,6 +339,16 @@ def _check_seats(settings: Settings, task: Task) -> None:
         )
     casting.check(settings.hyperparameters.num_envs)
     read_guests(task, casting, settings.opponents or settings.partners)
+
+
+def _check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
+    """Raise unless all that is given means something to the algorithm."""
+    unknown = [n for n in changed(hyperparameters) if n in foreign(algorithm)]
+    if unknown:
+        raise ValueError(
+            f"{algorithm} knows no {' or '.join(unknown)}; leave out what another"
+            " algorithm alone uses"
+        )
 
 
 def _check_company(settings: Settings) -> None:
