@@ -7,10 +7,10 @@ from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import naming
-from collaborative_gym.learning.casting import LEAGUE, Casting, split_word
+from collaborative_gym.learning.casting import LEAGUE, Casting
 from collaborative_gym.learning.guests import Invitation
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.policy import commanding, read_policy
+from collaborative_gym.policies.policy import commanding, read_policy, split_word
 from collaborative_gym.tasks.task import Task
 
 Latest = Callable[[str], NetworkPolicy]

@@ -146,6 +146,12 @@ def name_policy(policy: AnyPolicy) -> str:
     return getattr(policy, "__name__", type(policy).__name__)
 
 
+def split_word(word: str) -> tuple[str, str]:
+    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
+    seat, _, policy = word.partition("=")
+    return (seat, policy) if policy and seat.isidentifier() else ("", word)
+
+
 def commanding(
     agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
 ) -> Policy:
@@ -278,12 +284,15 @@ def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray
 
 _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "expert": expert_policy,
-    "frozen": frozen_policy,
-    "gripping": gripping_policy,
-    "idle": idle_policy,
     "random": RandomPolicy,
+    "idle": idle_policy,
+    "gripping": gripping_policy,
+    "frozen": frozen_policy,
 }
 
 _STYLED = "expert:"
 
-_NAMES = (*SHIPPED, *_BY_ENV)
+SCRIPTED = tuple(_BY_ENV)
+"""Names of the policies that every task has."""
+
+_NAMES = (*SHIPPED, *SCRIPTED)
