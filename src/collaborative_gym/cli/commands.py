@@ -151,8 +151,7 @@ class Evaluate(Played, _Policy):
         """Print a table and write the files."""
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
-        from collaborative_gym.policies.policy import split_word
-        from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
+        from collaborative_gym.policies.policy import SHIPPED, shipped_kinds, split_word
 
         tasks = _tasks(self)
         policy = read_policy(self.policy)

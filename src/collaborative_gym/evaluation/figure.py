@@ -28,7 +28,7 @@ GRID = "#dddddd"
 """Colour of the grid."""
 
 
-def looking(settings: Mapping[str, Any]) -> AbstractContextManager[None]:
+def looking(settings: Mapping[Any, Any]) -> AbstractContextManager[None]:
     """Return a context in which Matplotlib draws as settings of its own say.
 
     Raises:

@@ -192,18 +192,7 @@ class Run:
 
     def policy(self, member: str) -> NetworkPolicy:
         """Return a member's policy as it is now."""
-        settings, content = self._settings, self._settings.to_dict()
-        kept = (
-            "algorithm",
-            "mode",
-            "seed",
-            "backend",
-            "hyperparameters",
-            "opponents",
-            "partners",
-            "start_from",
-            "start",
-        )
+        settings = self._settings
         own = self._of(member)
         weights: dict[str, Weights] = {}
         for learner in own:
@@ -215,8 +204,7 @@ class Run:
             identity=settings.identity,
             observation_sizes=settings.observation_sizes,
             action_sizes=settings.action_sizes,
-            metadata={name: content[name] for name in kept}
-            | {"steps": self.steps, "member": member},
+            metadata=settings.how() | {"steps": self.steps, "member": member},
         )
 
     def restart(self, member: str, like: str | None) -> None:

@@ -40,12 +40,13 @@ _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
 """Hyperparameters that a run may change when it continues; steps may only grow."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """What a run was started with.
 
     Attributes:
       identity: of its environment.
+      algorithm: what learns.
       mode: who learns what.
       seed: of the run.
       backend: what collects.
@@ -58,10 +59,10 @@ class Settings:
         drawn by chance.
       start: that policy's `digest`, the `environment` and `randomization` in which it
         was trained, and how, its `metadata`.
-      algorithm: what learns.
     """
 
     identity: Identity
+    algorithm: Algorithm = "ppo"
     mode: Mode
     seed: int
     backend: str
@@ -72,7 +73,6 @@ class Settings:
     partners: tuple[str, ...] = ()
     start_from: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
-    algorithm: Algorithm = "ppo"
 
     def sizes(self, task: Task) -> Sizes:
         """Return the sizes of the agents' spaces."""
@@ -137,6 +137,11 @@ class Settings:
         for name in ("opponents", "partners"):
             content[name] = list(content[name])
         return content
+
+    def how(self) -> dict[str, Any]:
+        """Return what it says of training, and not of the environment."""
+        world = "identity", "observation_sizes", "action_sizes"
+        return {n: own for n, own in self.to_dict().items() if n not in world}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Settings":
@@ -367,16 +372,8 @@ def _check_company(settings: Settings) -> None:
 def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
-    for name in (
-        "algorithm",
-        "mode",
-        "seed",
-        "backend",
-        "observation_sizes",
-        "action_sizes",
-        "opponents",
-        "partners",
-        "start_from",
+    for name in sorted(
+        vars(settings).keys() - {"identity", "hyperparameters", "start"}
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)

@@ -20,7 +20,6 @@ from collaborative_gym.policies.scripted import (
     gripping_policy,
     idle_policy,
 )
-from collaborative_gym.policies.shipped import SHIPPED, is_shipped, shipped_file
 from collaborative_gym.tasks.registry import find_env, list_envs
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
@@ -28,6 +27,13 @@ Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 
 AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
 """A policy, or what `load_policy` finds it by, or one of these for each agent."""
+
+SHIPPED = {
+    "baseline": Path(__file__).parents[1] / "baselines",
+    "ego": Path(__file__).parents[1] / "egos",
+}
+"""Folders of each kind's policies: a baseline does its task with itself, and an ego
+with partners of many kinds."""
 
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
@@ -235,6 +241,21 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
 def player_file(name: str) -> Path:
     """Return where the policy of a player is in the folder of its run."""
     return Path(_PLAYERS, f"{name}.safetensors")
+
+
+def shipped_file(kind: str, env_id: str) -> Path:
+    """Return where an environment's policy of a kind is, if it is shipped."""
+    return SHIPPED[kind] / f"{env_id}.safetensors"
+
+
+def is_shipped(kind: str, env_id: str) -> bool:
+    """Return whether a policy of a kind is shipped for an environment."""
+    return shipped_file(kind, env_id).exists()
+
+
+def shipped_kinds(env_id: str) -> list[str]:
+    """Return the kinds of policies that are shipped for an environment."""
+    return [kind for kind in SHIPPED if is_shipped(kind, env_id)]
 
 
 def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:

@@ -8,9 +8,8 @@ from urllib.parse import parse_qs, urlencode
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, look_up
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.policy import SCRIPTED, Policy
+from collaborative_gym.policies.policy import SCRIPTED, SHIPPED, Policy, shipped_kinds
 from collaborative_gym.policies.scripted import STYLES
-from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
