@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import collaborative_gym as cg
-from collaborative_gym.policies.shipped import is_shipped
+from collaborative_gym.policies.policy import is_shipped
 
 POLICIES = ("random", "expert", "baseline")
 

@@ -14,7 +14,9 @@ import json
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -22,13 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 import collaborative_gym as cg
-from collaborative_gym.envs.world import World
-from collaborative_gym.learning.backend import Backend
-from collaborative_gym.learning.collector import Job, OwnCollector
-from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.ray_collectors import RayCollectors
-from collaborative_gym.learning.team import make_learners
+from collaborative_gym.learning.config import Hyperparameters, Resources
+from collaborative_gym.learning.run import Run
+from collaborative_gym.learning.settings import settle
 from collaborative_gym.tasks.registry import make_task
 
 TURNS = 5
@@ -64,26 +62,29 @@ def our_collectors(
 ) -> tuple[float, float]:
     """Return the rates of collecting alone, and of training; 0 for this process."""
     task = make_task(env_id)
-    sizes = World.of(task).definition.layout
-    numbers, learners = Hyperparameters(), make_learners("independent", sizes)
-    job = Job(task, learners, sizes, 0, numbers, num_threads)
-    backend = Backend(
-        [PPOLearner(each, sizes, numbers, "cpu") for each in learners],
-        RayCollectors(job, count) if count else OwnCollector(job),
+    settings = settle(
+        task,
+        None,
+        mode="independent",
+        seed=0,
+        backend="ray" if count else None,
+        hyperparameters=Hyperparameters(),
     )
+    resources = Resources(num_threads=num_threads, num_collectors=count)
 
     def collect() -> int:
-        return sum(each.steps for each in backend.collect())
+        return sum(each.steps for each in run.collect())
 
     def advance() -> int:
-        before = backend.steps
-        backend.advance()
-        return backend.steps - before
+        before = run.steps
+        run.advance()
+        return run.steps - before
 
-    try:
+    with (
+        TemporaryDirectory() as folder,
+        closing(Run(Path(folder), task, settings=settings, resources=resources)) as run,
+    ):
         return rate(collect, seconds), rate(advance, seconds)
-    finally:
-        backend.close()
 
 
 def main() -> None:

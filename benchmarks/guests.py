@@ -22,7 +22,7 @@ from collaborative_gym.learning.config import recipe
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import make_learners
-from collaborative_gym.policies.shipped import shipped_file
+from collaborative_gym.policies.policy import shipped_file
 from collaborative_gym.tasks.registry import make_task
 
 ENV, ROLLOUTS = "PokeTaskSawyers-v0", 2

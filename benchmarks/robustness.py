@@ -12,7 +12,7 @@ import collaborative_gym as cg
 from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import markdown_table
-from collaborative_gym.policies.shipped import is_shipped
+from collaborative_gym.policies.policy import is_shipped
 from kept import keep
 
 ENVS = [each for each in cg.list_envs() if is_shipped("baseline", each)]

@@ -25,7 +25,7 @@ from collaborative_gym.certificate.report import (
     certificates_to_markdown,
 )
 from collaborative_gym.cli.main import main
-from collaborative_gym.policies.shipped import is_shipped, shipped_file
+from collaborative_gym.policies.policy import is_shipped, shipped_file
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
 ROOT = Path(__file__).parents[1]

@@ -13,6 +13,10 @@ import numpy as np
 from collaborative_gym.errors import shown
 from collaborative_gym.math import Array
 
+_TRAINING, _VALIDATION = 1 << 40, 1 << 41
+"""Added to the seed of a training run. So no policy is trained on the episodes by which
+it is chosen, and neither are those that `evaluate` plays for a seed that people use."""
+
 
 class Stream(IntEnum):
     """What the numbers are for; streams of one episode are independent."""
@@ -44,6 +48,24 @@ def check_seed(seed: int) -> int:
     content = number.to_bytes((number.bit_length() + 7) // 8, "big")
     digest = hashlib.blake2b(content, digest_size=8).digest()
     return int.from_bytes(digest, "big") >> 1
+
+
+def training_seed(seed: int) -> int:
+    """Return the seed of a run's training episodes."""
+    return _TRAINING + check_run_seed(seed)
+
+
+def validation_seed(seed: int) -> int:
+    """Return the seed of a run's validation episodes."""
+    return _VALIDATION + check_run_seed(seed)
+
+
+def check_run_seed(seed: int) -> int:
+    """Return a run's seed, checked as `check_seed` does and to be below 2**40."""
+    number = check_seed(seed)
+    if number >= _TRAINING:
+        raise ValueError(f"a training seed must be below 2**40, got {number}")
+    return number
 
 
 def episode_generator(seed: int, episode: int, stream: Stream) -> np.random.Generator:

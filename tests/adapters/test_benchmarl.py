@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("benchmarl")
 
 from collaborative_gym.adapters.benchmarl import BenchMARLTask
-from collaborative_gym.learning.seeds import (
+from collaborative_gym.rng import (
     training_seed,
     validation_seed,
 )

@@ -5,7 +5,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.certificate.play import play
-from collaborative_gym.certificate.starts import find_starts, rows_of
+from collaborative_gym.certificate.starts import find_starts
 from collaborative_gym.policies import as_policy
 
 
@@ -23,7 +23,7 @@ def test_starts_are_before_the_goal_and_continue_the_experts_episodes(env):
         assert states.progress["episode"].tolist() == list(range(8))
         expected = [int(fraction * time) for time in times]
         assert states.progress["step"].tolist() == expected
-        env.set_state(rows_of(states, np.arange(6)))
+        env.set_state(states.rows(np.arange(6)))
         assert not env.task.success(env.facts).any()
     expert = as_policy("expert", env)
     which = np.arange(8)

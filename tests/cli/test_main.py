@@ -24,7 +24,7 @@ from collaborative_gym.cli.terminal import progress_bars, read_policies
 from collaborative_gym.evaluation import table11
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.pictures import recording
-from collaborative_gym.policies.shipped import SHIPPED
+from collaborative_gym.policies.policy import SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 PACKAGE = "collaborative-gym"

@@ -128,7 +128,7 @@ def test_advice_brings_its_hyperparameters(carry_id, tmp_path, capsys, monkeypat
     numbers = Checkpoint.load(tmp_path / "one" / LAST).settings.hyperparameters
     assert (numbers.imitation, numbers.target_kl) == (7.0, 0.0)
     planned = []
-    monkeypatch.setattr(many, "finish", lambda plans, **_: planned.extend(plans) or [])
+    monkeypatch.setattr(many, "finish", lambda plans, *_: planned.extend(plans) or ())
     several = ["train", carry_id, *given, "--seeds", "1", "2"]
     assert main([*several, "--output", str(tmp_path)]) == 0
     assert len(planned) == 2
@@ -322,13 +322,11 @@ def test_several_runs_in_one_command_and_what_failed(
     """The runs themselves are those of `train_all`, and tested there."""
     asked = []
 
-    def finish(plans, *, jobs, resources, on_row):
+    def finish(plans, jobs, resources, on_row):
         asked.extend(plans)
         on_row(plans[0], {"steps": 64}, {})
-        yield Outcome(plans[0].folder, object())
-        yield Outcome(plans[1].folder, None, "no memory")
-        for plan in plans[2:]:
-            yield Outcome(plan.folder, object())
+        done = [Outcome(plan.folder, object()) for plan in plans]
+        return (done[0], Outcome(plans[1].folder, None, "no memory"), *done[2:])
 
     monkeypatch.setattr(many, "finish", finish)
     line = f"train {carry_id} --modes independent shared --seeds 0-1 --discount 0.5"

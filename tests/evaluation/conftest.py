@@ -3,7 +3,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
-from collaborative_gym.policies.shipped import SHIPPED
+from collaborative_gym.policies.policy import SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 

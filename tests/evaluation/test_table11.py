@@ -14,7 +14,7 @@ from collaborative_gym.evaluation.table11 import (
     Thesis,
     reproduce_table11,
 )
-from collaborative_gym.policies.shipped import SHIPPED
+from collaborative_gym.policies.policy import SHIPPED
 
 ENV_ID = "PokeTaskPandaSawyer-v0"
 

@@ -9,7 +9,7 @@ from collaborative_gym.evaluation.report import format_statistic
 from collaborative_gym.learning import baselines, config
 from collaborative_gym.learning.baselines import write_baseline
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.config import changed, changed_recipe
+from collaborative_gym.learning.config import changed, recipe
 from collaborative_gym.learning.folder import LAST
 
 
@@ -28,7 +28,7 @@ def train_both(carry_id, undrawn, tiny, alone, tmp_path, monkeypatch):
                 "collaborative",
                 seed=seed,
                 output=output / f"seed{seed}",
-                hyperparameters=changed_recipe(carry_id, changes),
+                hyperparameters=recipe(carry_id, changes=changes),
                 resources=alone,
                 **options,
             )

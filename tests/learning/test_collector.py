@@ -49,7 +49,7 @@ def acting(learners):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_rollout_has_what_was_seen_done_and_seen_last(make, mode):
     collector, learners = make(mode)
-    collected = [collector.collect(acting(learners), i, NOTHING) for i in range(3)]
+    collected = [collector.collect(acting(learners), i, NOTHING)[0] for i in range(3)]
     assert [each.steps for each in collected] == [WORLDS * STEPS] * 3
     for learner in learners:
         found = [each.rollouts[learner.learner.name] for each in collected]
@@ -73,7 +73,7 @@ def test_a_rollout_has_what_was_seen_done_and_seen_last(make, mode):
 def test_actions_are_as_probable_as_the_learner_finds_them(make, mode):
     collector, learners = make(mode, initial_std=0.3)
     for iteration in range(2):
-        collected = collector.collect(acting(learners), iteration, NOTHING)
+        collected = collector.collect(acting(learners), iteration, NOTHING)[0]
         for learner in learners:
             rollout = collected.rollouts[learner.learner.name]
             scaler = learner._agent._observation_preprocessor
@@ -93,7 +93,7 @@ def test_the_experts_advice_stands_beside_what_was_done(make, mode, weight):
     collector, learners = make(mode, imitation=weight)
     given, ask = [], collector.env.expert
     collector.env.expert = lambda: given.append(ask()) or given[-1]
-    collected = collector.collect(acting(learners), 0, NOTHING)
+    collected = collector.collect(acting(learners), 0, NOTHING)[0]
     assert len(given) == (STEPS if weight else 0)
     for learner in learners:
         rollout = collected.rollouts[learner.learner.name]
@@ -106,7 +106,7 @@ def test_the_experts_advice_stands_beside_what_was_done(make, mode, weight):
 
 def test_worlds_end_at_different_times_and_only_full_episodes_count(make):
     collector, learners = make()
-    collected = [collector.collect(acting(learners), i, NOTHING) for i in range(3)]
+    collected = [collector.collect(acting(learners), i, NOTHING)[0] for i in range(3)]
     ends = np.concatenate([each.rollouts["team"].truncated for each in collected])
     assert ends.sum() == 4 * 2
     assert ends.sum(axis=1).max() == 1
@@ -121,10 +121,10 @@ def test_collectors_share_the_worlds_and_play_episodes_of_their_own(make):
     played = []
     for index, worlds in ((0, 3), (1, 2)):
         collector, learners = make(index=index, count=2, **numbers)
-        collected = collector.collect(acting(learners), 0, NOTHING)
+        collected = collector.collect(acting(learners), 0, NOTHING)[0]
         assert collected.steps == worlds * 2 * LENGTH
         again, _ = make(index=index, count=2, **numbers)
-        later = again.collect(acting(learners), 1, NOTHING)
+        later = again.collect(acting(learners), 1, NOTHING)[0]
         for each in (collected, later):
             played += [row["episode"] for row in each.episodes]
     assert len(set(played)) == len(played) > 0
@@ -132,24 +132,24 @@ def test_collectors_share_the_worlds_and_play_episodes_of_their_own(make):
 
 def test_a_collector_goes_on_where_its_state_was_taken(make, same):
     first, learners = make("shared")
-    assert first.state_dict() == {}
+    assert first.state_dict() == {"0": {}}
     first.collect(acting(learners), 0, NOTHING)
     state = first.state_dict()
-    expected = first.collect(acting(learners), 1, NOTHING)
+    expected = first.collect(acting(learners), 1, NOTHING)[0]
     second, _ = make("shared")
     second.load_state_dict(state)
-    found = second.collect(acting(learners), 1, NOTHING)
+    found = second.collect(acting(learners), 1, NOTHING)[0]
     assert same(vars(found.rollouts["shared"]), vars(expected.rollouts["shared"]))
     other, _ = make("shared", seed=1)
     other.load_state_dict(state)
-    drawn = other.collect(acting(learners), 1, NOTHING).rollouts["shared"]
+    drawn = other.collect(acting(learners), 1, NOTHING)[0].rollouts["shared"]
     assert not same(drawn.actions, found.rollouts["shared"].actions)
 
 
 def test_what_rollouts_say_is_learned_beside_one_another(make):
     """Two halves of the worlds teach what all of them together do, but for rounding."""
     collector, (learner,) = make(epochs=1, minibatch_size=4 * 32)
-    rollout = collector.collect(acting([learner]), 0, NOTHING).rollouts["team"]
+    rollout = collector.collect(acting([learner]), 0, NOTHING)[0].rollouts["team"]
     _, (other,) = make(epochs=1, minibatch_size=4 * 32)
     late = np.nonzero(rollout.truncated)[1]
     halves = [
@@ -171,7 +171,7 @@ def test_some_worlds_do_each_action_a_step_late(make, delayed, monkeypatch):
     done = []
     step = collector.env.step
     monkeypatch.setattr(collector.env, "step", lambda a: done.append(a) or step(a))
-    rollout = collector.collect(acting(learners), 0, ALL).rollouts["team"]
+    rollout = collector.collect(acting(learners), 0, ALL)[0].rollouts["team"]
     done = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
     chosen = np.clip(rollout.actions, -1.0, 1.0)
     late = round(delayed * WORLDS)
@@ -191,7 +191,7 @@ def test_penalties_are_in_what_is_learned_but_in_no_episode(make):
     for weight in (0.0, 5.0):
         penalties = dict.fromkeys(PENALTIES, weight)
         collector, learners = make(rollout_steps=2 * LENGTH, **penalties)
-        found.append(collector.collect(acting(learners), 0, ALL))
+        found.append(collector.collect(acting(learners), 0, ALL)[0])
     free, charged = found
     cost = free.rollouts["team"].rewards - charged.rollouts["team"].rewards
     assert (cost >= 0.0).all() and (cost > 0.0).mean() > 0.8
@@ -214,7 +214,7 @@ def test_grips_are_lost_and_missed_now_and_then(make, monkeypatch, lost, missed)
         return step(actions)
 
     monkeypatch.setattr(env, "step", watched)
-    chosen = collector.collect(acting(learners), 0, ALL).rollouts["team"].actions
+    chosen = collector.collect(acting(learners), 0, ALL)[0].rollouts["team"].actions
     asked = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
     fails = asked != np.clip(chosen, -1.0, 1.0)
     grips = learners[0].learner.is_grip(World.of(env.task).definition.layout)

@@ -1,12 +1,10 @@
 import io
-from pathlib import Path
 
 from rich.console import Console
 
-from collaborative_gym.learning.display_many import ManyDisplay
-from collaborative_gym.learning.many import Plan
+from collaborative_gym.learning.display import ManyDisplay
 
-PLANS = [Plan(Path("runs") / name, 1_000_000, {}) for name in ("one", "two", "three")]
+TOTALS = dict.fromkeys(("one", "two", "three"), 1_000_000)
 
 
 def shown(is_terminal):
@@ -18,9 +16,9 @@ def shown(is_terminal):
         _environ={"TERM": "xterm"},
     )
     row = {"steps": 250_000, "steps_per_second": 1000.0, "return": -12.5}
-    with ManyDisplay(PLANS, console) as display:
-        display.show(PLANS[1], row | {"completion": 0.25}, {})
-        display.show(PLANS[2], {"steps": 1_000_000, "validation/completion": 1.0}, {})
+    with ManyDisplay(TOTALS, console) as display:
+        display.show("two", row | {"completion": 0.25})
+        display.show("three", {"steps": 1_000_000, "validation/completion": 1.0})
     return console.file.getvalue()
 
 

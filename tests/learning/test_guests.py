@@ -51,7 +51,7 @@ def collect(duel, tiny):
         actors = {each.learner.name: each.acting() for each in pupils}
         pool = Pool(casting, read_guests(duel, casting, words))
         invitation = pool.invitation(pupils[0].weights)
-        return made[-1], lambda i: made[-1].collect(actors, i, NOTHING, invitation)
+        return made[-1], lambda i: made[-1].collect(actors, i, NOTHING, invitation)[0]
 
     yield make
     for collector in made:
@@ -163,7 +163,7 @@ def test_draws_are_the_runs_own_and_part_of_its_state(collect, opponents, same):
     assert found.seated == expected.seated and second._guests.names == seated
     third, advance = collect(opponents, seed=1)
     advance(0)
-    assert third.state_dict()["seated"] != state["seated"]
+    assert third.state_dict()["0"]["seated"] != state["0"]["seated"]
 
 
 @pytest.mark.parametrize("mode", ["collaborative", "independent", "shared"])

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.learning.backend import Backend, Iteration
 from collaborative_gym.learning.casting import EXPLOITERS, MAIN, make_casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.curve import draw_ratings
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.league import League
+from collaborative_gym.learning.pool import Iteration
+from collaborative_gym.learning.run import Run
 from collaborative_gym.policies.network import NetworkPolicy
 
 MAIN_EXPLOITER, LEAGUE_EXPLOITER = EXPLOITERS
@@ -77,28 +78,15 @@ def league(duel, numbers, policy, tmp_path):
     return made, lambda name: policy
 
 
-class Counting:
-    """A backend that only counts steps and who begins anew."""
-
-    def __init__(self):
-        self.steps, self.restarted = 0, []
-
-    def restart(self, member, like):
-        self.restarted.append((member, like))
-
-
 def play(league, latest, games, steps=STEPS):
-    """Let a league study games: home, away and points of home; return the backend."""
-    backend = Counting()
-    backend.steps = league._steps + steps
+    """Let a league study games: home, away, points of home; return who begins anew."""
     score = {1.0: (1.0, 0.0), 0.5: (1.0, 1.0), 0.0: (0.0, 1.0)}
     rows: list[dict] = [
         dict(zip(("side_1/score", "side_2/score"), score[own], strict=True))
         for _, _, own in games
     ]
     seated = [(home, away) for home, away, _ in games]
-    league.study(Iteration(rows, {}, seated), backend, latest)
-    return backend
+    return league.study(Iteration(rows, {}, seated), league._steps + steps, latest)
 
 
 def odds(league, latest, member):
@@ -150,14 +138,14 @@ def test_copies_are_left_by_who_beats_all_or_after_long(league, tmp_path):
     made.invitation(latest)
     wins = [(MAIN, other, 1.0) for other in ("idle", "main-0")] * 30
     # Half of the worlds are main's: 40 steps are too early, and then it is time.
-    backend = play(made, latest, [*wins, (MAIN_EXPLOITER, MAIN, 0.5)], steps=80)
+    play(made, latest, [*wins, (MAIN_EXPLOITER, MAIN, 0.5)], steps=80)
     assert "main-1" not in made.policies
-    backend = play(made, latest, [], steps=40)
+    restarted = play(made, latest, [], steps=40)
     assert {"main-1"} == set(made.policies) - {"idle", "main-0"}
-    assert not backend.restarted
-    backend = play(made, latest, [(MAIN_EXPLOITER, MAIN, 1.0)] * 60, steps=100)
+    assert not restarted
+    restarted = play(made, latest, [(MAIN_EXPLOITER, MAIN, 1.0)] * 60, steps=100)
     assert "main_exploiter-1" in made.policies
-    assert backend.restarted == [(MAIN_EXPLOITER, MAIN)]
+    assert restarted == [(MAIN_EXPLOITER, MAIN)]
     # A copy has the results of whom it was copied from; who begins anew has main's.
     assert made._rate("main_exploiter-1", MAIN) > 0.9
     assert made._rate(MAIN_EXPLOITER, MAIN) == 0.5
@@ -239,13 +227,18 @@ def test_a_league_runs_and_its_players_can_be_named(train_tiny, duel, numbers):
         cg.load_policy(f"{result.folder}/main-0")
 
 
+def weights(run, member):
+    """Return the networks of a member as they are now, by name."""
+    return run.policy(member).weights
+
+
 def test_who_begins_anew_goes_on_from_main(train_tiny, duel, numbers, monkeypatch):
-    restarted, restart = [], Backend.restart
+    restarted, restart = [], Run.restart
 
     def spied(self, member, like):
-        before = self.weights(member)
+        before = weights(self, member)
         restart(self, member, like)
-        after, model = self.weights(member), self.weights(like)
+        after, model = weights(self, member), weights(self, like)
         key = next(iter(after))
         same = [
             np.array_equal(after[key].layers[0][0], each[key].layers[0][0])
@@ -253,7 +246,7 @@ def test_who_begins_anew_goes_on_from_main(train_tiny, duel, numbers, monkeypatc
         ]
         restarted.append((member, like, *same))
 
-    monkeypatch.setattr(Backend, "restart", spied)
+    monkeypatch.setattr(Run, "restart", spied)
     train_tiny(task=duel, opponent="league", hyperparameters=numbers())
     assert (MAIN_EXPLOITER, MAIN, False, True) in restarted
 
@@ -262,14 +255,14 @@ def test_who_begins_anew_may_begin_as_the_run_began(
     train_tiny, duel, numbers, monkeypatch
 ):
     begun = []
-    restart = Backend.restart
+    restart = Run.restart
 
     def spied(self, member, like):
         restart(self, member, like)
-        weights = self.weights(member)
-        begun.append((member, like, next(iter(weights.values())).layers[0][0].copy()))
+        own = weights(self, member)
+        begun.append((member, like, next(iter(own.values())).layers[0][0]))
 
-    monkeypatch.setattr(Backend, "restart", spied)
+    monkeypatch.setattr(Run, "restart", spied)
     train_tiny(task=duel, opponent="league", hyperparameters=numbers(league_fresh=1.0))
     exploiters = [
         w for member, like, w in begun if (member, like) == (MAIN_EXPLOITER, None)

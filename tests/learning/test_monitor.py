@@ -14,9 +14,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from collaborative_gym.evaluation.report import Score, Statistic
 from collaborative_gym.files import SealedRows
 from collaborative_gym.learning import curve, monitor
-from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve, learning_curve
 from collaborative_gym.learning.monitor import Monitor, means_of, summarize
+from collaborative_gym.learning.pool import Iteration
 
 
 def episode(total, **others):

@@ -9,9 +9,9 @@ from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import Job, Player
 from collaborative_gym.learning.config import MODES
+from collaborative_gym.learning.display import UPDATE
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import make_learners
-from collaborative_gym.learning.update import UPDATE
 from collaborative_gym.policies.network import ACTIVATIONS, NetworkPolicy
 from collaborative_gym.tasks.identity import Identity
 

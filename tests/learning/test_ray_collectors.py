@@ -22,15 +22,15 @@ from ray.cluster_utils import Cluster
 
 from collaborative_gym import plugins
 from collaborative_gym.envs.world import World
-from collaborative_gym.learning.backend import Backend
-from collaborative_gym.learning.collector import Job, OwnCollector
+from collaborative_gym.learning.collector import Job
 from collaborative_gym.learning.config import Resources
-from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.ray_collectors import (
     RayCollectors,
     _pickled,
     connect,
 )
+from collaborative_gym.learning.run import Run
+from collaborative_gym.learning.settings import settle
 from collaborative_gym.learning.team import make_learners
 from collaborative_gym.tasks.registry import as_task
 
@@ -65,35 +65,40 @@ def make_job(carry, tiny):
 
 
 @pytest.fixture
-def make(make_job):
-    """Return a function that makes a backend with collectors of Ray, or its own."""
+def make(carry, tiny, undrawn, tmp_path):
+    """Return a function that makes a run with collectors of Ray, or its own."""
     made = []
 
     def make(count=2, task=None, address=None):
-        job = make_job(task)
+        task = task or carry()
+        settings = settle(
+            task,
+            None,
+            mode="collaborative",
+            seed=0,
+            backend="ray" if count else None,
+            hyperparameters=tiny(num_envs=6, rollout_steps=5),
+        )
+        resources = Resources(num_collectors=count, ray_address=address)
         torch.manual_seed(0)
-        learners = [
-            PPOLearner(each, job.layout, job.hyperparameters, "cpu")
-            for each in job.learners
-        ]
-        collectors = RayCollectors(job, count, address) if count else OwnCollector(job)
-        made.append(Backend(learners, collectors))
+        folder = tmp_path / f"{len(made)}"
+        made.append(Run(folder, task, settings=settings, resources=resources))
         return made[-1]
 
     with torch.random.fork_rng():
         yield make
-    for backend in made:
-        backend.close()  # More than once does no harm.
+    for run in made:
+        run.close()  # More than once does no harm.
 
 
-def advance_until(backend, is_enough, most=200):
+def advance_until(run, is_enough, most=200):
     """Return the steps of each update, and all episodes, until enough is done."""
     steps, episodes = [], []
     while not is_enough(steps):
         assert len(steps) < most
-        before = backend.steps
-        iteration = backend.advance()
-        steps.append(backend.steps - before)
+        before = run.steps
+        iteration = run.advance()
+        steps.append(run.steps - before)
         episodes += iteration.episodes
         for numbers in iteration.updates.values():
             assert np.isfinite(list(numbers.values())).all()
@@ -134,11 +139,11 @@ def test_a_run_goes_on_bit_for_bit_with_as_many_and_anew_with_others(
 @pytest.mark.slow
 @pytest.mark.usefixtures("local_ray")
 def test_a_killed_collector_is_replaced(make):
-    backend = make()
-    _, before = advance_until(backend, lambda steps: len(steps) == 4)
+    run = make()
+    _, before = advance_until(run, lambda steps: len(steps) == 4)
     os.kill(collectors_processes()[0].pid, signal.SIGKILL)
     steps, after = advance_until(
-        backend, lambda steps: 15 in steps and steps[-3:] == [30, 30, 30]
+        run, lambda steps: 15 in steps and steps[-3:] == [30, 30, 30]
     )
     assert set(steps) <= {15, 30}
     played = [row["episode"] for row in before + after]
@@ -236,15 +241,15 @@ def two_nodes(local_ray):
 
 @pytest.mark.slow
 def test_a_run_outlives_a_node_of_its_cluster(make, two_nodes):
-    backend = make(count=2, address=two_nodes.address)
-    advance_until(backend, lambda steps: len(steps) == 2)
+    run = make(count=2, address=two_nodes.address)
+    advance_until(run, lambda steps: len(steps) == 2)
     (other,) = two_nodes.worker_nodes
     two_nodes.remove_node(other, allow_graceful=False)
-    steps, _ = advance_until(backend, lambda steps: len(steps) == 3)
+    steps, _ = advance_until(run, lambda steps: len(steps) == 3)
     assert steps[-1] == 15
     two_nodes.add_node(num_cpus=1, node_ip_address="127.0.0.1")
-    advance_until(backend, lambda steps: steps[-2:] == [30, 30], most=10_000)
-    backend.close()
+    advance_until(run, lambda steps: steps[-2:] == [30, 30], most=10_000)
+    run.close()
 
 
 @pytest.mark.slow

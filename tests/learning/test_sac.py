@@ -11,12 +11,12 @@ from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.collector import Job, Player, Rollout
 from collaborative_gym.learning.config import MODES, Hyperparameters, recipe
+from collaborative_gym.learning.display import UPDATE
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.learner import Policy
 from collaborative_gym.learning.networks import Actor
 from collaborative_gym.learning.sac import SACLearner
 from collaborative_gym.learning.team import make_learners
-from collaborative_gym.learning.update import UPDATE
 
 AGENTS = ("robot_1", "robot_2")
 SIZES = Layout.of_sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))

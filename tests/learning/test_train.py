@@ -10,12 +10,11 @@ import torch
 
 import collaborative_gym as cg
 from collaborative_gym.learning import run as running
-from collaborative_gym.learning.backend import Backend
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.config import MODES, PRICES, Hyperparameters, Resources
 from collaborative_gym.learning.folder import BEST, LAST
-from collaborative_gym.learning.seeds import training_seed, validation_seed
 from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.rng import training_seed, validation_seed
 
 TIMES = ("seconds", "core_seconds", "steps_per_second")
 
@@ -411,7 +410,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
     train_tiny, tmp_path, monkeypatch
 ):
     seeds = {"trained": set(), "validated": set()}
-    evaluate, advance = running.evaluate, Backend.advance
+    evaluate, advance = running.evaluate, running.Run.advance
 
     def validating(task, policy, **options):
         report = evaluate(task, policy, **options)
@@ -424,7 +423,7 @@ def test_nobody_is_chosen_by_the_episodes_of_training(
         return iteration
 
     monkeypatch.setattr(running, "evaluate", validating)
-    monkeypatch.setattr(Backend, "advance", learning)
+    monkeypatch.setattr(running.Run, "advance", learning)
     for seed in (0, 5):
         train_tiny(tmp_path / f"{seed}", seed=seed)
     assert seeds["trained"] == {training_seed(0), training_seed(5)}

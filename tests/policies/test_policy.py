@@ -5,8 +5,7 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.policies import load_policy
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
-from collaborative_gym.policies.policy import POLICY_FILE
-from collaborative_gym.policies.shipped import SHIPPED
+from collaborative_gym.policies.policy import POLICY_FILE, SHIPPED
 from collaborative_gym.tasks.identity import Identity
 
 

@@ -1,7 +1,7 @@
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.policies.shipped import SHIPPED
+from collaborative_gym.policies.policy import SHIPPED
 from collaborative_gym.tasks.registry import as_task
 
 IDS = {

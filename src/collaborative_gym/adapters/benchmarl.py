@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from collaborative_gym.adapters.torchrl import METRICS, TorchRLEnv
 from collaborative_gym.envs.make import make_vec
-from collaborative_gym.learning.seeds import training_seed, validation_seed
+from collaborative_gym.rng import training_seed, validation_seed
 
 
 class BenchMARLTask(TaskClass):

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from collaborative_gym.cards.card import ReportCard
-from collaborative_gym.errors import how_to_install
-from collaborative_gym.files import replacing
+from collaborative_gym.evaluation.figure import make_figure, open_axes, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,27 +26,13 @@ def draw_card(card: ReportCard, path: str | Path) -> None:
       ImportError: if the extra `train` is not installed.
       OSError: if the file cannot be written.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(
-            "pictures of report cards need matplotlib, which is not installed;"
-            f" {how_to_install('train')}"
-        ) from None
     panels = [_draw_times, _draw_robustness] if card.robustness else [_draw_times]
     size = _PLOT[0] * len(panels), _PLOT[1]
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, draw in zip(
-        figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
-    ):
+    figure, all_axes = make_figure(1, len(panels), size)
+    for axes, draw in zip(all_axes, panels, strict=True):
         draw(axes, card)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(color="#dddddd", linewidth=0.6)
-        axes.set_axisbelow(True)
-    with replacing(path) as partial:
-        figure.savefig(partial, dpi=120)
+        open_axes(axes)
+    save_figure(figure, path)
 
 
 def _draw_times(axes: "Axes", card: ReportCard) -> None:

@@ -21,9 +21,8 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_kind
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.learning.folder import claimed
-from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.policies import Policy, as_policy
-from collaborative_gym.rng import check_seed
+from collaborative_gym.rng import check_seed, training_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task

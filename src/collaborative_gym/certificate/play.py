@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym.certificate.starts import rows_of
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy
@@ -60,9 +59,8 @@ def play(
     for first in range(0, len(which), env.num_envs):
         # The last round's worlds that are left over try again what others have tried.
         tries = np.arange(first, first + env.num_envs) % len(which)
-        outcome = _play_round(
-            env, rows_of(starts, which[tries]), cast(tries), steps, on_step
-        )
+        begun = starts.rows(which[tries])
+        outcome = _play_round(env, begun, cast(tries), steps, on_step)
         completed.append(outcome.completed)
         nearest.append(outcome.nearest)
     rows = slice(len(which))

@@ -1,6 +1,6 @@
 """States from which a task is tried: starts, and moments on the expert's way."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,16 +9,6 @@ from collaborative_gym.envs.vector_env import VectorEnv
 
 _MOST_TRIES = 4
 """How many episodes are looked at, at most, for each state that is wanted."""
-
-
-def rows_of(state: EnvState, rows: np.ndarray) -> EnvState:
-    """Return some rows of a state, in this order."""
-    return EnvState(
-        state.physics[rows],
-        {name: array[rows] for name, array in state.memory.items()},
-        {name: array[rows] for name, array in state.progress.items()},
-        state.identity,
-    )
 
 
 def find_starts(
@@ -47,8 +37,8 @@ def find_starts(
             found[fraction].append(state)
             sizes[fraction] += len(state.physics)
     return {
-        fraction: rows_of(_joined(states), np.arange(min(count, sizes[fraction])))
-        for fraction, states in found.items()
+        fraction: first.join(*others).rows(np.arange(min(count, sizes[fraction])))
+        for fraction, (first, *others) in found.items()
     }
 
 
@@ -70,9 +60,9 @@ def _on_the_way(
         for fraction, moment in moments.items():
             now = np.flatnonzero((moment == step) & ~is_met)
             found[fraction].append(env.get_state(now))
-    states = {fraction: _joined(parts) for fraction, parts in found.items()}
+    states = {f: first.join(*others) for f, (first, *others) in found.items()}
     return {
-        fraction: rows_of(state, np.argsort(state.progress["episode"]))
+        fraction: state.rows(np.argsort(state.progress["episode"]))
         for fraction, state in states.items()
     }
 
@@ -88,15 +78,3 @@ def _times_to_goal(env: VectorEnv, seed: int, episodes: range) -> np.ndarray:
         if not np.isnan(met_at).any() or infos["ended"].all():
             break
     return met_at
-
-
-def _joined(states: Sequence[EnvState]) -> EnvState:
-    def join(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
-
-    return EnvState(
-        np.concatenate([state.physics for state in states]),
-        join([state.memory for state in states]),
-        join([state.progress for state in states]),
-        states[0].identity,
-    )

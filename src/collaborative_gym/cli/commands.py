@@ -151,12 +151,12 @@ class Evaluate(Played, _Policy):
         """Print a table and write the files."""
         from collaborative_gym.cli.tables import reports_table, strain_table
         from collaborative_gym.evaluation import evaluate, report
-        from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
+        from collaborative_gym.policies.policy import SHIPPED, shipped_kinds, split_word
 
         tasks = _tasks(self)
         policy = read_policy(self.policy)
         check_files(self.json, self.csv)
-        named = {word.split("=")[-1] for word in self.policy} & SHIPPED.keys()
+        named = {split_word(word)[1] for word in self.policy} & SHIPPED.keys()
         if self.all and named:
             names = [task.name for task in tasks]
             without = [each for each in names if named - {*shipped_kinds(each)}]

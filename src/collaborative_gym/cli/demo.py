@@ -12,7 +12,7 @@ import numpy as np
 from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.pictures import recording
-from collaborative_gym.policies.shipped import is_shipped
+from collaborative_gym.policies.policy import is_shipped
 from collaborative_gym.tasks.registry import make_task
 
 _SHEET_SIZE = (480, 360)

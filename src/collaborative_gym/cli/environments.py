@@ -4,7 +4,7 @@ from rich.table import Table
 
 from collaborative_gym.cli.terminal import new_table
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.policies.shipped import shipped_kinds
+from collaborative_gym.policies.policy import shipped_kinds
 from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 
 

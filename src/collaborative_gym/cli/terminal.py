@@ -235,11 +235,13 @@ def read_policy(words: Sequence[str]) -> str | dict[str, str]:
 
 def read_policies(words: Sequence[str]) -> list[str | dict[str, str]]:
     """Return policies; words like robot_1=baseline that follow each other are one."""
+    from collaborative_gym.policies.policy import split_word
+
     policies: list[str | dict[str, str]] = []
     for word in words:
-        agent, _, name = word.partition("=")
+        agent, name = split_word(word)
         last = policies[-1] if policies else ""
-        if not (agent.isidentifier() and name):
+        if not agent:
             policies.append(word)
         elif isinstance(last, dict) and agent not in last:
             last[agent] = name

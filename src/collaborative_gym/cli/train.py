@@ -148,27 +148,25 @@ class Train(Command):
         if len(self.envs) > 1 or self.modes or self.seeds or self.jobs is not None:
             self._train_several()
             return
-        from collaborative_gym.learning.display import Display
         from collaborative_gym.learning.train import train
 
         env, hyperparameters = self._what()
-        with Display(env, hyperparameters.total_steps) as display:
-            result = train(
-                self._task(env),
-                self.mode,
-                seed=self.seed,
-                output=self.output,
-                resume=self.resume,
-                hyperparameters=hyperparameters,
-                opponent=self.opponent or None,
-                partner=self.partner or None,
-                start_from=self.start_from,
-                backend=self.backend,
-                algorithm=self.algorithm,
-                resources=self.resources,
-                checkpoint_interval=self.checkpoint_interval,
-                on_row=display.show,
-            )
+        result = train(
+            self._task(env),
+            self.mode,
+            seed=self.seed,
+            output=self.output,
+            resume=self.resume,
+            hyperparameters=hyperparameters,
+            opponent=self.opponent or None,
+            partner=self.partner or None,
+            start_from=self.start_from,
+            backend=self.backend,
+            algorithm=self.algorithm,
+            resources=self.resources,
+            checkpoint_interval=self.checkpoint_interval,
+            progress=True,
+        )
         total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
         trained = math.ceil(total / update) * update
         if trained > 1.01 * total:
@@ -256,32 +254,27 @@ class Train(Command):
         modes: Sequence[Mode] | None,
         seeds: Sequence[int],
         output: Path,
-    ) -> "list[Outcome]":
+    ) -> "tuple[Outcome, ...]":
         """Train several runs, showing how they go; return what became of each."""
-        from collaborative_gym.learning.display_many import ManyDisplay
-        from collaborative_gym.learning.many import finish, plan_runs
+        from collaborative_gym.learning.many import train_all
 
-        plans = plan_runs(
+        return train_all(
             [self._task(env) for env in envs],
             modes,
             seeds=read_seeds(self.seeds) or seeds,
+            jobs=self.jobs or 0,
             output=self.output or output,
             changes=self._given(),
             advised=self.advised,
-            shared={
-                "opponent": self.opponent or None,
-                "partner": self.partner or None,
-                "start_from": self.start_from,
-                "backend": self.backend,
-                "algorithm": self.algorithm,
-            },
+            opponent=self.opponent or None,
+            partner=self.partner or None,
+            start_from=self.start_from,
+            backend=self.backend,
+            algorithm=self.algorithm,
+            resources=self.resources,
             checkpoint_interval=self.checkpoint_interval,
+            progress=True,
         )
-        jobs = self.jobs or 0
-        with ManyDisplay(plans) as display:
-            return list(
-                finish(plans, jobs=jobs, resources=self.resources, on_row=display.show)
-            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from collaborative_gym.comparisons.result import Comparison, is_share
-from collaborative_gym.errors import how_to_install
+from collaborative_gym.evaluation.figure import (
+    COLOURS,
+    GRID,
+    looking,
+    make_figure,
+    save_figure,
+)
 from collaborative_gym.evaluation.intervals import Estimate
-from collaborative_gym.files import replacing
-from collaborative_gym.learning.curve import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +50,7 @@ _LOOK: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
-    "grid.color": "#dddddd",
+    "grid.color": GRID,
     "grid.linewidth": 0.5,
     "pdf.fonttype": 42,  # Fonts whole, which publishers ask for.
     "svg.hashsalt": "collaborative-gym",  # The same bytes every time.
@@ -64,12 +68,12 @@ def draw_comparison(comparison: Comparison, *paths: str | Path) -> None:
       ImportError: if the extra `train` is not installed.
       OSError: if a file cannot be written.
     """
-    figure, look = comparison_figure(comparison), _looking()
+    figure = comparison_figure(comparison)
     for path in map(Path, paths):
         # The same comparison is the same file, whenever it is drawn.
         dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-        with replacing(path) as unfinished, look():
-            figure.savefig(unfinished, dpi=300, metadata=dates.get(path.suffix))
+        with looking(_LOOK):
+            save_figure(figure, path, dpi=300, metadata=dates.get(path.suffix))
 
 
 def comparison_figure(comparison: Comparison) -> "Figure":
@@ -87,10 +91,7 @@ def comparison_figure(comparison: Comparison) -> "Figure":
     Raises:
       ImportError: if the extra `train` is not installed.
     """
-    with _looking()():
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
+    with looking(_LOOK):
         many = len(comparison.methods) > 1
         places = comparison.environments if many else ("",)
         names = comparison.methods if many else comparison.environments
@@ -110,10 +111,8 @@ def comparison_figure(comparison: Comparison) -> "Figure":
             )
         columns = min(len(drawings), _COLUMNS)
         lines = math.ceil(len(drawings) / columns)
-        width = _WIDTH * columns / _COLUMNS
-        figure = Figure(figsize=(width, _HEIGHT * lines), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = list(figure.subplots(lines, columns, squeeze=False).flat)
+        size = _WIDTH * columns / _COLUMNS, _HEIGHT * lines
+        figure, axes = make_figure(lines, columns, size)
         for letter, own, draw in zip(ascii_lowercase, axes, drawings, strict=False):
             draw(own)
             # A paper's text calls panels by letters.
@@ -159,18 +158,6 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
         ncols=columns,
         frameon=False,
     )
-
-
-def _looking() -> Any:
-    """Return what makes a context in which Matplotlib draws as papers want it."""
-    try:
-        from matplotlib import rc_context
-    except ImportError:
-        raise ImportError(
-            "pictures of comparisons need matplotlib, which is not installed;"
-            f" {how_to_install('train')}"
-        ) from None
-    return lambda: rc_context(_LOOK)
 
 
 def _lines() -> Any:

@@ -1,6 +1,6 @@
 """The saved state of worlds, and whether it may be put into others."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,24 @@ class EnvState:
     memory: Mapping[str, Array]
     progress: Mapping[str, Array]
     identity: Identity
+
+    def map(self, change: Callable[..., Any], *others: "EnvState") -> "EnvState":
+        """Return the state of what `change` makes of each array, and of the others'."""
+
+        def changed(part: str) -> dict[str, Any]:
+            own, *rest = (getattr(each, part) for each in (self, *others))
+            return {n: change(own[n], *(each[n] for each in rest)) for n in own}
+
+        physics = change(self.physics, *(each.physics for each in others))
+        return EnvState(physics, changed("memory"), changed("progress"), self.identity)
+
+    def rows(self, which: Array) -> "EnvState":
+        """Return some rows, in this order."""
+        return self.map(lambda array: array[which])
+
+    def join(self, *others: "EnvState") -> "EnvState":
+        """Return the rows of all, one below the other."""
+        return self.map(lambda *parts: np.concatenate(parts), *others)
 
 
 def taken(

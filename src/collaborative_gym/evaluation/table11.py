@@ -15,7 +15,7 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies import load_policy
-from collaborative_gym.policies.shipped import is_shipped
+from collaborative_gym.policies.policy import is_shipped
 from collaborative_gym.tasks.registry import make_task
 
 MEASURES = ("mean_reward", "completion", "performance")

@@ -10,6 +10,7 @@ import numpy as np
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.team import Learner
+from collaborative_gym.policies.policy import split_word
 from collaborative_gym.tasks.task import Task
 
 SELF, LEAGUE, POPULATION = "self", "league", "population"
@@ -152,12 +153,6 @@ def make_casting(
     own = tuple(agent for agent in task.agents if agent not in bound)
     guests = {agent: (agent,) for agent in task.agents if agent in bound}
     return Casting({"team": own} | guests, (("", *[None] * len(guests)),))
-
-
-def split_word(word: str) -> tuple[str, str]:
-    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
-    seat, _, policy = word.partition("=")
-    return (seat, policy) if policy and seat.isidentifier() else ("", word)
 
 
 def _each_alone(member: str, seats: Mapping[str, Any]) -> Iterator[Cast]:

@@ -3,29 +3,23 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 
 from collaborative_gym.blocks import Layout, columns_of
-from collaborative_gym.envs.vector_env import Observations, VectorEnv
+from collaborative_gym.envs.vector_env import EnvState, Observations, VectorEnv
+from collaborative_gym.evaluation.play import episode_row
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.guests import NOBODY, Guests, Invitation
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
 from collaborative_gym.learning.penalties import Penalties
-from collaborative_gym.learning.seeds import training_seed
 from collaborative_gym.learning.team import Learner
-from collaborative_gym.learning.worlds import (
-    arrays,
-    full_episodes,
-    load_worlds,
-    save_worlds,
-    tensors,
-)
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
+from collaborative_gym.rng import training_seed
 
 _BLOCK, _STARTS = 1 << 28, 1 << 10
 """Episodes between the first ones of two collectors, and collectors between two
@@ -100,32 +94,6 @@ class Collected:
     rollouts: dict[str, Rollout]
     episodes: list[dict[str, Any]]
     seated: list[tuple[str, ...]]
-
-
-class Collectors(Protocol):
-    """One collector in this process, or many elsewhere."""
-
-    def collect(
-        self,
-        actors: Mapping[str, ActorState],
-        iteration: int,
-        assistance: Assistance,
-        invitation: Invitation = NOBODY,
-    ) -> list[Collected]:
-        """Collect one rollout in every world; see `Collector.collect`."""
-        ...
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of each collector's worlds, by its number as text."""
-        ...
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned."""
-        ...
-
-    def close(self) -> None:
-        """Free what they hold. No other call is allowed afterwards."""
-        ...
 
 
 class Player:
@@ -267,7 +235,12 @@ class Collector:
       job: what to do.
       index: which one it is, from 0.
       count: how many share the worlds.
+
+    Attributes:
+      count: how many states `state_dict` returns.
     """
+
+    count = 1
 
     def __init__(self, job: Job, index: int = 0, count: int = 1):
         self._job = job
@@ -301,8 +274,8 @@ class Collector:
         iteration: int,
         assistance: Assistance,
         invitation: Invitation = NOBODY,
-    ) -> Collected:
-        """Collect one rollout in each of these worlds.
+    ) -> list[Collected]:
+        """Collect one rollout in each of these worlds, and return it, a single one.
 
         The result depends on the worlds and the arguments, and not on any generator's
         state.
@@ -329,40 +302,51 @@ class Collector:
             )
             for player in self._players:
                 player.record(rewards, infos["final_observation"], *ends)
-            for world, row in full_episodes(infos).items():
-                episodes.append(row)
-                seated.append(tuple(self._guests.names[world]))
-            self._guests.draw(np.flatnonzero(infos["ended"]), rng)
+            ended = np.flatnonzero(infos["ended"])
+            for i in ended:
+                # Of some worlds' first episodes the start was cut.
+                if infos["step"][i] == infos["metrics"]["length"][i]:
+                    episodes.append(episode_row(infos, int(i)))
+                    seated.append(tuple(self._guests.names[i]))
+            self._guests.draw(ended, rng)
         self._observations = observations
         rollouts = {
             each.learner.name: each.finish(observations) for each in self._players
         }
-        return Collected(steps * self.env.num_envs, rollouts, episodes, seated)
+        return [Collected(steps * self.env.num_envs, rollouts, episodes, seated)]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the worlds, nothing before the first rollout."""
+        """Return the state of the worlds, by the collector's number as text.
+
+        It is nothing before the first rollout.
+        """
         if self._observations is None:
-            return {}
-        noise = {
-            each.learner.name: torch.from_numpy(each.noise) for each in self._players
-        }
-        return {
-            **save_worlds(self.env),
-            "noise": noise,
-            "previous": tensors(self._previous),
+            return {str(self._index): {}}
+        tensor: Any = torch.from_numpy
+        worlds = self.env.get_state().map(tensor)
+        own = {
+            "physics": worlds.physics,
+            "memory": worlds.memory,
+            "progress": worlds.progress,
+            "noise": {each.learner.name: tensor(each.noise) for each in self._players},
+            "previous": {a: tensor(each) for a, each in self._previous.items()},
             **self._guests.state_dict(),
         }
+        return {str(self._index): own}
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, states: Mapping[str, Any]) -> None:
         """Go on from what `state_dict` returned."""
+        state = states[str(self._index)]
         if not state:
             self._observations = None
             return
         for player in self._players:
             player.noise = state["noise"][player.learner.name].numpy()
-        self._previous = arrays(state["previous"])
+        self._previous = {a: each.numpy() for a, each in state["previous"].items()}
         self._guests.load_state_dict(state)
-        self._observations = load_worlds(self.env, state)
+        physics, memory, progress = map(state.get, ("physics", "memory", "progress"))
+        worlds = EnvState(physics, memory, progress, self.env.identity)
+        self._observations = self.env.set_state(worlds.map(torch.Tensor.numpy))
 
     def close(self) -> None:
         """Free the worlds."""
@@ -427,37 +411,3 @@ class Collector:
             stagger=True,
         )
         return observations
-
-
-class OwnCollector:
-    """All worlds in this process.
-
-    Args:
-      job: what to do.
-    """
-
-    def __init__(self, job: Job):
-        self._collector = Collector(job)
-
-    def collect(
-        self,
-        actors: Mapping[str, ActorState],
-        iteration: int,
-        assistance: Assistance,
-        invitation: Invitation = NOBODY,
-    ) -> list[Collected]:
-        """Collect one rollout in every world."""
-        collector = self._collector
-        return [collector.collect(actors, iteration, assistance, invitation)]
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of the worlds."""
-        return {"0": self._collector.state_dict()}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned; after another number begin anew."""
-        self._collector.load_state_dict(state["0"] if len(state) == 1 else {})
-
-    def close(self) -> None:
-        """Free the worlds."""
-        self._collector.close()

@@ -1,7 +1,7 @@
 """The settings of training."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -436,7 +436,11 @@ _USUAL: Mapping[str, Mapping[str, Any]] = {
 
 
 def recipe(
-    env: str, algorithm: str = "ppo", *, advised: bool = False
+    env: str,
+    algorithm: str = "ppo",
+    *,
+    advised: bool = False,
+    changes: Mapping[str, Any] | None = None,
 ) -> Hyperparameters:
     """Return the hyperparameters for an environment: its recipe, or the defaults.
 
@@ -447,35 +451,26 @@ def recipe(
       env: its name.
       algorithm: what learns.
       advised: whether it learns with the expert's advice, and so with other numbers.
+      changes: hyperparameters to use in place of these, by name.
 
     Raises:
-      KeyError: if there is no such algorithm.
+      KeyError: if there is no such algorithm or hyperparameter.
       ValueError: if the algorithm takes no advice.
     """
     usual = look_up("algorithm", algorithm, _USUAL)
     if advised and "imitation" in foreign(algorithm):
         raise ValueError(f"{algorithm} takes no advice; leave it out, or choose ppo")
+    changes = {} if changes is None else changes
+    check_kind("changes", changes, Mapping, "a mapping, or None")
+    for name in changes:
+        look_up("hyperparameter", name, vars(Hyperparameters()))
     own = {
         name: value
         for name, value in RECIPES.get(env, {}).items()
         if name not in foreign(algorithm)
     }
     of_advice = {**_ADVISED, **ADVISED.get(env, {})} if advised else {}
-    return Hyperparameters(**{**own, **usual, **of_advice})
-
-
-def check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
-    """Raise unless all that is given means something to the algorithm.
-
-    Raises:
-      ValueError: names what does not.
-    """
-    unknown = [n for n in changed(hyperparameters) if n in foreign(algorithm)]
-    if unknown:
-        raise ValueError(
-            f"{algorithm} knows no {' or '.join(unknown)}; leave out what another"
-            " algorithm alone uses"
-        )
+    return Hyperparameters(**{**own, **usual, **of_advice, **changes})
 
 
 def foreign(algorithm: str) -> set[str]:
@@ -493,28 +488,3 @@ def changed(
         for field in fields(hyperparameters)
         if getattr(hyperparameters, field.name) != getattr(others, field.name)
     }
-
-
-def changed_recipe(
-    env: str,
-    changes: Mapping[str, Any] | None,
-    algorithm: str = "ppo",
-    *,
-    advised: bool = False,
-) -> Hyperparameters:
-    """Return an environment's hyperparameters, with the given ones in their place.
-
-    Args:
-      env: its name.
-      changes: hyperparameters by name; None for none.
-      algorithm: what learns.
-      advised: whether it learns with the expert's advice.
-
-    Raises:
-      KeyError: if there is no such hyperparameter or algorithm.
-    """
-    changes = {} if changes is None else changes
-    check_kind("changes", changes, Mapping, "a mapping, or None")
-    for name in changes:
-        look_up("hyperparameter", name, vars(Hyperparameters()))
-    return replace(recipe(env, algorithm, advised=advised), **changes)

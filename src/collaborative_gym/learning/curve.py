@@ -4,11 +4,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from collaborative_gym.files import replacing
+from collaborative_gym.evaluation.figure import (
+    COLOURS,
+    make_figure,
+    open_axes,
+    save_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,23 +22,14 @@ if TYPE_CHECKING:
 _WINDOW = 0.02
 """Share of the run that the moving mean takes in."""
 
+_SIZE = 8.0, 6.0
+"""Width and height of a picture, in inches."""
+
 _INK = "#222222"
 """Colour of text."""
 
 _INKS = (_INK, "#999999")
 """Colours of all robots together, or of the sides."""
-
-COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#e69f00",
-    "#8c6bb1",
-    "#7f7f7f",
-)
-"""Of the robots, in order; Okabe and Ito's and two more, which all eyes tell apart."""
 
 _Rows = Sequence[Mapping[str, float]]
 
@@ -72,9 +68,7 @@ def draw_curve(rows: _Rows, title: str, path: str | Path) -> None:
       ImportError: if the extra `train` is not installed.
       OSError: if the file cannot be written.
     """
-    figure = learning_curve(rows, title)
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png")
+    save_figure(learning_curve(rows, title), path)
 
 
 def learning_curve(rows: _Rows, title: str) -> "Figure":
@@ -92,7 +86,7 @@ def learning_curve(rows: _Rows, title: str) -> "Figure":
     Raises:
       ImportError: if the extra `train` is not installed.
     """
-    figure, (above, below) = _blank(2, height_ratios=(5, 2))
+    figure, (above, below) = make_figure(2, 1, _SIZE, sharex=True, height_ratios=(5, 2))
     _draw_returns(above, rows)
     _draw_shares(below, rows)
     _finish(figure, (above, below), title)
@@ -120,32 +114,19 @@ def draw_ratings(
       ImportError: if the extra `train` is not installed.
       OSError: if the file cannot be written.
     """
-    figure, (axes,) = _blank(1)
+    figure, (axes,) = make_figure(1, 1, _SIZE)
     for (name, points), colour in zip(lines.items(), cycle(COLOURS), strict=False):
         steps, ratings = np.array(sorted(points), float).reshape(-1, 2).T
         axes.plot(steps / 1e6, ratings, color=colour, marker="o", label=name)
     _finish(figure, [axes], title)
     axes.set_ylabel("rating (Elo's scale)")
     axes.set_xlabel("environment steps (millions)")
-    with replacing(path) as partial:
-        figure.savefig(partial, format="png")
-
-
-def _blank(rows: int, **options: Any) -> tuple["Figure", Sequence["Axes"]]:
-    """Return a figure that belongs to no window, with axes below one another."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, 1, squeeze=False, sharex=True, **options)
-    return figure, list(axes[:, 0])
+    save_figure(figure, path)
 
 
 def _finish(figure: "Figure", all_axes: Sequence["Axes"], title: str) -> None:
     for axes in all_axes:
-        axes.grid(color="#dddddd", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        open_axes(axes)
         _add_legend(axes)
     figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
 

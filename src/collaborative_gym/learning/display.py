@@ -1,8 +1,9 @@
-"""What a training run shows on the terminal while it learns."""
+"""What training runs show on the terminal while they learn."""
 
 import math
 import time
 from collections.abc import Mapping
+from typing import Self
 
 from rich import box
 from rich.console import Console, Group
@@ -13,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from collaborative_gym.learning.curve import robots_of, sides_of
-from collaborative_gym.learning.update import UPDATE
 
 _LINE_INTERVAL = 30.0
 """Least time between two lines where the output is no terminal, in s."""
@@ -21,10 +21,56 @@ _LINE_INTERVAL = 30.0
 _WIDTH = 100
 """Most columns of the panel."""
 
+UPDATE = {
+    "kl": ("KL", ".4f"),
+    "learning_rate": ("learning rate", ".1e"),
+    "std": ("std", ".3f"),
+    "policy_loss": ("policy loss", ".4f"),
+    "value_loss": ("value loss", ".4f"),
+    "entropy_loss": ("entropy loss", ".4f"),
+    "entropy_weight": ("entropy weight", ".4f"),
+    "weight_norm": ("weight norm", ".1f"),
+}
+"""What each number is called on the terminal, and how it is written there.
+
+`kl` is the divergence of the last epoch, `std` that of the actions. PPO tells the KL
+divergence and the entropy's loss, with the price of actions; SAC tells the entropy's
+weight.
+"""
+
 _RESULTS = ("return", "completion", "performance")
 
 
-class Display:
+class _Screen:
+    """What shows progress while the context lasts, on a terminal or by lines."""
+
+    def __init__(self, console: Console | None):
+        self._console = Console(stderr=True) if console is None else console
+        # A dumb terminal, as within an editor, cannot go back up to draw anew.
+        self._is_live = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._live = Live(console=self._console, auto_refresh=False)
+        self._next_line = -math.inf
+
+    def __enter__(self) -> Self:
+        if self._is_live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_live:
+            self._live.stop()
+        else:
+            self._print_last()
+
+    def _print(self, line: str) -> None:
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self._next_line = time.monotonic() + _LINE_INTERVAL
+
+    def _print_last(self) -> None:
+        raise NotImplementedError
+
+
+class Display(_Screen):
     """Shows how far a run is and how well it does, while the context lasts.
 
     On a terminal it is a panel that is drawn anew with each row; elsewhere it is a
@@ -37,27 +83,12 @@ class Display:
     """
 
     def __init__(self, title: str, total_steps: int, console: Console | None = None):
+        super().__init__(console)
         self._title = title
         self._total_steps = total_steps
-        self._console = Console(stderr=True) if console is None else console
-        # A dumb terminal, as within an editor, cannot go back up to draw anew.
-        self._is_live = self._console.is_terminal and not self._console.is_dumb_terminal
-        self._live = Live(console=self._console, auto_refresh=False)
         self._known: dict[str, float] = {}
         self._first: Mapping[str, float] | None = None
-        self._next_line = -math.inf
         self._unprinted: Mapping[str, float] | None = None
-
-    def __enter__(self) -> "Display":
-        if self._is_live:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._is_live:
-            self._live.stop()
-        elif self._unprinted is not None:
-            self._print_line(self._unprinted)
 
     def show(
         self, row: Mapping[str, float], best: Mapping[str, float] | None = None
@@ -78,6 +109,10 @@ class Display:
         if is_validated or time.monotonic() >= self._next_line:
             self._print_line(row)
 
+    def _print_last(self) -> None:
+        if self._unprinted is not None:
+            self._print_line(self._unprinted)
+
     def _print_line(self, row: Mapping[str, float]) -> None:
         cells = [self._title, *self._pace()]
         for where, known in (("", self._known), ("validation/", row)):
@@ -85,9 +120,7 @@ class Display:
                 if where + name in known:
                     told = format_result(known, where + name)
                     cells.append(f"{where}{name} {told}".replace("/", " "))
-        line = ", ".join(cells)
-        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
-        self._next_line = time.monotonic() + _LINE_INTERVAL
+        self._print(", ".join(cells))
         self._unprinted = None
 
     def _panel(self, best: Mapping[str, float]) -> Panel:
@@ -180,6 +213,71 @@ class Display:
                 )
                 table.add_row(label, *cells)
         return table
+
+
+class ManyDisplay(_Screen):
+    """Shows how far each of several runs is, while the context lasts.
+
+    On a terminal it is a table; elsewhere a line at most every 30 s and in the end.
+
+    Args:
+      totals: environment steps of each whole run, by its name.
+      console: where to show it; None for standard error.
+    """
+
+    def __init__(self, totals: Mapping[str, int], console: Console | None = None):
+        super().__init__(console)
+        self._totals = totals
+        self._known: dict[str, dict[str, float]] = {name: {} for name in totals}
+        self._next_line = time.monotonic()
+
+    def show(self, name: str, row: Mapping[str, float]) -> None:
+        """Show a run's row; what it lacks stays as earlier rows had it."""
+        self._known[name] |= row
+        if self._is_live:
+            self._live.update(self._runs(), refresh=True)
+        elif time.monotonic() >= self._next_line:
+            self._print_line()
+
+    def _print_last(self) -> None:
+        if any(self._known.values()):
+            self._print_line()
+
+    def _print_line(self) -> None:
+        steps = {name: row.get("steps", 0.0) for name, row in self._known.items()}
+        done = sum(steps[name] >= total for name, total in self._totals.items())
+        under_way = sum(0 < steps[n] < total for n, total in self._totals.items())
+        line = (
+            f"{done} of {len(steps)} runs done, {under_way} begun,"
+            f" {format_steps(sum(steps.values()))} of"
+            f" {format_steps(sum(self._totals.values()))} steps"
+        )
+        self._print(line)
+
+    def _runs(self) -> Table:
+        table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        table.add_column("run", no_wrap=True)
+        heads = "steps", "return", "completion", "validated", "left"
+        for head in heads:
+            table.add_column(head, justify="right", no_wrap=True)
+        # Runs under way stand above those that wait, so that they are on the screen.
+        for name, row in sorted(self._known.items(), key=lambda each: not each[1]):
+            cells = [
+                format_result(row, column)
+                for column in ("return", "completion", "validation/completion")
+            ]
+            table.add_row(name, self._share(name, row), *cells, self._left(name, row))
+        return table
+
+    def _share(self, name: str, row: Mapping[str, float]) -> str:
+        return f"{min(1.0, row.get('steps', 0.0) / self._totals[name]):.0%}"
+
+    def _left(self, name: str, row: Mapping[str, float]) -> str:
+        left = self._totals[name] - row.get("steps", 0.0)
+        rate = row.get("steps_per_second", 0.0)
+        if left <= 0:
+            return "-"
+        return format_duration(left / rate) if rate > 0 else "waits"
 
 
 def _table(*columns: str) -> Table:

@@ -23,13 +23,12 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.files import write_text
-from collaborative_gym.learning.backend import Backend, Iteration
 from collaborative_gym.learning.casting import EXPLOITERS, MAIN, Casting
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.curve import draw_ratings
 from collaborative_gym.learning.folder import LEAGUE_FILE, RATINGS
 from collaborative_gym.learning.guests import Invitation, Odds
-from collaborative_gym.learning.pool import Latest, Pool
+from collaborative_gym.learning.pool import Iteration, Latest, Pool
 from collaborative_gym.learning.validation import points
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import player_file
@@ -108,18 +107,21 @@ class League(Pool):
         }
         return Invitation(self.policies | {MAIN: latest(MAIN)}, by_seat)
 
-    def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
+    def study(
+        self, iteration: Iteration, steps: int, latest: Latest
+    ) -> list[tuple[str, str | None]]:
         """Count what was played; let members leave copies when it is time for them."""
         for names, row in zip(iteration.seated, iteration.episodes, strict=True):
             self._count(names, row)
-        done, self._steps = backend.steps - self._steps, backend.steps
+        done, self._steps = steps - self._steps, steps
         casts = self._casting.spread(self._numbers.num_envs)
         for member in _LEARN:
             share = sum(member in cast for cast in casts) / len(casts)
             self._players[member].since += share * done
-        rng = np.random.default_rng([self._seed, backend.steps])
+        rng = np.random.default_rng([self._seed, steps])
         # Drawn in any case, so that one member changes no draw of another.
         chances = dict(zip(_LEARN, rng.random((2, len(_LEARN))).T, strict=True))
+        anew: list[tuple[str, str | None]] = []
         for member in _LEARN:
             again, fresh = chances[member]
             if self._is_due(member):
@@ -128,8 +130,9 @@ class League(Pool):
                     member == EXPLOITERS[1] and again < self._numbers.league_reset
                 ):
                     like = None if fresh < self._numbers.league_fresh else MAIN
-                    backend.restart(member, like)
+                    anew.append((member, like))
                     self._inherit(member, like or f"{MAIN}-0")
+        return anew
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on, but the policies, which have files."""

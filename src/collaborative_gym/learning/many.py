@@ -6,8 +6,8 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, Queue
@@ -27,15 +27,16 @@ from collaborative_gym.learning.config import (
     Algorithm,
     Mode,
     Resources,
-    changed_recipe,
+    recipe,
 )
+from collaborative_gym.learning.display import ManyDisplay
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
-from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.settings import Named, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
+from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 
@@ -101,6 +102,7 @@ def train_all(
     resources: Resources | None = None,
     checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
+    progress: bool = False,
 ) -> tuple[Outcome, ...]:
     """Train every environment in every mode with every seed, several at a time.
 
@@ -128,6 +130,7 @@ def train_all(
       resources: device and threads of each run.
       checkpoint_interval: environment steps between two checkpoints.
       on_row: called with a plan after each of its iterations, with its numbers.
+      progress: whether to show how they go, as the command line does.
 
     Returns:
       What became of each run, in the order of environments, modes and seeds.
@@ -141,86 +144,52 @@ def train_all(
         started with other settings fails when its turn comes.
     """
     check_callback("on_row", on_row)
-    plans = plan_runs(
-        envs,
-        modes,
-        seeds=seeds,
-        output=output,
-        changes=changes,
-        advised=advised,
-        shared={
-            "opponent": opponent,
-            "partner": partner,
-            "start_from": start_from,
-            "backend": backend,
-            "algorithm": algorithm,
-        },
-        checkpoint_interval=checkpoint_interval,
-    )
-    show = on_row or (lambda *_: None)
-    return tuple(finish(plans, jobs=jobs, resources=resources, on_row=show))
-
-
-def plan_runs(
-    envs: str | Task | Sequence[str | Task],
-    modes: Mode | Sequence[Mode] | None,
-    *,
-    seeds: Sequence[int],
-    output: str | Path,
-    changes: Mapping[str, Any] | None,
-    advised: bool,
-    shared: Mapping[str, Any],
-    checkpoint_interval: int = 100_000,
-) -> list[Plan]:
-    """Return the runs of `train_all`, whose arguments these are.
-
-    Args:
-      envs: names or tasks.
-      modes: who learns what.
-      seeds: of the runs.
-      output: the folder of all.
-      changes: hyperparameters in place of the recipes'.
-      advised: whether they learn with the expert's advice.
-      shared: what else `settle` takes.
-      checkpoint_interval: environment steps between two checkpoints.
-
-    Raises:
-      Exception: what `train_all` raises before the work.
-    """
     check_kind("output", output, (str, Path), "a folder's name")
     check_count("checkpoint_interval", checkpoint_interval, at_least=1)
-    check_flag("advised", advised)
+    advised, progress = check_flag("advised", advised), check_flag("progress", progress)
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):
         if not isinstance(env, Task):
             check_name("each environment", env)
         task = as_task(env)
-        algorithm = shared["algorithm"] or "ppo"
-        numbers = changed_recipe(task.name, changes, algorithm, advised=advised)
+        numbers = recipe(
+            task.name, algorithm or "ppo", advised=advised, changes=changes
+        )
         for mode in (None,) if modes is None else _several("mode", modes):
-            own = {"mode": mode, "hyperparameters": numbers}
-            settled = settle(task, None, seed=None, **own, **shared)
+            own: dict[str, Any] = {
+                "mode": mode,
+                "hyperparameters": numbers,
+                "opponent": opponent,
+                "partner": partner,
+                "start_from": start_from,
+                "backend": backend,
+                "algorithm": algorithm,
+            }
+            settled = settle(task, None, seed=None, **own)
             for seed in _several("seed", seeds):
                 settings = replace(settled, seed=check_run_seed(seed))
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
-                given = {"env": task, "seed": settings.seed, **own, **shared}
+                given = {"env": task, "seed": settings.seed, **own}
                 given["checkpoint_interval"] = checkpoint_interval
                 plans[folder] = Plan(folder, numbers.total_steps, given)
-    return list(plans.values())
+    totals = {folder.name: plan.total_steps for folder, plan in plans.items()}
+    with ManyDisplay(totals) if progress else nullcontext() as display:
+
+        def show(plan: Plan, row: Mapping[str, float], best: Mapping[str, float]):
+            if display is not None:
+                display.show(plan.folder.name, row)
+            if on_row is not None:
+                on_row(plan, row, best)
+
+        return finish(list(plans.values()), jobs, resources, show)
 
 
 def finish(
-    plans: Sequence[Plan], *, jobs: int, resources: Resources | None, on_row: OnRow
-) -> Iterator[Outcome]:
-    """Train runs, and yield what became of each, in their order, at the end.
-
-    Args:
-      plans: the runs.
-      jobs: processes at a time, 0 for one per CPU.
-      resources: device and threads of each.
-      on_row: called after each iteration.
+    plans: Sequence[Plan], jobs: int, resources: Resources | None, on_row: OnRow
+) -> tuple[Outcome, ...]:
+    """Train runs as `train_all` does, and return what became of each, in their order.
 
     Raises:
       KeyboardInterrupt: as `train_all`.
@@ -239,7 +208,7 @@ def finish(
             raise KeyboardInterrupt(
                 f"stopped with {done} of {len(plans)} runs finished"
             )
-    yield from (outcomes[plan.folder] for plan in plans)
+    return tuple(outcomes[plan.folder] for plan in plans)
 
 
 class _Crew:

@@ -10,9 +10,9 @@ from pathlib import Path
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.report import Report
 from collaborative_gym.files import SealedRows, naming, write_text
-from collaborative_gym.learning.backend import Iteration
 from collaborative_gym.learning.curve import draw_curve
 from collaborative_gym.learning.folder import CURVE, PROGRESS
+from collaborative_gym.learning.pool import Iteration
 
 Row = dict[str, float]
 """What one iteration brought, by column; `summarize` says which there are."""

@@ -2,19 +2,35 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass, field
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import naming
-from collaborative_gym.learning.backend import Backend, Iteration
-from collaborative_gym.learning.casting import LEAGUE, Casting, split_word
+from collaborative_gym.learning.casting import LEAGUE, Casting
 from collaborative_gym.learning.guests import Invitation
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.policy import commanding, read_policy
+from collaborative_gym.policies.policy import commanding, read_policy, split_word
 from collaborative_gym.tasks.task import Task
 
 Latest = Callable[[str], NetworkPolicy]
 """Gives a member's policy as it is now."""
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What one rollout and one update brought.
+
+    Attributes:
+      episodes: a row for each episode that ended and was played in full, as
+        `evaluation.episode_row` gives it.
+      updates: by learner, the numbers that `display.UPDATE` names.
+      seated: who sat in each seat meanwhile, by name, for each row of `episodes`.
+    """
+
+    episodes: list[dict[str, Any]]
+    updates: dict[str, dict[str, float]]
+    seated: list[tuple[str, ...]] = field(default_factory=list)
 
 
 class Pool:
@@ -62,8 +78,20 @@ class Pool:
                 found.append((tuple(each[i % len(each)] for each in choices), own))
         return found
 
-    def study(self, iteration: Iteration, backend: Backend, latest: Latest) -> None:
-        """Take note of what a rollout and an update brought."""
+    def study(
+        self, iteration: Iteration, steps: int, latest: Latest
+    ) -> list[tuple[str, str | None]]:
+        """Take note of what an iteration brought; return who is to begin anew.
+
+        Args:
+          iteration: what it brought.
+          steps: environment steps done so far.
+          latest: members' policies.
+
+        Returns:
+          Members, and like whom each begins, None for as it once began.
+        """
+        return []
 
     def publish(self) -> None:
         """Write what people may want to know of the guests."""

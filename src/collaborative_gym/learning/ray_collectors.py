@@ -69,6 +69,9 @@ class RayCollectors:
         which listens on loopback only and has no dashboard. If Ray is connected
         already, it is used as it is.
 
+    Attributes:
+      count: how many there are.
+
     Raises:
       ConnectionError: if there is no such cluster.
       RuntimeError: if the task cannot be made in a collector.
@@ -87,14 +90,14 @@ class RayCollectors:
         self._starting: dict[Any, tuple[int, Any]] = {}
         self._has_started_ray = connect(address, count * threads)
         try:
-            self._count = count or min(num_envs, max(1, _cpus() // threads))
-            _check_room(self._count, threads)
-            job.casting.check(num_envs // self._count)
+            self.count = count or min(num_envs, max(1, _cpus() // threads))
+            _check_room(self.count, threads)
+            job.casting.check(num_envs // self.count)
             self._job = _pickled(replace(job, num_threads=threads))
             self._process = ray.remote(num_cpus=threads)(_Process)
-            for index in range(self._count):
+            for index in range(self.count):
                 self._start(index)
-            self._welcome(self._count, _PATIENCE)
+            self._welcome(self.count, _PATIENCE)
         except BaseException:
             self.close()
             raise
@@ -120,18 +123,19 @@ class RayCollectors:
                 raise RuntimeError(f"no collector has answered for {_PATIENCE:.0f} s")
             found = self._ask("collect", given, iteration, assistance, invited)
             if found:
-                return list(found.values())
+                return [one for each in found.values() for one in each]
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state of each collector's worlds; lost ones have none."""
-        found = self._ask("state_dict")
-        return {str(index): found.get(index, {}) for index in range(self._count)}
+        found = {str(index): {} for index in range(self.count)}
+        for each in self._ask("state_dict").values():
+            found |= each
+        return found
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned; with another number begin anew."""
-        same = state if len(state) == self._count else {}
-        each = {index: (same.get(str(index), {}),) for index in self._ready}
-        self._answers("load_state_dict", each)
+    def load_state_dict(self, states: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        own = {i: ({str(i): states[str(i)]},) for i in self._ready}
+        self._answers("load_state_dict", own)
 
     def close(self) -> None:
         """Stop the collectors, and Ray if it was started here."""
@@ -145,7 +149,7 @@ class RayCollectors:
             ray.shutdown()
 
     def _start(self, index: int) -> None:
-        actor = self._process.remote(self._job, index, self._count)
+        actor = self._process.remote(self._job, index, self.count)
         self._starting[actor.ready.remote()] = index, actor
 
     def _welcome(self, least: int, seconds: float) -> None:

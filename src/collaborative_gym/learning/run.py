@@ -2,32 +2,39 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
 
+import torch
+
 from collaborative_gym.evaluation import evaluate
-from collaborative_gym.learning.backend import Backend, Iteration
+from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import LEAGUE, SELF, Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.collector import Job, OwnCollector
+from collaborative_gym.learning.collector import Collected, Collector, Job
 from collaborative_gym.learning.config import Resources
 from collaborative_gym.learning.folder import BEST, LAST
+from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.learning.monitor import Monitor, means_of, summarize
-from collaborative_gym.learning.pool import Pool, read_guests
+from collaborative_gym.learning.pool import Iteration, Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.sac import SACLearner
-from collaborative_gym.learning.seeds import validation_seed
 from collaborative_gym.learning.settings import Settings, first_policy
-from collaborative_gym.learning.team import Learner
 from collaborative_gym.learning.validation import validate
-from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.network import NetworkPolicy, Weights
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
+from collaborative_gym.rng import validation_seed
 from collaborative_gym.tasks.task import Task
 
 _LEARNERS = {"ppo": PPOLearner, "sac": SACLearner}
+
+_CRITIC_ALONE = 10
+"""Rollouts in which only critics learn, if policies know something already. The advice
+of a critic that knows nothing would make them forget it."""
 
 OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
 """Gets an iteration's row and that of the best validation so far (or nothing)."""
@@ -60,7 +67,9 @@ class Result:
 
 
 class Run:
-    """A run, from its start or a checkpoint.
+    """A run, from its start or a checkpoint: collectors, and learners in this process.
+
+    It draws from torch's own generators, which the caller seeds.
 
     Args:
       folder: where its files go.
@@ -68,6 +77,9 @@ class Run:
       settings: how.
       resources: what it may use.
       started: from where it goes on, None for the start.
+
+    Attributes:
+      steps: environment steps done so far, over all worlds.
 
     Raises:
       OSError: if a file cannot be written.
@@ -80,27 +92,28 @@ class Run:
         *,
         settings: Settings,
         resources: Resources,
-        started: Checkpoint | None,
+        started: Checkpoint | None = None,
     ):
-        self._folder = folder
-        self._task = task
-        self._settings = settings
+        self._folder, self._task, self._settings = folder, task, settings
+        self._hyperparameters = settings.hyperparameters
         self._num_threads = resources.num_threads
         self._casting = settings.casting(task)
-        self._learners = settings.learners(task)
         self._pool = _make_pool(task, settings, folder, self._casting)
-        self._backend = _make_backend(
-            task, settings, resources, self._learners, self._casting
-        )
-        self._best = dict(started.best) if started is not None else {}
-        self._before = started.seconds if started is not None else 0.0
+        self._assistance = Assistance(settings.hyperparameters.assistance)
+        self.steps = self._iteration = 0
+        self._has_policy, self._quietness = False, 0.0
+        self._best: dict[str, float] = dict(started.best) if started else {}
+        self._before = started.seconds if started else 0.0
+        self._collectors = _make_collectors(task, settings, resources, self._casting)
         try:
+            self._learners = self._make_learners(resources.device)
+            self._first = self._members()
             if started is not None:
-                self._backend.load_state_dict(started.backend)
+                self.load_state_dict(started.backend)
                 self._pool.load_state_dict(started.pool)
             elif settings.start_from:
-                self._backend.start(first_policy(settings, task))
-            rows = started.rows if started is not None else ()
+                self._start(first_policy(settings, task))
+            rows = started.rows if started else ()
             self._monitor = Monitor(folder, settings.title, rows)
             self._since = time.monotonic()
             self._cores_before = rows[-1].get("core_seconds") if rows else 0.0
@@ -108,23 +121,21 @@ class Run:
             if started is None:
                 self._save(LAST)
         except BaseException:
-            self._backend.close()
+            self._collectors.close()
             raise
 
     def finish(
         self, pressed: Event, *, checkpoint_interval: int, on_row: OnRow | None
     ) -> Result:
         """Train up to the last step, or until Ctrl-C is `pressed`."""
-        hyperparameters = self._settings.hyperparameters
-        while self._backend.steps < hyperparameters.total_steps:
-            before, began = self._backend.steps, time.monotonic()
-            iteration = self._backend.advance(self._pool.invitation(self._policy))
-            self._check_finite(iteration)
-            self._pool.study(iteration, self._backend, self._policy)
-            steps = self._backend.steps
+        numbers = self._hyperparameters
+        while self.steps < numbers.total_steps:
+            before, began = self.steps, time.monotonic()
+            iteration = self.advance()
+            steps = self.steps
             rate = (steps - before) / (time.monotonic() - began)
-            is_last = steps >= hyperparameters.total_steps
-            is_due = _crosses(before, steps, hyperparameters.validation_interval)
+            is_last = steps >= numbers.total_steps
+            is_due = _crosses(before, steps, numbers.validation_interval)
             validation = self._validate() if is_due or is_last else None
             row = summarize(steps, self._seconds, rate, iteration, validation)
             row |= self._core_seconds()
@@ -139,15 +150,164 @@ class Run:
             if pressed.is_set():
                 self._save(LAST)
                 raise KeyboardInterrupt(f"stopped after {steps:,} steps")
-        steps, seconds = self._backend.steps, self._seconds
-        return Result(self._folder, self._settings, steps, seconds, self._best)
+        seconds = self._seconds
+        return Result(self._folder, self._settings, self.steps, seconds, self._best)
+
+    def collect(self) -> list[Collected]:
+        """Return one rollout of every collector that is alive; the worlds go on.
+
+        Raises:
+          RuntimeError: if the task fails in a collector elsewhere, or none answers.
+        """
+        invitation = self._pool.invitation(self.policy)
+        actors = {name: each.acting() for name, each in self._learners.items()}
+        given = actors, self._iteration, self._assistance, invitation
+        return self._collectors.collect(*given)
+
+    def advance(self) -> Iteration:
+        """Collect one rollout in every world, and learn from it.
+
+        Raises:
+          RuntimeError: as `collect` does, or if a loss is not finite.
+        """
+        collected = self.collect()
+        episodes = [row for each in collected for row in each.episodes]
+        self._assistance.adapt(episodes)
+        critic_alone = self._has_policy and self._iteration < _CRITIC_ALONE
+        updates = {
+            name: learner.learn(
+                [each.rollouts[name] for each in collected], critic_alone=critic_alone
+            )
+            for name, learner in self._learners.items()
+        }
+        self._iteration += 1
+        self.steps += sum(each.steps for each in collected)
+        self._quieten()
+        seated = [names for each in collected for names in each.seated]
+        iteration = Iteration(episodes, updates, seated)
+        self._check_finite(iteration)
+        for member, like in self._pool.study(iteration, self.steps, self.policy):
+            self.restart(member, like)
+        return iteration
+
+    def policy(self, member: str) -> NetworkPolicy:
+        """Return a member's policy as it is now."""
+        settings = self._settings
+        own = self._of(member)
+        weights: dict[str, Weights] = {}
+        for learner in own:
+            weights |= learner.weights()
+        return NetworkPolicy(
+            [part for each in own for part in each.learner.parts],
+            weights,
+            activation=self._hyperparameters.activation,
+            identity=settings.identity,
+            layout=settings.layout,
+            metadata=settings.how() | {"steps": self.steps, "member": member},
+        )
+
+    def restart(self, member: str, like: str | None) -> None:
+        """Let a member go on from all that another one has learned.
+
+        Args:
+          member: who.
+          like: the other one; None to begin again as the member once began.
+        """
+        if like is None:
+            states = [self._first[each.learner.name] for each in self._of(member)]
+        else:
+            states = [each.state_dict() for each in self._of(like)]
+        for learner, state in zip(self._of(member), states, strict=True):
+            learner.load_state_dict(deepcopy(state))
 
     def close(self) -> None:
-        """Close the files and free the worlds."""
+        """Close the files and free the worlds. No other call is allowed afterwards."""
         try:
             self._monitor.close()
         finally:
-            self._backend.close()
+            self._collectors.close()
+
+    def _make_learners(self, device: str) -> dict[str, SkrlLearner]:
+        """Return a learner for each group of robots that the mode has, by name."""
+        settings, task = self._settings, self._task
+        learns, layout = _LEARNERS[settings.algorithm], settings.layout
+        return {
+            each.name: learns(
+                each, layout, self._hyperparameters, device, self._casting
+            )
+            for each in settings.learners(task)
+        }
+
+    def _start(self, policy: NetworkPolicy) -> None:
+        """Let all learners begin with what a policy has learned."""
+        self._has_policy = True
+        for learner in self._learners.values():
+            learner.start(policy)
+        self._first = self._members()
+
+    def _quieten(self) -> None:
+        """Let the noise shrink as far as it should have by now, and never grow."""
+        numbers = self._hyperparameters
+        due = self._assistance.demand
+        if numbers.quiet_share:
+            left = (numbers.total_steps - self.steps) / numbers.total_steps
+            due = 1.0 - min(max(left / numbers.quiet_share, 0.0), 1.0)
+        # A run that was made longer may have shrunk it further than is due.
+        further = max(due - self._quietness, 0.0)
+        self._quietness = max(due, self._quietness)
+        for learner in self._learners.values():
+            learner.quieten(numbers.final_noise**further)
+
+    def _members(self) -> dict[str, Any]:
+        """Return what the learners of members know, by name."""
+        return {
+            name: deepcopy(each.state_dict())
+            for name, each in self._learners.items()
+            if each.learner.member
+        }
+
+    def _of(self, member: str) -> list[SkrlLearner]:
+        learners = self._learners.values()
+        return [each for each in learners if each.learner.member == member]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all of learners and worlds that is needed to go on.
+
+        It is tensors, numbers and texts, nested. On CPUs it goes on bit for bit, where
+        no collector is lost.
+        """
+        cuda = torch.cuda.is_initialized()
+        return {
+            "steps": self.steps,
+            "iteration": self._iteration,
+            "assistance": self._assistance.state_dict(),
+            "has_policy": self._has_policy,
+            "quietness": self._quietness,
+            "learners": {n: each.state_dict() for n, each in self._learners.items()},
+            "first": self._first,
+            "generator": torch.get_rng_state(),
+            "cuda_generators": torch.cuda.get_rng_state_all() if cuda else [],
+            "worlds": self._collectors.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what `state_dict` returned.
+
+        With another number of collectors than it had, the worlds begin new episodes.
+        """
+        worlds, self._first = state["worlds"], state["first"]
+        if len(worlds) == self._collectors.count:
+            self._collectors.load_state_dict(worlds)
+        self.steps, self._iteration = state["steps"], state["iteration"]
+        self._assistance.load_state_dict(state["assistance"])
+        self._has_policy, self._quietness = state["has_policy"], state["quietness"]
+        for name, learner in self._learners.items():
+            learner.load_state_dict(state["learners"][name])
+            if self._has_policy:
+                learner.hold_statistics()
+        torch.set_rng_state(state["generator"])
+        if torch.cuda.is_initialized() and state["cuda_generators"]:
+            torch.cuda.set_rng_state_all(state["cuda_generators"])
 
     @property
     def _seconds(self) -> float:
@@ -163,34 +323,9 @@ class Run:
             return {}
         return {"core_seconds": before + time.process_time() - self._cores_since}
 
-    def _policy(self, member: str) -> NetworkPolicy:
-        """Return a member's policy as it is now."""
-        settings, content = self._settings, self._settings.to_dict()
-        kept = (
-            "algorithm",
-            "mode",
-            "seed",
-            "backend",
-            "hyperparameters",
-            "opponents",
-            "partners",
-            "start_from",
-            "start",
-        )
-        learners = [each for each in self._learners if each.member == member]
-        return NetworkPolicy(
-            [part for learner in learners for part in learner.parts],
-            self._backend.weights(member),
-            activation=settings.hyperparameters.activation,
-            identity=settings.identity,
-            layout=settings.layout,
-            metadata={name: content[name] for name in kept}
-            | {"steps": self._backend.steps, "member": member},
-        )
-
     def _validate(self) -> Mapping[str, float]:
         """Return the means of a validation beside those with whom the run learns."""
-        episodes = self._settings.hyperparameters.validation_episodes
+        episodes = self._hyperparameters.validation_episodes
         given: Any = {
             "episodes": episodes,
             "seed": validation_seed(self._settings.seed),
@@ -198,8 +333,8 @@ class Run:
         }
         members = self._casting.members
         if not self._casting.seats:
-            return means_of(evaluate(self._task, self._policy(members[0]), **given))
-        policies = {name: self._policy(name) for name in members} | self._pool.policies
+            return means_of(evaluate(self._task, self.policy(members[0]), **given))
+        policies = {name: self.policy(name) for name in members} | self._pool.policies
         pairings = self._pool.pairings(members[0])
         return validate(self._task, self._casting, policies, pairings, **given)
 
@@ -219,10 +354,10 @@ class Run:
             if column == "steps" or column.startswith("validation/")
         }
         members = self._casting.members
-        self._policy(members[0]).save(self._folder / POLICY_FILE)
+        self.policy(members[0]).save(self._folder / POLICY_FILE)
         if len(members) > 1:
             for name in members:
-                self._policy(name).save(self._folder / player_file(name))
+                self.policy(name).save(self._folder / player_file(name))
         self._save(BEST)
 
     def _rank(self, row: Mapping[str, float]) -> tuple[float, ...]:
@@ -234,7 +369,7 @@ class Run:
         """
         if "validation/points" in row:
             return row["validation/points"], row["validation/return"]
-        if not self._settings.hyperparameters.has_prices:
+        if not self._hyperparameters.has_prices:
             return (row["validation/return"],)
         shares = row["validation/completion"], row["validation/performance"]
         return *(round(share, 2) for share in shares), row["steps"]
@@ -242,7 +377,7 @@ class Run:
     def _save(self, name: str) -> None:
         Checkpoint(
             self._settings,
-            self._backend.state_dict(),
+            self.state_dict(),
             self._monitor.rows,
             self._best,
             self._seconds,
@@ -255,7 +390,7 @@ class Run:
                 if not math.isfinite(value):
                     raise RuntimeError(
                         f"{name} of {learner} is {value} after"
-                        f" {self._backend.steps:,} steps; the last good checkpoint is"
+                        f" {self.steps:,} steps; the last good checkpoint is"
                         f" {self._folder / LAST}. A lower learning rate may help"
                     )
 
@@ -277,42 +412,24 @@ def _make_pool(task: Task, settings: Settings, folder: Path, casting: Casting) -
     )
 
 
-def _make_backend(
-    task: Task,
-    settings: Settings,
-    resources: Resources,
-    learners: Sequence[Learner],
-    casting: Casting,
-) -> Backend:
-    hyperparameters = settings.hyperparameters
-    learns = _LEARNERS[settings.algorithm]
-    layout = settings.layout
+def _make_collectors(
+    task: Task, settings: Settings, resources: Resources, casting: Casting
+) -> Any:
+    """Return a collector, or several elsewhere that are called as one is."""
     job = Job(
         task,
-        tuple(learners),
-        layout,
+        settings.learners(task),
+        settings.layout,
         settings.seed,
-        hyperparameters,
+        settings.hyperparameters,
         resources.num_threads,
         casting,
     )
-    if settings.backend == "ray":
-        from collaborative_gym.learning.ray_collectors import RayCollectors
+    if settings.backend != "ray":
+        return Collector(job)
+    from collaborative_gym.learning.ray_collectors import RayCollectors
 
-        address = resources.ray_address
-        collectors = RayCollectors(job, resources.num_collectors, address)
-    elif resources.num_collectors or resources.ray_address:
-        raise ValueError("num_collectors and ray_address go with the backend ray")
-    else:
-        collectors = OwnCollector(job)
-    return Backend(
-        [
-            learns(each, layout, hyperparameters, resources.device, casting)
-            for each in learners
-        ],
-        collectors,
-        hyperparameters,
-    )
+    return RayCollectors(job, resources.num_collectors, resources.ray_address)
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:

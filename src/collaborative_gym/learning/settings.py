@@ -22,14 +22,14 @@ from collaborative_gym.learning.config import (
     Hyperparameters,
     Mode,
     changed,
-    check_algorithm,
+    foreign,
     recipe,
 )
 from collaborative_gym.learning.pool import read_guests
-from collaborative_gym.learning.seeds import check_run_seed
 from collaborative_gym.learning.team import Learner, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
+from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task, TaskConfig
 
@@ -42,12 +42,13 @@ _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
 """Hyperparameters that a run may change when it continues; steps may only grow."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """What a run was started with.
 
     Attributes:
       identity: of its environment.
+      algorithm: what learns.
       mode: who learns what.
       seed: of the run.
       backend: what collects.
@@ -59,10 +60,10 @@ class Settings:
         drawn by chance.
       start: that policy's `digest`, the `environment` and `randomization` in which it
         was trained, and how, its `metadata`.
-      algorithm: what learns.
     """
 
     identity: Identity
+    algorithm: Algorithm = "ppo"
     mode: Mode
     seed: int
     backend: str
@@ -72,7 +73,6 @@ class Settings:
     partners: tuple[str, ...] = ()
     start_from: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
-    algorithm: Algorithm = "ppo"
 
     def casting(self, task: Task) -> Casting:
         """Return who sits where in the run's worlds."""
@@ -132,6 +132,11 @@ class Settings:
         for name in ("opponents", "partners"):
             content[name] = list(content[name])
         return content
+
+    def how(self) -> dict[str, Any]:
+        """Return what it says of training, and not of the environment."""
+        world = "identity", "observation_sizes", "action_sizes"
+        return {n: own for n, own in self.to_dict().items() if n not in world}
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Settings":
@@ -219,7 +224,7 @@ def settle(
         _check_company(settings)
         if settings.start_from:
             settings = replace(settings, start=_start(first_policy(settings, task)))
-    check_algorithm(algorithm, settings.hyperparameters)
+    _check_algorithm(algorithm, settings.hyperparameters)
     return settings
 
 
@@ -336,6 +341,16 @@ def _check_seats(settings: Settings, task: Task) -> None:
     read_guests(task, casting, settings.opponents or settings.partners)
 
 
+def _check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
+    """Raise unless all that is given means something to the algorithm."""
+    unknown = [n for n in changed(hyperparameters) if n in foreign(algorithm)]
+    if unknown:
+        raise ValueError(
+            f"{algorithm} knows no {' or '.join(unknown)}; leave out what another"
+            " algorithm alone uses"
+        )
+
+
 def _check_company(settings: Settings) -> None:
     """Raise if numbers of a league or of a population are given without one."""
     company = settings.opponents + settings.partners
@@ -353,14 +368,8 @@ def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
     found += settings.layout.differences(started.layout, settings.layout.observation)
-    for name in (
-        "algorithm",
-        "mode",
-        "seed",
-        "backend",
-        "opponents",
-        "partners",
-        "start_from",
+    for name in sorted(
+        vars(settings).keys() - {"identity", "hyperparameters", "start", "layout"}
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)

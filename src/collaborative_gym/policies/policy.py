@@ -20,7 +20,6 @@ from collaborative_gym.policies.scripted import (
     gripping_policy,
     idle_policy,
 )
-from collaborative_gym.policies.shipped import SHIPPED, is_shipped, shipped_file
 from collaborative_gym.tasks.registry import find_env, list_envs
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
@@ -28,6 +27,13 @@ Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 
 AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
 """A policy, or what `load_policy` finds it by, or one of these for each agent."""
+
+SHIPPED = {
+    "baseline": Path(__file__).parents[1] / "baselines",
+    "ego": Path(__file__).parents[1] / "egos",
+}
+"""Folders of each kind's policies: a baseline does its task with itself, and an ego
+with partners of many kinds."""
 
 POLICY_FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
@@ -146,6 +152,12 @@ def name_policy(policy: AnyPolicy) -> str:
     return getattr(policy, "__name__", type(policy).__name__)
 
 
+def split_word(word: str) -> tuple[str, str]:
+    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
+    seat, _, policy = word.partition("=")
+    return (seat, policy) if policy and seat.isidentifier() else ("", word)
+
+
 def commanding(
     agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
 ) -> Policy:
@@ -231,6 +243,21 @@ def player_file(name: str) -> Path:
     return Path(_PLAYERS, f"{name}.safetensors")
 
 
+def shipped_file(kind: str, env_id: str) -> Path:
+    """Return where an environment's policy of a kind is, if it is shipped."""
+    return SHIPPED[kind] / f"{env_id}.safetensors"
+
+
+def is_shipped(kind: str, env_id: str) -> bool:
+    """Return whether a policy of a kind is shipped for an environment."""
+    return shipped_file(kind, env_id).exists()
+
+
+def shipped_kinds(env_id: str) -> list[str]:
+    """Return the kinds of policies that are shipped for an environment."""
+    return [kind for kind in SHIPPED if is_shipped(kind, env_id)]
+
+
 def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:
     env_id = find_env(env.task)
     if env_id is None:
@@ -278,12 +305,15 @@ def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray
 
 _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "expert": expert_policy,
-    "frozen": frozen_policy,
-    "gripping": gripping_policy,
-    "idle": idle_policy,
     "random": RandomPolicy,
+    "idle": idle_policy,
+    "gripping": gripping_policy,
+    "frozen": frozen_policy,
 }
 
 _STYLED = "expert:"
 
-_NAMES = (*SHIPPED, *_BY_ENV)
+SCRIPTED = tuple(_BY_ENV)
+"""Names of the policies that every task has."""
+
+_NAMES = (*SHIPPED, *SCRIPTED)

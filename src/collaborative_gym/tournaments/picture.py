@@ -5,9 +5,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from collaborative_gym.errors import how_to_install
+from collaborative_gym.evaluation.figure import (
+    COLOURS,
+    make_figure,
+    open_axes,
+    save_figure,
+)
 from collaborative_gym.evaluation.report import Statistic
-from collaborative_gym.files import replacing
 from collaborative_gym.tournaments.result import (
     SHARES,
     Tournament,
@@ -37,9 +41,7 @@ def draw_tournament(tournament: Tournament, path: str | Path) -> None:
       ImportError: if the extra `train` is not installed.
       OSError: if the file cannot be written.
     """
-    figure = tournament_figure(tournament)
-    with replacing(path) as partial:
-        figure.savefig(partial)
+    save_figure(tournament_figure(tournament), path)
 
 
 def tournament_figure(tournament: Tournament) -> "Figure":
@@ -48,14 +50,6 @@ def tournament_figure(tournament: Tournament) -> "Figure":
     Raises:
       ImportError: if the extra `train` is not installed.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(
-            "pictures of tournaments need matplotlib, which is not installed;"
-            f" {how_to_install('train')}"
-        ) from None
     players = list(tournament.players)
     measures = tournament.measures
     if tournament.is_divided:
@@ -63,9 +57,7 @@ def tournament_figure(tournament: Tournament) -> "Figure":
         measures = measures[:1]
     side = _CELL * max(4, len(players)) + 1.6
     panels = len(measures) + tournament.is_divided
-    figure = Figure(figsize=(side * panels, side), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, panels, squeeze=False)[0]
+    figure, axes = make_figure(1, panels, (side * panels, side))
     for i, (own, measure) in enumerate(zip(axes, measures, strict=False)):
         _draw_matrix(own, tournament, measure, players, is_first=not i)
     if tournament.is_divided:
@@ -117,10 +109,10 @@ def _draw_matrix(
 def _draw_ratings(axes: "Axes", tournament: Tournament, players: list[str]) -> None:
     ratings: list[Statistic] = [tournament.ratings[player] for player in players]
     for i, rating in enumerate(ratings):
-        axes.plot([rating.low, rating.high], [i, i], color="#0072b2", linewidth=2.0)
-        axes.plot(rating.mean, i, "o", color="#0072b2")
+        axes.plot([rating.low, rating.high], [i, i], color=COLOURS[0], linewidth=2.0)
+        axes.plot(rating.mean, i, "o", color=COLOURS[0])
     axes.set_ylim(len(players) - 0.5, -0.5)
     axes.set_yticks([])
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    axes.spines[["top", "right", "left"]].set_visible(False)
+    open_axes(axes)
+    axes.spines["left"].set_visible(False)
     axes.set_title("rating, with 95 % intervals")

@@ -8,9 +8,8 @@ from urllib.parse import parse_qs, urlencode
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, look_up
 from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.policy import Policy
+from collaborative_gym.policies.policy import SCRIPTED, SHIPPED, Policy, shipped_kinds
 from collaborative_gym.policies.scripted import STYLES
-from collaborative_gym.policies.shipped import SHIPPED, shipped_kinds
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
@@ -19,8 +18,6 @@ from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
 
 LINK = "/play/"
 """How the paths of links begin."""
-
-_SCRIPTED = ("expert", "random", "idle", "gripping", "frozen")
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ class Menu:
         any_env: bool = False,
     ):
         self._task, self._any_env = env.task, any_env
-        self._policies: dict[str, Any] = {name: name for name in _SCRIPTED}
+        self._policies: dict[str, Any] = {name: name for name in SCRIPTED}
         for policy in policies.values():
             self._policies[name_policy(policy)] = policy
         self._robots: dict[str, str | Robot] = {name: name for name in list_robots()}
@@ -201,7 +198,7 @@ class Menu:
           choice: what to play.
           given: which can, besides the scripted and the shipped ones.
         """
-        able = {*_SCRIPTED, *self._styles(choice), *given} - SHIPPED.keys()
+        able = {*SCRIPTED, *self._styles(choice), *given} - SHIPPED.keys()
         able.update(self._shipped(choice))
         names = [name if name in able else "expert" for name in choice.policies]
         names += names[-1:] * len(choice.robots)
