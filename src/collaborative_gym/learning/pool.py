@@ -138,7 +138,7 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
     if not given:
         return {}
     found = {}
-    with closing(VectorEnv(task, 1, num_threads=1)) as env:
+    with closing(VectorEnv(task, 1, num_threads=1, strain=True)) as env:
         for word in given:
             own, name = split_word(word)
             with naming(f"{kind} {word!r}"):

@@ -196,7 +196,7 @@ def settle(
         opponent = started.opponents if opponent is None else opponent
         partner = started.partners if partner is None else partner
         start_from = (started.start_from or None) if start_from is None else start_from
-    layout = World.of(task).definition.layout
+    layout = World.of(task, strain=True).definition.layout
     opponents, partners = _words("opponent", opponent), _words("partner", partner)
     if len(task.sides) > 1:
         opponents = opponents or (SELF,)
@@ -249,7 +249,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
       KeyError: if there is no such policy.
       ValueError: if it is not a trained policy, or its networks differ from the run's.
     """
-    with closing(VectorEnv(task, 1, num_threads=1)) as env:
+    with closing(VectorEnv(task, 1, num_threads=1, strain=True)) as env:
         policy = read_policy(settings.start_from, env)
     if not isinstance(policy, NetworkPolicy):
         raise ValueError(
