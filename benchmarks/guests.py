@@ -14,13 +14,14 @@ from pathlib import Path
 
 import torch
 
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import make_casting
 from collaborative_gym.learning.collector import Collector, Job
 from collaborative_gym.learning.config import recipe
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 from collaborative_gym.policies.policy import shipped_file
 from collaborative_gym.tasks.registry import make_task
 
@@ -30,7 +31,7 @@ ENV, ROLLOUTS = "PokeTaskSawyers-v0", 2
 def collector_with(names):
     """Return a collector beside these guests, its networks and its invitation."""
     task, numbers = make_task(ENV), replace(recipe(ENV), num_envs=256)
-    sizes = Sizes.of(task)
+    sizes = World.of(task).definition.layout
     casting = make_casting(task, (), names, hyperparameters=numbers)
     learners = make_learners(
         "collaborative", sizes, task.sides, seats=casting.learned("")

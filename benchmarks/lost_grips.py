@@ -15,6 +15,7 @@ from rich.progress import track
 from rich.table import Table
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import columns_of
 
 
 def play(env: cg.VectorEnv, name: str, lost: np.ndarray | None = None) -> dict:
@@ -32,7 +33,8 @@ def play(env: cg.VectorEnv, name: str, lost: np.ndarray | None = None) -> dict:
         actions = {a: np.array(each) for a, each in policy(observations).items()}
         for i, agent in enumerate(env.agents):
             if lost is not None:
-                actions[agent][lost[step, i], -1] = -1.0
+                grip = columns_of(env.action_parts[agent], "grip")
+                actions[agent][np.ix_(lost[step, i], grip)] = -1.0
         holds.append([env.scene.holds(env.sim, agent) for agent in env.agents])
         observations, _, _, _, infos = env.step(actions)
     return infos["metrics"] | {"holds": np.array(holds)}

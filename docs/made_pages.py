@@ -214,36 +214,43 @@ def _observations(env: cg.VectorEnv) -> str:
     tables = []
     for agent, blocks in by_agent.items():
         who = "Each robot" if alike else f"`{agent}`"
-        ends = np.cumsum(list(blocks.values()))
+        ends = np.cumsum([block.size for block in blocks.values()])
         rows = [
-            (f"{end - size} to {end - 1}" if size > 1 else f"{end - 1}", block, size)
-            for (block, size), end in zip(blocks.items(), ends, strict=True)
+            (
+                f"{end - block.size} to {end - 1}" if block.size > 1 else f"{end - 1}",
+                block.name,
+                " x ".join(map(str, block.shape)),
+                block.unit,
+            )
+            for block, end in zip(blocks.values(), ends, strict=True)
         ]
         tables.append(
             f"{who} observes {ends[-1]} numbers, float32:\n\n"
-            + _table(("index", "what", "numbers"), rows)
+            + _table(("index", "what", "shape", "unit"), rows)
         )
         if alike:
             break
     tables.append(
-        "Joints are angles in rad. A pose of 7 numbers is a position in m and a"
-        " quaternion x, y, z, w, both in the world's frame."
+        "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both in"
+        " the world's frame."
     )
     return "\n\n".join(tables)
 
 
 def _actions(env: cg.VectorEnv) -> str:
     """Return what an action is, and what the reward is made of."""
-    sizes = {space.shape[0] for space in env.single_action_spaces.values()}
+    parts = env.action_parts.values()
+    sizes = {sum(part.size for part in own.values()) for own in parts}
     listed = " or ".join(map(str, sorted(sizes)))
-    grip = ", and the last one grips above 0" if env.task.gripping else ""
+    grips = all("grip" in own for own in parts)
+    grip = ", and the last one, `grip`, grips above 0" if grips else ""
     terms = "\n".join(
         f"- `{agent}`: " + ", ".join(f"`{term}`" for term in terms)
         for agent, terms in env.reward_terms.items()
     )
     return (
-        f"An action is {listed} numbers in [-1, 1]: one for each joint, in the order"
-        f" of the arm's joints{grip}.\n\nThe reward is the sum of these terms,"
+        f"An action is {listed} numbers in [-1, 1]: `moves`, one for each joint, in the"
+        f" order of the arm's joints{grip}.\n\nThe reward is the sum of these terms,"
         f" which the top of this page explains:\n\n{terms}"
     )
 

@@ -6,6 +6,7 @@ import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import gymnasium
 import mujoco
@@ -15,6 +16,7 @@ from array_api_compat import array_namespace
 
 import collaborative_gym as cg
 from collaborative_gym import math, plugins
+from collaborative_gym.blocks import POSE
 from collaborative_gym.motion import reach
 from collaborative_gym.tasks import registry
 
@@ -55,6 +57,7 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
 
     gripping = True
     config_class = CarryConfig
+    block_units: ClassVar = {"joints": "rad", "tcp": POSE, "cube": "m"}
 
     def mounts(self):
         return (

@@ -266,9 +266,11 @@ def test_made_pages_say_what_the_code_is():
         assert len(listed) == 1
         env = cg.make_vec(env_id, 1, num_threads=1)
         for agent, blocks in env.observation_blocks.items():
-            assert f"observes {sum(blocks.values())} numbers" in listed[0]
-            for block, size in blocks.items():
-                assert f"| {block} | {size} |" in listed[0]
+            size = sum(block.size for block in blocks.values())
+            assert f"observes {size} numbers" in listed[0]
+            for block in blocks.values():
+                shape = " x ".join(map(str, block.shape))
+                assert f"| {block.name} | {shape} | {block.unit} |" in listed[0]
             for term in env.reward_terms[agent]:
                 assert f"\n- `{term}`" in listed[0], f"{env_id}: {term}"
     lift = pages["tasks/lift.md"]

@@ -14,7 +14,7 @@ PACKAGE = ROOT.name
 # From bottom to top. A module belongs to the room of its longest name here; rooms on
 # one line do not know of one another. CONTRIBUTING.md says what each is for.
 ROOMS = [
-    {"errors", "math", "quiet", "timing"},
+    {"blocks", "errors", "math", "quiet", "timing"},
     {"rng", "files", "plugins"},
     {"robots"},
     {"objects"},

@@ -5,6 +5,7 @@ from copy import deepcopy
 
 import pytest
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.files import SealedRows, read_sealed, sealed
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.settings import Settings
@@ -44,8 +45,7 @@ def contents(carry):
         mode="collaborative",
         seed=0,
         backend="skrl",
-        observation_sizes={},
-        action_sizes={},
+        layout=Layout({}, {}),
         hyperparameters=Hyperparameters(total_steps=400),
     )
     return json.loads(json.dumps(settings.to_dict()))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import columns_of
 from collaborative_gym.control import JointChanges, Motion
-from collaborative_gym.control.modes import grip_columns
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 
@@ -36,10 +36,13 @@ def test_actions_are_changes_of_joint_angles_and_a_grip(env):
 @pytest.mark.parametrize("gripping", [True, False])
 def test_an_action_divides_into_moves_and_a_grip(env, gripping):
     action = np.array([[0.1, 0.2, 0.0], [0.3, 0.4, 0.5]])
-    moves, grips = JointChanges(env.scene, env.sim, gripping).split(action)
+    mode = JointChanges(env.scene, env.sim, gripping)
+    moves, grips = mode.split(action)
     assert moves.tolist() == action[:, : 2 if gripping else 3].tolist()
     assert grips.tolist() == [False, gripping]
-    assert grip_columns(3, gripping).tolist() == [False, False, gripping]
+    parts = mode.parts("robot_1")
+    assert (columns_of(parts, "moves").sum() == 7 and "grip" in parts) or not gripping
+    assert columns_of(parts, "grip").tolist() == [False] * 7 + [True] * gripping
 
 
 def test_idle_robots_hold_still_and_grip_nothing(env):

@@ -120,7 +120,8 @@ def test_spaces_hold_what_is_returned(case):
     play(env, 3)
     for agent in env.agents:
         space = env.single_observation_spaces[agent]
-        assert sum(env.observation_blocks[agent].values()) == space.shape[0]
+        blocks = env.observation_blocks[agent]
+        assert sum(block.size for block in blocks.values()) == space.shape[0]
         assert all(row in space for row in observations[agent])
         robot = env.task.robots[agent]
         moves = {"joints": len(robot.joints), "tcp": 6}[env.task.config.action]

@@ -60,6 +60,24 @@ def test_an_observation_without_rows(broken):
         broken("observe", wrong)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda rows: rows[:1],
+            r"'cube' of robot_1 has shape \(1, 3\); it needs a row",
+        ),
+        (lambda rows: rows.astype(object), "of type object; it must be an array of"),
+        (lambda rows: rows.astype(complex), "of type complex128; it must be an array"),
+        (lambda rows: rows.tolist(), "of type list; it must be an array of"),
+    ],
+)
+def test_an_observation_of_what_is_no_number(broken, change, message):
+    wrong = every(lambda blocks: blocks | {"cube": change(blocks["cube"])})
+    with pytest.raises(ValueError, match=message):
+        broken("observe", wrong)
+
+
 def test_an_agent_that_is_forgotten_or_unknown(broken):
     def without(task, own, *given):
         return {"robot_1": own(*given)["robot_1"]}

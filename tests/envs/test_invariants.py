@@ -172,7 +172,7 @@ def test_observations_describe_the_state_after_the_step(make_env):
     env.reset(seed=0)
     play(env, 3)
     observations = env.set_state(env.get_state())
-    start = env.observation_blocks["robot_1"]["joints"]
+    start = env.observation_blocks["robot_1"]["joints"].size
     for i in range(2):
         data = env.sim.data(i)
         tcp = data.site("robot_1/tcp").xpos

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import POSE, Block
 
 LENGTH = 12
 
@@ -16,11 +17,15 @@ def test_spaces_and_blocks_describe_what_is_returned(make_env):
     assert env.agents == ("robot_1", "robot_2")
     for agent in env.agents:
         assert env.observation_blocks[agent] == {
-            "joints": 7,
-            "tcp": 7,
-            "cube": 3,
-            "distance": 1,
-            "highest": 1,
+            "joints": Block("joints", (7,), unit="rad"),
+            "tcp": Block("tcp", (7,), unit=POSE),
+            "cube": Block("cube", (3,), unit="m"),
+            "distance": Block("distance", (1,)),
+            "highest": Block("highest", (1,)),
+        }
+        assert env.action_parts[agent] == {
+            "moves": Block("moves", (7,)),
+            "grip": Block("grip", (1,)),
         }
         assert env.single_observation_spaces[agent].shape == (19,)
         assert env.single_action_spaces[agent].shape == (8,)

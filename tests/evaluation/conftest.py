@@ -18,16 +18,10 @@ def random_network(tmp_path, monkeypatch):
     def ship(env_id):
         env = cg.make_vec(env_id, 1, num_threads=1)
         rng = np.random.default_rng(0)
-        sizes = {
-            kind: {agent: space.shape[0] for agent, space in spaces.items()}
-            for kind, spaces in (
-                ("observation_sizes", env.single_observation_spaces),
-                ("action_sizes", env.single_action_spaces),
-            )
-        }
+        layout = env.world.definition.layout
         weights = {}
-        for agent in env.agents:
-            inputs, outputs = (sizes[kind][agent] for kind in sizes)
+        for agent, inputs in layout.observation_sizes.items():
+            outputs = layout.action_sizes[agent]
             weight = rng.normal(0.0, 0.3, (outputs, inputs)).astype(np.float32)
             weights[agent] = Weights(
                 np.zeros(inputs, np.float32),
@@ -41,7 +35,7 @@ def random_network(tmp_path, monkeypatch):
             weights,
             activation="tanh",
             identity=Identity.of(env.task),
-            **sizes,
+            layout=layout,
             metadata={},
         ).save(path)
         return path

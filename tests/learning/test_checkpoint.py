@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.settings import Settings
@@ -43,8 +44,7 @@ def settings(carry, tiny):
         mode="independent",
         seed=3,
         backend="skrl",
-        observation_sizes=sizes,
-        action_sizes=sizes,
+        layout=Layout.of_sizes(sizes, sizes),
         hyperparameters=tiny(hidden_sizes=(8, 4)),
     )
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.collector import Collector, Job
 from collaborative_gym.learning.config import FAULTS, MODES
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 LENGTH, WORLDS, STEPS = 12, 4, 8
 NOTHING, ALL = Assistance(0.0), Assistance(0.0)
@@ -22,7 +23,7 @@ PENALTIES = (
 @pytest.fixture
 def make(carry, tiny):
     """Return a function that makes a collector of the small task, and its learners."""
-    sizes = Sizes.of(carry())
+    sizes = World.of(carry()).definition.layout
     made = []
 
     def make(mode="collaborative", index=0, count=1, seed=0, **changes):
@@ -98,7 +99,7 @@ def test_the_experts_advice_stands_beside_what_was_done(make, mode, weight):
         rollout = collected.rollouts[learner.learner.name]
         assert rollout.advice.shape[2] == (rollout.actions.shape[2] if weight else 0)
         for advised, actions in zip(rollout.advice, given, strict=False):
-            by_agent = learner.learner.actions(advised, collector._job.sizes)
+            by_agent = learner.learner.actions(advised, collector._job.layout)
             for agent, rows in by_agent.items():
                 np.testing.assert_allclose(rows, actions[agent], atol=1e-6)
 
@@ -216,7 +217,7 @@ def test_grips_are_lost_and_missed_now_and_then(make, monkeypatch, lost, missed)
     chosen = collector.collect(acting(learners), 0, ALL)[0].rollouts["team"].actions
     asked = np.stack([np.concatenate(list(each.values()), axis=1) for each in done])
     fails = asked != np.clip(chosen, -1.0, 1.0)
-    grips = learners[0].learner.is_grip(Sizes.of(env.task))
+    grips = learners[0].learner.is_grip(World.of(env.task).definition.layout)
     assert not fails[:, :, ~grips].any() and (asked[fails] == -1.0).all()
     fails, held = fails[:, :, grips], np.stack(held)
     for of_these, share in ((held, lost), (~held, missed)):

@@ -7,13 +7,14 @@ import pytest
 import torch
 
 import collaborative_gym as cg
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import Casting, make_casting
 from collaborative_gym.learning.collector import Collector, Job
 from collaborative_gym.learning.config import FAULTS
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 WORLDS, STEPS = 8, 30
 NOTHING = Assistance(0.0)
@@ -37,7 +38,7 @@ def collect(duel, tiny):
         exact = dict.fromkeys(FAULTS, 0.0) | changes
         numbers = tiny(num_envs=WORLDS, rollout_steps=STEPS, **exact)
         casting = make_casting(duel, words, (), hyperparameters=numbers)
-        sizes = Sizes.of(duel)
+        sizes = World.of(duel).definition.layout
         learners = make_learners(
             mode, sizes, duel.sides, seats=casting.learned("") or None
         )
@@ -239,7 +240,7 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
     )
     players = [cg.load_policy(f"{result.folder}/{name}") for name in ("1", "2")]
     assert all(policy.agents == ("robot_1", "robot_2") for policy in players)
-    rows = {a: np.ones((1, n)) for a, n in players[0].observation_sizes.items()}
+    rows = {a: np.ones((1, n)) for a, n in players[0].layout.observation_sizes.items()}
     first, second = (policy(rows)["robot_1"] for policy in players)
     assert not np.array_equal(first, second)
     with pytest.raises(KeyError, match="no player '3'; players: 1, 2"):

@@ -213,7 +213,7 @@ def test_a_league_runs_and_its_players_can_be_named(train_tiny, duel, numbers):
     for name in files:
         assert cg.load_policy(f"{result.folder}/{name}").agents == duel.agents
     main, first = (cg.load_policy(f"{result.folder}/{n}") for n in (MAIN, "main-0"))
-    rows = {a: np.ones((1, n)) for a, n in main.observation_sizes.items()}
+    rows = {a: np.ones((1, n)) for a, n in main.layout.observation_sizes.items()}
     assert not np.array_equal(main(rows)["robot_1"], first(rows)["robot_1"])
     whole = cg.load_policy(result.folder)
     assert np.array_equal(main(rows)["robot_1"], whole(rows)["robot_1"])

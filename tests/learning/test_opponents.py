@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.config import MODES
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -46,7 +47,7 @@ def test_opponents_learn_by_side(
 def test_no_reward_is_averaged_over_opponents(mode, expected):
     rewards = {"robot_1": [1.0], "robot_2": [2.0], "robot_3": [5.0]}
     rewards = {agent: np.float32(reward) for agent, reward in rewards.items()}
-    sizes = Sizes(dict.fromkeys(rewards, 3), dict.fromkeys(rewards, 2))
+    sizes = Layout.of_sizes(dict.fromkeys(rewards, 3), dict.fromkeys(rewards, 2))
     learners = make_learners(mode, sizes, (("robot_1", "robot_2"), ("robot_3",)))
     found = {each.name: each.rewards(rewards).tolist() for each in learners}
     assert found == expected

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import make_casting
 from collaborative_gym.learning.collector import Collector, Job
 from collaborative_gym.learning.config import FAULTS, MODES
 from collaborative_gym.learning.pool import Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 IDLE = {"robot_2": "idle"}
 
@@ -28,7 +29,7 @@ def test_only_the_others_learn(train_tiny, mode, carry):
 
 def test_partners_play_their_policies_without_faults(carry, tiny):
     task, numbers = carry(), tiny(**dict.fromkeys(FAULTS, 1.0))
-    sizes, given = Sizes.of(task), ["robot_2=gripping"]
+    sizes, given = World.of(task).definition.layout, ["robot_2=gripping"]
     casting = make_casting(task, (), given, hyperparameters=numbers)
     seats = casting.learned("")
     learners = make_learners("independent", sizes, task.sides, seats=seats)

@@ -5,17 +5,22 @@ import numpy as np
 import pytest
 import torch
 
+from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import Job, Player
 from collaborative_gym.learning.config import MODES
 from collaborative_gym.learning.display import UPDATE
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 from collaborative_gym.policies.network import ACTIVATIONS, NetworkPolicy
 from collaborative_gym.tasks.identity import Identity
 
 AGENTS = ("robot_1", "robot_2")
-SIZES = Sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
+SIZES = Layout.of_sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
+GRIPPING = replace(
+    SIZES,
+    action={a: {n: Block(n, (1,)) for n in ("moves", "grip")} for a in AGENTS},
+)
 
 
 @pytest.fixture(autouse=True)
@@ -117,8 +122,7 @@ def as_policy(learners, activation):
         weights,
         activation=activation,
         identity=Identity("", "", {}, {}, {}),
-        observation_sizes=SIZES.observation,
-        action_sizes=SIZES.action,
+        layout=SIZES,
         metadata={},
     )
 
@@ -321,7 +325,7 @@ def test_the_learning_rate_keeps_the_policy_near_its_target(make, target, rises)
 @pytest.mark.parametrize("is_gripping", [False, True])
 def test_the_grips_noise_lasts_and_no_other(make, is_gripping):
     std = {"initial_std": 0.3, "initial_grip_std": 0.5, "grip_persistence": 0.8}
-    gripping = replace(SIZES, gripping=is_gripping)
+    gripping = GRIPPING if is_gripping else SIZES
     (learner,) = make("collaborative", 2000, sizes=gripping, **std)
     observations = drawn(np.random.default_rng(0), 2000)
     expected = means([learner], observations)["robot_1"]
@@ -339,8 +343,7 @@ def test_the_grips_noise_lasts_and_no_other(make, is_gripping):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_grips_mean_has_a_limit_and_the_same_sign_without_torch(make, mode):
-    gripping = replace(SIZES, gripping=True)
-    learners = make(mode, 400, sizes=gripping, grip_limit=0.5, initial_grip_std=0.3)
+    learners = make(mode, 400, sizes=GRIPPING, grip_limit=0.5, initial_grip_std=0.3)
     for learner in learners:
         with torch.no_grad():
             for net in learner._policy.actor.nets:
@@ -363,7 +366,7 @@ def test_a_grips_mean_has_a_limit_and_the_same_sign_without_torch(make, mode):
 
 @pytest.mark.parametrize(("loss", "gradient"), [(1.0, 4.0), (-1.0, 0.0)])
 def test_a_grip_at_its_limit_can_still_learn_to_let_go(make, loss, gradient):
-    (learner,) = make("shared", sizes=replace(SIZES, gripping=True), grip_limit=0.5)
+    (learner,) = make("shared", sizes=GRIPPING, grip_limit=0.5)
     actor = learner._policy.actor
     with torch.no_grad():
         actor.nets[0][-1].bias[-1] = 20.0

@@ -21,6 +21,7 @@ import ray
 from ray.cluster_utils import Cluster
 
 from collaborative_gym import plugins
+from collaborative_gym.envs.world import World
 from collaborative_gym.learning.collector import Job
 from collaborative_gym.learning.config import Resources
 from collaborative_gym.learning.ray_collectors import (
@@ -30,7 +31,7 @@ from collaborative_gym.learning.ray_collectors import (
 )
 from collaborative_gym.learning.run import Run
 from collaborative_gym.learning.settings import settle
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 from collaborative_gym.tasks.registry import as_task
 
 TASK = """
@@ -56,7 +57,7 @@ def make_job(carry, tiny):
 
     def make_job(task=None, num_envs=6, seed=0):
         task = task or carry()
-        sizes = Sizes.of(task)
+        sizes = World.of(task).definition.layout
         numbers = tiny(num_envs=num_envs, rollout_steps=5)
         return Job(task, make_learners("collaborative", sizes), sizes, seed, numbers)
 

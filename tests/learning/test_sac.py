@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.collector import Job, Player, Rollout
@@ -15,10 +16,10 @@ from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.learner import Policy
 from collaborative_gym.learning.networks import Actor
 from collaborative_gym.learning.sac import SACLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 AGENTS = ("robot_1", "robot_2")
-SIZES = Sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
+SIZES = Layout.of_sizes(dict.fromkeys(AGENTS, 3), dict.fromkeys(AGENTS, 2))
 SMALL = Hyperparameters(
     total_steps=192,
     num_envs=4,

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.ppo import PPOLearner
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
 ALONE_STEPS, LATER_STEPS = 320, 352
 """Those of the ten rollouts in which critics learn alone, and one more."""
@@ -92,7 +93,7 @@ def test_another_start_is_refused_before_the_work(
 
 
 def test_noise_shrinks_as_demands_grow(tiny):
-    sizes = Sizes({"robot_1": 3}, {"robot_1": 2})
+    sizes = Layout.of_sizes({"robot_1": 3}, {"robot_1": 2})
     (learner,) = make_learners("independent", sizes)
     pupil = PPOLearner(learner, sizes, tiny(), "cpu")
     before = pupil.acting()["actor"]["log_std"].exp()

@@ -1,12 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.config import MODES
-from collaborative_gym.learning.team import Sizes, make_learners
+from collaborative_gym.learning.team import make_learners
 
-SIZES = Sizes({"robot_1": 3, "robot_2": 2}, {"robot_1": 2, "robot_2": 1})
-EQUAL = Sizes({"robot_1": 2, "robot_2": 2}, {"robot_1": 1, "robot_2": 1})
+SIZES = Layout.of_sizes({"robot_1": 3, "robot_2": 2}, {"robot_1": 2, "robot_2": 1})
+EQUAL = Layout.of_sizes({"robot_1": 2, "robot_2": 2}, {"robot_1": 1, "robot_2": 1})
 
 
 def numbered(sizes, num_envs=2):
@@ -47,7 +50,7 @@ def test_a_teams_rows_have_all_agents_and_their_mean_reward(mode, networks):
     (learner,) = make_learners(mode, SIZES)
     assert learner.networks(SIZES) == networks
     assert Casting().num_rows(learner, 2) == 2
-    rows = learner.observations(numbered(SIZES.observation))
+    rows = learner.observations(numbered(SIZES.observation_sizes))
     assert rows.tolist() == [[0, 1, 2, 10, 11], [100, 101, 102, 110, 111]]
     rewards = {"robot_1": np.float32([1, 2]), "robot_2": np.float32([3, 6])}
     assert learner.rewards(rewards).tolist() == [2, 4]
@@ -63,7 +66,7 @@ def test_independent_agents_have_their_own_rows_and_rewards():
     assert first.networks(SIZES) == {"robot_1": (3, 2)}
     rewards = {"robot_1": np.float32([1, 2]), "robot_2": np.float32([3, 6])}
     assert second.rewards(rewards).tolist() == [3, 6]
-    rows = second.observations(numbered(SIZES.observation))
+    rows = second.observations(numbered(SIZES.observation_sizes))
     assert rows.tolist() == [[10, 11], [110, 111]]
 
 
@@ -71,7 +74,7 @@ def test_shared_rows_tell_which_robot_and_stand_below_one_another():
     (learner,) = make_learners("shared", EQUAL)
     assert learner.networks(EQUAL) == {"shared": (4, 1)}
     assert Casting().num_rows(learner, 2) == 4
-    rows = learner.observations(numbered(EQUAL.observation))
+    rows = learner.observations(numbered(EQUAL.observation_sizes))
     assert rows.tolist() == [
         [0, 1, 1, 0],
         [100, 101, 1, 0],
@@ -89,7 +92,7 @@ def test_a_shared_policy_needs_equal_spaces():
     listed = "observations are 3 for robot_1, 2 for robot_2; choose another mode"
     with pytest.raises(ValueError, match=listed):
         make_learners("shared", SIZES)
-    sizes = Sizes(EQUAL.observation, SIZES.action)
+    sizes = replace(EQUAL, action=SIZES.action)
     with pytest.raises(ValueError, match="actions are 2 for robot_1, 1 for robot_2"):
         make_learners("shared", sizes)
 

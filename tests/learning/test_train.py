@@ -32,7 +32,7 @@ import collaborative_gym as cg
 
 for folder in sys.argv[1:]:
     policy = cg.load_policy(folder)
-    sizes = policy.observation_sizes
+    sizes = policy.layout.observation_sizes
     rows = {agent: np.ones((2, size), np.float32) for agent, size in sizes.items()}
     np.save(f"{folder}/actions.npy", np.concatenate(list(policy(rows).values()), 1))
 """
@@ -88,7 +88,7 @@ def test_policies_run_without_torch(trained):
     subprocess.run(arguments, check=True)
     for folder in folders:
         policy = cg.load_policy(folder)
-        sizes = policy.observation_sizes
+        sizes = policy.layout.observation_sizes
         rows = {a: np.ones((2, size), np.float32) for a, size in sizes.items()}
         expected = np.concatenate(list(policy(rows).values()), axis=1)
         assert np.array_equal(np.load(folder / "actions.npy"), expected)

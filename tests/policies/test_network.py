@@ -1,6 +1,7 @@
 import json
 import os
 import zipfile
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.policies import network
 from collaborative_gym.policies.network import (
     ACTIVATIONS,
@@ -42,15 +44,25 @@ IDENTITY = Identity(
 )
 
 
-def made(parts, weights, activation="relu", observation=3, action=2, identity=IDENTITY):
+def made(
+    parts,
+    weights,
+    activation="relu",
+    observation=3,
+    action=2,
+    identity=IDENTITY,
+    layout=None,
+):
     """Return a policy of two robots with equal spaces."""
     return NetworkPolicy(
         parts,
         weights,
         activation=activation,
         identity=identity,
-        observation_sizes=dict.fromkeys(AGENTS, observation),
-        action_sizes=dict.fromkeys(AGENTS, action),
+        layout=layout
+        or Layout.of_sizes(
+            dict.fromkeys(AGENTS, observation), dict.fromkeys(AGENTS, action)
+        ),
         metadata={"steps": 7},
     )
 
@@ -59,7 +71,7 @@ def made(parts, weights, activation="relu", observation=3, action=2, identity=ID
 def policies():
     """Return a policy of each kind: one network each, one shared, one for all."""
     each = {agent: drawn_weights(3, 2, i) for i, agent in enumerate(AGENTS)}
-    told = [Part((agent,), "shared", i) for i, agent in enumerate(AGENTS)]
+    told = [Part((agent,), "shared", i, 2) for i, agent in enumerate(AGENTS)]
     return {
         "each": made([Part((agent,), agent) for agent in AGENTS], each),
         "shared": made(told, {"shared": drawn_weights(5, 2)}),
@@ -187,9 +199,79 @@ def test_it_must_be_for_the_environment(make_env):
     message = "here task is Poke, not Carry. Train one for this environment$"
     with pytest.raises(ValueError, match=message):
         policy.check(poke)
-    message = "sizes are robot_1 19, robot_2 19, the environment's robot_1 21, robot_2"
+    message = "here the observation of robot_1 has 21 numbers, not 19; .* of robot_2"
     with pytest.raises(ValueError, match=message):
         policy.check(poke, any_env=True)
+
+
+def named(env, change):
+    """Return a policy of the small task whose first robot's blocks are changed."""
+    layout = env.world.definition.layout
+    blocks = change(dict(layout.observation["robot_1"]))
+    layout = replace(layout, observation={**layout.observation, "robot_1": blocks})
+    parts, weights = [Part((agent,), "same") for agent in AGENTS], drawn_weights(19, 8)
+    identity = Identity.of(env.task)
+    return made(parts, {"same": weights}, identity=identity, layout=layout)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            lambda own: {"eye" if n == "tcp" else n: b for n, b in own.items()},
+            "the observation of robot_1 has no block 'eye'; .*a block 'tcp' more",
+        ),
+        (
+            lambda own: own | {"cube": Block("cube", (1, 3), unit="mm")},
+            r"block 'cube' of shape \(3,\), not \(1, 3\); .* of unit m, not mm$",
+        ),
+        (lambda own: dict(reversed(own.items())), "another order: joints, tcp, cube"),
+    ],
+)
+@pytest.mark.parametrize("any_env", [False, True])
+def test_other_blocks_of_the_same_size_are_refused(make_env, change, message, any_env):
+    env = make_env()
+    named(env, lambda own: own).check(env)
+    policy = named(env, change)
+    with pytest.raises(ValueError, match=message):
+        policy.check(env, any_env=any_env)
+
+
+def test_a_file_has_the_blocks_by_name(make_env, tmp_path):
+    env = make_env()
+    policy = named(env, lambda own: own)
+    policy.save(tmp_path / "policy.safetensors")
+    loaded = NetworkPolicy.load(tmp_path / "policy.safetensors")
+    assert loaded.layout == env.world.definition.layout
+    assert loaded.digest == policy.digest
+
+
+@pytest.mark.parametrize("kind", ["each", "shared", "all"])
+def test_a_file_without_blocks_is_read_and_written_as_it_was(
+    policies, observations, kind, tmp_path
+):
+    path = tmp_path / "policy.safetensors"
+    policies[kind].save(path)
+    description = json.loads(read(path)[1]["collaborative_gym"][64:])
+    assert description["format"] == 2
+    assert description["observation_sizes"] == dict.fromkeys(AGENTS, 3)
+    assert all(
+        set(part) == {"agents", "weights", "index"} for part in description["parts"]
+    )
+    NetworkPolicy.load(path).save(tmp_path / "again.safetensors")
+    assert (tmp_path / "again.safetensors").read_bytes() == path.read_bytes()
+
+
+def test_a_shared_network_knows_its_seats_when_it_plays_one(make_env, tmp_path):
+    env = make_env()
+    layout = env.world.definition.layout
+    parts = [Part((agent,), "shared", i, 2) for i, agent in enumerate(AGENTS)]
+    weights = {"shared": drawn_weights(21, 8)}
+    whole = made(parts, weights, identity=Identity.of(env.task), layout=layout)
+    whole.serving(["robot_2"]).save(tmp_path / "policy.safetensors")
+    alone = NetworkPolicy.load(tmp_path / "policy.safetensors")
+    rows = {agent: np.ones((2, 19), np.float32) for agent in AGENTS}
+    assert np.array_equal(alone(rows)["robot_2"], whole(rows)["robot_2"])
 
 
 def test_networks_must_fit_the_sizes():

@@ -151,8 +151,7 @@ def saved(make_env, tmp_path):
         weights,
         activation="relu",
         identity=Identity.of(env.task),
-        observation_sizes=observation,
-        action_sizes=action,
+        layout=env.world.definition.layout,
         metadata={},
     ).save(path)
     return path

@@ -92,7 +92,8 @@ def test_starts_level_held_and_at_rest(env_id, randomization):
 def test_observation_has_the_thesis_blocks():
     env = make(UNPUSHED, 1)
     for agent in env.agents:
-        assert list(env.observation_blocks[agent].items()) == [
+        blocks = env.observation_blocks[agent].values()
+        assert [(block.name, block.size) for block in blocks] == [
             ("robot_1 joints", 7),
             ("robot_2 joints", 7),
             ("ball", 7),

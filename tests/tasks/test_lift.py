@@ -122,8 +122,8 @@ def test_joint_torques_stay_within_the_limits_while_holding(env):
 
 
 def test_observation_has_the_blocks_of_the_thesis(env):
-    for sizes in env.observation_blocks.values():
-        assert list(sizes.items()) == [
+    for blocks in env.observation_blocks.values():
+        assert [(block.name, block.size) for block in blocks.values()] == [
             ("robot_1 joints", 7),
             ("robot_2 joints", 7),
             ("robot_1 gripping", 1),

@@ -82,7 +82,7 @@ def check(env, observations):
     for i in range(env.num_envs):
         data = env.sim.data(i)
         for agent in env.agents:
-            sizes = env.observation_blocks[agent]
+            sizes = {n: b.size for n, b in env.observation_blocks[agent].items()}
             ends = np.cumsum(list(sizes.values()))[:-1]
             parts = np.split(observations[agent][i], ends)
             for block, part in zip(sizes, parts, strict=True):

@@ -92,7 +92,8 @@ def test_paper_starts_as_in_the_thesis(sawyers):
 
 def test_observation_is_as_in_the_thesis(sawyers):
     for agent in AGENTS:
-        assert list(sawyers.observation_blocks[agent].items()) == [
+        blocks = sawyers.observation_blocks[agent].values()
+        assert [(block.name, block.size) for block in blocks] == [
             ("joints", 7),
             ("robot_1 end effector", 7),
             ("robot_2 end effector", 7),

@@ -1,7 +1,5 @@
 """Starts: each draw spreads over its bounds, and the outermost can be solved."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -49,21 +47,21 @@ def drawn(env_id, facts, nominal):
     return {**found, "joint_noise": np.hstack(own)}
 
 
-def starts(env, **bounds):
-    """Return what is measured of starts that are drawn within these bounds alone."""
+def starts(task, **bounds):
+    """Return worlds at starts that are drawn within these bounds alone."""
     chosen = cg.Randomization(**{**vars(NONE), **bounds})
-    env.task.config = replace(env.task.config, randomization=chosen)
+    env = cg.VectorEnv(task.varied(randomization=chosen), STARTS, num_threads=1)
     env.reset(seed=0)
-    return env.facts
+    return env
 
 
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_draw_spreads_over_its_bounds(env_id):
-    env = cg.make_vec(env_id, num_envs=STARTS, num_threads=1)
-    nominal = starts(env)
+    task = cg.task(env_id)
+    nominal = starts(task).facts
     for field in drawn(env_id, nominal, nominal):
         bound = getattr(cg.Randomization(), field)
-        facts = starts(env, **{field: bound})
+        facts = starts(task, **{field: bound}).facts
         found = drawn(env_id, facts, nominal)[field] / bound
         if env_id.startswith("Balance") and field == "joint_noise":
             # Joints that hold the board keep only what leaves their hand where it is.
@@ -81,8 +79,7 @@ def test_each_draw_spreads_over_its_bounds(env_id):
 
 
 def test_the_ball_starts_anywhere_and_is_pushed_either_way():
-    env = cg.make_vec("BalanceTaskSawyers-v0", num_envs=STARTS, num_threads=1)
-    starts(env)
+    env = starts(cg.task("BalanceTaskSawyers-v0"))
     share = env.facts.offset[:, :2] / [0.2, 0.45]
     assert (share.max(axis=0) > 0.9).all()
     assert (share.min(axis=0) < -0.9).all()

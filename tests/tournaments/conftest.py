@@ -39,20 +39,15 @@ def network(tmp_path):
     def write(task, name, agents=None, seed=0, one_network=False):
         env = cg.VectorEnv(task, 1, num_threads=1)
         agents = agents or env.agents
-        sizes = {
-            kind: {agent: spaces[agent].shape[0] for agent in agents}
-            for kind, spaces in (
-                ("observation_sizes", env.single_observation_spaces),
-                ("action_sizes", env.single_action_spaces),
-            )
-        }
+        layout = env.world.definition.layout
         rng, weights = np.random.default_rng(seed), {}
         parts = [Part((agent,), agent) for agent in agents]
         if one_network:
             parts = [Part(tuple(agents), "all")]
         for part in parts:
             inputs, outputs = (
-                sum(sizes[kind][agent] for agent in part.agents) for kind in sizes
+                sum(sizes[agent] for agent in part.agents)
+                for sizes in (layout.observation_sizes, layout.action_sizes)
             )
             weight = rng.normal(0.0, 0.3, (outputs, inputs)).astype(np.float32)
             weights[part.weights] = Weights(
@@ -66,7 +61,7 @@ def network(tmp_path):
             weights,
             activation="tanh",
             identity=Identity.of(task),
-            **sizes,
+            layout=layout,
             metadata={},
         ).save(path)
         return path

@@ -5,9 +5,9 @@ from itertools import count
 
 import numpy as np
 
+from collaborative_gym.blocks import columns_of
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.play import Cast, Outcome, play
-from collaborative_gym.control.modes import grip_columns
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
@@ -48,7 +48,7 @@ class Motions:
             for agent, space in env.single_action_spaces.items()
             if agent not in partners
         }
-        grips = [grip_columns(n, env.task.gripping) for n in self._sizes.values()]
+        grips = [columns_of(env.action_parts[agent], "grip") for agent in self._sizes]
         self.is_grip = np.concatenate(grips)
         self.shape = budget.knots, len(self.is_grip)
 

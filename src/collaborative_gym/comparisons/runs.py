@@ -20,7 +20,7 @@ _REMEDY = (
 )
 """What to do about a damaged file."""
 
-_NO_SETTINGS = ("seed", "observation_sizes", "action_sizes", "start.metadata")
+_NO_SETTINGS = ("seed", "layout", "observation_sizes", "action_sizes", "start.metadata")
 """Settings that follow from others, or that shall not tell runs apart."""
 
 

@@ -2,8 +2,8 @@
 
 A mode owns an arm's drives. It adds them to the world before that is compiled, starts
 them, turns actions into their controls, turns an expert's motions into actions, and
-says which action holds still. No other module knows how an action is laid out: it has
-components that move the arm and, where a task has gripping, one more, which grips
+says which action holds still. No other module knows how an action is laid out; it asks
+for the `parts`: `moves` of the arm and, where a task has gripping, `grip`, which grips
 above 0.
 """
 
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.blocks import Block
 from collaborative_gym.control.grips import Grips
 from collaborative_gym.errors import (
     check_kind,
@@ -65,11 +66,6 @@ class Command:
 
     moves: Array
     grips: Array
-
-
-def grip_columns(size: int, gripping: bool) -> np.ndarray:
-    """Return which of an action's components grip, (size,) booleans."""
-    return np.arange(size) == (size - 1 if gripping else size)
 
 
 class ActionMode:
@@ -154,6 +150,11 @@ class ActionMode:
         """
         for arm in self.arms.values():
             self._sim.ctrl[env_ids, arm.fingers] = arm.robot.gripper.open_position
+
+    def parts(self, agent: str) -> dict[str, Block]:
+        """Return the parts of an agent's action, by name."""
+        moves, grip = Block("moves", (self.num_moves(agent),)), Block("grip", (1,))
+        return {"moves": moves} | ({"grip": grip} if self.gripping else {})
 
     def size(self, agent: str) -> int:
         """Return the number of components of an agent's action."""

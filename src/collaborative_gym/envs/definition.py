@@ -7,12 +7,16 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
+from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Blocks, Task, Terms
+
+_NUMBERS = "bool", "integral", "real floating"
+"""Kinds of numbers of which a block may be."""
 
 _HAND = 0.3
 """What a hand, and what it holds, add to an arm's rated reach, in m."""
@@ -23,14 +27,14 @@ class Definition:
     """What follows from a task and its world.
 
     Attributes:
-      observation_blocks: names and sizes of an observation's parts, by agent.
-      observation_spaces: of one world, by agent.
+      layout: the blocks of observations and the parts of actions.
+      observation_spaces: of one world's flat view, by agent.
       action_spaces: of one world, by agent.
       reward_terms: names of a reward's parts, by agent.
       sides: the agents of each side, by its name.
     """
 
-    observation_blocks: dict[str, dict[str, int]]
+    layout: Layout
     observation_spaces: dict[str, Box]
     action_spaces: dict[str, Box]
     reward_terms: dict[str, tuple[str, ...]]
@@ -54,9 +58,6 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     facts = task.measure(sim)
     blocks = task.observe(facts)
     _check_blocks(name, task, blocks, tried, sim)
-    action_spaces = {
-        agent: Box(-1.0, 1.0, (mode.size(agent),), np.float32) for agent in task.agents
-    }
     idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
     terms = task.reward(facts, mode.commands(idle))
     _check_terms(name, task, terms, tried, sim)
@@ -69,17 +70,18 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
             _check_mask(what, mask, sim)
     _check_score(f"{name}.score()", task.score(facts), sides, tried, sim)
     _check_over(f"{name}.over()", task.over(facts), tried, sim)
-    sizes = {
-        agent: {block: rows.shape[1] for block, rows in blocks[agent].items()}
-        for agent in task.agents
-    }
-    return Definition(
-        observation_blocks=sizes,
-        observation_spaces={
-            agent: Box(-np.inf, np.inf, (sum(own.values()),), np.float32)
-            for agent, own in sizes.items()
+    layout = Layout(
+        {
+            agent: {b: _block(task, b, rows, sim.xp) for b, rows in own.items()}
+            for agent, own in ((agent, blocks[agent]) for agent in task.agents)
         },
-        action_spaces=action_spaces,
+        {agent: mode.parts(agent) for agent in task.agents},
+    )
+    seen, done = layout.observation_sizes.items(), layout.action_sizes.items()
+    return Definition(
+        layout=layout,
+        observation_spaces={a: Box(-np.inf, np.inf, (n,), np.float32) for a, n in seen},
+        action_spaces={a: Box(-1.0, 1.0, (n,), np.float32) for a, n in done},
         reward_terms={agent: tuple(terms[agent]) for agent in task.agents},
         sides=sides,
     )
@@ -117,13 +119,29 @@ def _check_blocks(
     sim: Sim,
 ) -> None:
     for what, rows in _each(f"{name}.observe()", "block", task, blocks):
-        shape = np.shape(rows)
-        if len(shape) != 2 or shape[0] != sim.num_envs:
+        shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
+        if len(shape) < 2 or shape[0] != sim.num_envs:
             raise ValueError(
                 f"{what} has shape {shape}; it needs a row for each world,"
-                f" ({sim.num_envs}, k): index one number per world as [:, None]"
+                f" ({sim.num_envs}, k) or with more axes: index one number per world"
+                " as [:, None]"
+            )
+        if not hasattr(rows, "dtype") or not sim.xp.isdtype(kind, _NUMBERS):
+            raise ValueError(
+                f"{what} is of type {kind}; it must be an array of real numbers,"
+                " integers or booleans"
             )
         _check_finite(what, rows, tried, sim)
+
+
+def _block(task: Task, name: str, rows: Array, xp: Any) -> Block:
+    """Return what a checked block is."""
+    is_real = xp.isdtype(rows.dtype, "real floating")
+    dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
+    words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
+    units = task.block_units
+    unit = units.get(name, units.get(" ".join(words), ""))
+    return Block(name, tuple(rows.shape[1:]), dtype, unit)
 
 
 def _check_terms(

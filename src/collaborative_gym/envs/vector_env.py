@@ -83,7 +83,8 @@ class VectorEnv:
       sides: the agents of each side, by its name: "side_1" and so on.
       single_observation_spaces: space of one world's observation, by agent.
       single_action_spaces: space of one world's action, by agent.
-      observation_blocks: names and sizes of an observation's parts, by agent.
+      observation_blocks: a `Block` for each part of an observation, by agent and name.
+      action_parts: the same of an action: `moves`, and `grip` if the task has gripping.
       reward_terms: names of a reward's parts, by agent.
       model: the compiled world.
       scene: handles into it.
@@ -118,7 +119,8 @@ class VectorEnv:
         sim.memory = self.task.remember(num_envs)
         self.action_mode = world.mode(self.scene, sim, task.gripping)
         self.strain = Strain(self.scene, sim, self.action_mode) if strain else None
-        self.observation_blocks = world.definition.observation_blocks
+        self.observation_blocks = world.definition.layout.observation
+        self.action_parts = world.definition.layout.action
         self.single_observation_spaces = world.definition.observation_spaces
         self.single_action_spaces = world.definition.action_spaces
         self.reward_terms = world.definition.reward_terms
@@ -504,11 +506,12 @@ class VectorEnv:
         return self._observe(self._disturbances.see(self.facts))
 
     def _observe(self, facts: Any) -> Observations:
-        xp = self.sim.xp
-        return {
-            agent: xp.astype(xp.concat(list(blocks.values()), axis=1), xp.float32)
-            for agent, blocks in self.task.observe(facts).items()
-        }
+        xp, flat = self.sim.xp, {}
+        for agent, own in self.task.observe(facts).items():
+            rows = list(own.values())
+            rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
+            flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
+        return flat
 
 
 def _where(mask: Array, xp: Any) -> np.ndarray:

@@ -13,7 +13,7 @@ from collaborative_gym.files import replacing
 from collaborative_gym.learning.folder import BEST, LAST, no_checkpoint
 from collaborative_gym.learning.settings import Settings
 
-_FORMAT = b"collaborative_gym training 5\n"
+_FORMAT = b"collaborative_gym training 6\n"
 """Begins the file. The SHA-256 of the rest comes next, then the rest, torch's own."""
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from collaborative_gym.blocks import Layout, columns_of
 from collaborative_gym.envs.vector_env import EnvState, Observations, VectorEnv
 from collaborative_gym.evaluation.play import episode_row
 from collaborative_gym.learning.assistance import Assistance
@@ -16,7 +17,7 @@ from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.guests import NOBODY, Guests, Invitation
 from collaborative_gym.learning.networks import LOG_STD_LIMITS, Actor
 from collaborative_gym.learning.penalties import Penalties
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import OBSERVATION_LIMIT
 from collaborative_gym.rng import training_seed
 
@@ -36,7 +37,7 @@ class Job:
     Attributes:
       task: what to learn.
       learners: who learns what.
-      sizes: of the agents' spaces.
+      layout: of the agents' observations and actions.
       seed: of the run.
       hyperparameters: how it learns.
       num_threads: physics threads of a collector, 0 for one per CPU.
@@ -45,7 +46,7 @@ class Job:
 
     task: Any
     learners: tuple[Learner, ...]
-    sizes: Sizes
+    layout: Layout
     seed: int
     hyperparameters: Hyperparameters
     num_threads: int = 0
@@ -113,13 +114,13 @@ class Player:
     def __init__(self, learner: Learner, job: Job, worlds: Mapping[str, np.ndarray]):
         self.learner = learner
         self.worlds = worlds
-        self._sizes = job.sizes
+        self._layout = job.layout
         counts = [len(worlds[agent]) for agent in learner.agents]
         self._ends = np.cumsum(counts)[:-1].tolist()
         rows = sum(counts) if learner.stacked else counts[0]
-        self._shape = rows, learner.action_size(job.sizes)
-        self._actor = Actor(learner, job.sizes, job.hyperparameters)
-        stays = job.hyperparameters.persistence(learner.is_grip(job.sizes))
+        self._shape = rows, learner.action_size(job.layout)
+        self._actor = Actor(learner, job.layout, job.hyperparameters)
+        stays = job.hyperparameters.persistence(learner.is_grip(job.layout))
         self._stays = stays.astype(np.float32)
         self._fresh = np.sqrt(1.0 - stays**2).astype(np.float32)
         self._steps: list[tuple[np.ndarray, ...]] = []
@@ -164,7 +165,7 @@ class Player:
         if advice is not None:
             advised = self.learner.action_rows(self._own(advice)).astype(np.float32)
         self._steps.append((rows, actions, log_prob, advised))
-        return self.learner.actions(actions, self._sizes, self._ends)
+        return self.learner.actions(actions, self._layout, self._ends)
 
     def record(
         self,
@@ -389,7 +390,8 @@ class Collector:
         for agent in self._gripping if lost or missed else ():
             holds = self.env.scene.holds(self.env.sim, agent)
             fails = rng.random(count) < np.where(holds, lost, missed)
-            done[agent][fails & self._learns[agent], -1] = -1.0
+            grip = columns_of(self.env.action_parts[agent], "grip")
+            done[agent][np.ix_(fails & self._learns[agent], grip)] = -1.0
         observations, rewards, *ends, infos = self.env.step(done)
         rewards = self._penalties.charge(rewards, infos["success"], demand)
         fresh, idle = infos["ended"][:, None], self.env.idle()

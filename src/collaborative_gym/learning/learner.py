@@ -12,6 +12,7 @@ from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from torch import nn
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import ActorState, Rollout
 from collaborative_gym.learning.config import Hyperparameters
@@ -22,7 +23,7 @@ from collaborative_gym.learning.networks import (
     Bounded,
     perceptron,
 )
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import (
     OBSERVATION_LIMIT,
     NetworkPolicy,
@@ -37,7 +38,7 @@ class SkrlLearner(ABC):
 
     Args:
       learner: whom it commands, and how.
-      sizes: of the agents' spaces.
+      layout: of the agents' observations and actions.
       hyperparameters: how it learns.
       device: of torch.
       casting: who sits where; None for this learner alone.
@@ -46,7 +47,7 @@ class SkrlLearner(ABC):
     def __init__(
         self,
         learner: Learner,
-        sizes: Sizes,
+        layout: Layout,
         hyperparameters: Hyperparameters,
         device: str,
         casting: Casting | None = None,
@@ -56,12 +57,12 @@ class SkrlLearner(ABC):
         self._device = device
         casting = casting or Casting()
         self._rows = casting.num_rows(learner, hyperparameters.num_envs)
-        size = learner.observation_size(sizes)
+        size = learner.observation_size(layout)
         self._spaces = {
             "observation_space": Box(-np.inf, np.inf, (size,), np.float32),
-            "action_space": Box(-1.0, 1.0, (learner.action_size(sizes),), np.float32),
+            "action_space": Box(-1.0, 1.0, (learner.action_size(layout),), np.float32),
         }
-        actor = Actor(learner, sizes, hyperparameters)
+        actor = Actor(learner, layout, hyperparameters)
         self._policy = Policy(actor, hyperparameters, device, self._spaces)
         self._agent = self._make_agent()
         self._agent.init()

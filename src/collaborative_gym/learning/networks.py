@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.team import Learner, Sizes
+from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import Weights
 
 MEMORY = 400_000
@@ -52,7 +53,7 @@ class Actor(nn.Module):
 
     Args:
       learner: whom it commands.
-      sizes: of the agents' spaces.
+      layout: of the agents' observations and actions.
       hyperparameters: of the networks and the first actions.
 
     Attributes:
@@ -61,21 +62,21 @@ class Actor(nn.Module):
     """
 
     def __init__(
-        self, learner: Learner, sizes: Sizes, hyperparameters: Hyperparameters
+        self, learner: Learner, layout: Layout, hyperparameters: Hyperparameters
     ):
         super().__init__()
-        networks = learner.networks(sizes)
+        networks = learner.networks(layout)
         self._names = list(networks)
         self._inputs = [inputs for inputs, _ in networks.values()]
         self.nets = nn.ModuleList(
             perceptron(inputs, outputs, hyperparameters, gain=0.01)
             for inputs, outputs in networks.values()
         )
-        std = hyperparameters.first_std(learner.is_grip(sizes))
+        std = hyperparameters.first_std(learner.is_grip(layout))
         self.log_std = nn.Parameter(torch.from_numpy(std).float().log())
         self._grip_limit = hyperparameters.grip_limit
         self.is_grip: Tensor
-        is_grip = torch.from_numpy(learner.is_grip(sizes))
+        is_grip = torch.from_numpy(learner.is_grip(layout))
         self.register_buffer("is_grip", is_grip, persistent=False)
 
     def forward(self, rows: Tensor) -> Tensor:

@@ -202,8 +202,7 @@ class Run:
             weights,
             activation=self._hyperparameters.activation,
             identity=settings.identity,
-            observation_sizes=settings.observation_sizes,
-            action_sizes=settings.action_sizes,
+            layout=settings.layout,
             metadata=settings.how() | {"steps": self.steps, "member": member},
         )
 
@@ -231,9 +230,11 @@ class Run:
     def _make_learners(self, device: str) -> dict[str, SkrlLearner]:
         """Return a learner for each group of robots that the mode has, by name."""
         settings, task = self._settings, self._task
-        learns, sizes = _LEARNERS[settings.algorithm], settings.sizes(task)
+        learns, layout = _LEARNERS[settings.algorithm], settings.layout
         return {
-            each.name: learns(each, sizes, self._hyperparameters, device, self._casting)
+            each.name: learns(
+                each, layout, self._hyperparameters, device, self._casting
+            )
             for each in settings.learners(task)
         }
 
@@ -418,7 +419,7 @@ def _make_collectors(
     job = Job(
         task,
         settings.learners(task),
-        settings.sizes(task),
+        settings.layout,
         settings.seed,
         settings.hyperparameters,
         resources.num_threads,

@@ -6,7 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.envs.world import World
 from collaborative_gym.errors import check_kind, check_name, unknown
 from collaborative_gym.learning.casting import (
     LEAGUE,
@@ -24,7 +26,7 @@ from collaborative_gym.learning.config import (
     recipe,
 )
 from collaborative_gym.learning.pool import read_guests
-from collaborative_gym.learning.team import Learner, Sizes, make_learners
+from collaborative_gym.learning.team import Learner, make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
 from collaborative_gym.rng import check_run_seed
@@ -50,8 +52,7 @@ class Settings:
       mode: who learns what.
       seed: of the run.
       backend: what collects.
-      observation_sizes: by agent.
-      action_sizes: by agent.
+      layout: of observations and actions.
       hyperparameters: how it learns.
       opponents: who plays against what is learned, as `make_casting` knows them.
       partners: who plays with it.
@@ -66,17 +67,12 @@ class Settings:
     mode: Mode
     seed: int
     backend: str
-    observation_sizes: Mapping[str, int]
-    action_sizes: Mapping[str, int]
+    layout: Layout
     hyperparameters: Hyperparameters
     opponents: tuple[str, ...] = ()
     partners: tuple[str, ...] = ()
     start_from: str = ""
     start: Mapping[str, Any] = field(default_factory=dict)
-
-    def sizes(self, task: Task) -> Sizes:
-        """Return the sizes of the agents' spaces."""
-        return Sizes(self.observation_sizes, self.action_sizes, task.gripping)
 
     def casting(self, task: Task) -> Casting:
         """Return who sits where in the run's worlds."""
@@ -93,14 +89,13 @@ class Settings:
         Raises:
           ValueError: if the robots do not fit the mode.
         """
-        sizes = self.sizes(task)
         casting = self.casting(task)
         return tuple(
             learner
             for member in casting.members
             for learner in make_learners(
                 self.mode,
-                sizes,
+                self.layout,
                 task.sides,
                 seats=casting.learned(member) or None,
                 member=member,
@@ -131,7 +126,7 @@ class Settings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""
-        content = asdict(self)
+        content = asdict(self) | {"layout": self.layout.to_dict()}
         sizes = content["hyperparameters"]["hidden_sizes"]
         content["hyperparameters"]["hidden_sizes"] = list(sizes)
         for name in ("opponents", "partners"):
@@ -140,7 +135,7 @@ class Settings:
 
     def how(self) -> dict[str, Any]:
         """Return what it says of training, and not of the environment."""
-        world = "identity", "observation_sizes", "action_sizes"
+        world = "identity", "layout"
         return {n: own for n, own in self.to_dict().items() if n not in world}
 
     @classmethod
@@ -149,6 +144,7 @@ class Settings:
         identity = Identity.from_dict(content["identity"])
         hyperparameters = Hyperparameters(**content["hyperparameters"])
         own = {"identity": identity, "hyperparameters": hyperparameters}
+        own["layout"] = Layout.from_dict(content["layout"])
         for name in ("opponents", "partners"):
             own[name] = tuple(content.get(name, ()))
         return cls(**{**content, **own})
@@ -200,7 +196,7 @@ def settle(
         opponent = started.opponents if opponent is None else opponent
         partner = started.partners if partner is None else partner
         start_from = (started.start_from or None) if start_from is None else start_from
-    sizes = Sizes.of(task)
+    layout = World.of(task).definition.layout
     opponents, partners = _words("opponent", opponent), _words("partner", partner)
     if len(task.sides) > 1:
         opponents = opponents or (SELF,)
@@ -208,11 +204,10 @@ def settle(
     usual = recipe(task.name, algorithm)
     settings = Settings(
         identity=Identity.of(task),
-        mode=_usual_mode(sizes, opponents) if mode is None else mode,
+        mode=_usual_mode(layout, opponents) if mode is None else mode,
         seed=check_run_seed(0 if seed is None else seed),
         backend="skrl" if backend is None else backend,
-        observation_sizes=sizes.observation,
-        action_sizes=sizes.action,
+        layout=layout,
         hyperparameters=hyperparameters or usual,
         opponents=opponents,
         partners=partners,
@@ -261,11 +256,10 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
             f"start_from must be a trained policy, got {settings.start_from!r}; give"
             " 'baseline', a policy file or the folder of a training run"
         )
-    sizes = settings.sizes(task)
     numbers = settings.hyperparameters
     wanted: dict[str, tuple[int, ...]] = {}
     for learner in settings.learners(task):
-        for name, (inputs, outputs) in learner.networks(sizes).items():
+        for name, (inputs, outputs) in learner.networks(settings.layout).items():
             wanted[name] = inputs, *numbers.hidden_sizes, outputs
     found = {name: each.sizes for name, each in policy.weights.items()}
     differences = [
@@ -315,13 +309,14 @@ def _words(name: str, given: Any) -> tuple[str, ...]:
     return words
 
 
-def _usual_mode(sizes: Sizes, opponents: Sequence[str]) -> Mode:
+def _usual_mode(layout: Layout, opponents: Sequence[str]) -> Mode:
     """Return the mode if none is asked for.
 
     Robots that are alike learn in both seats of the games with guests.
     """
     alike = all(
-        len(set(each.values())) == 1 for each in (sizes.observation, sizes.action)
+        len(set(sizes.values())) == 1
+        for sizes in (layout.observation_sizes, layout.action_sizes)
     )
     return "shared" if alike and set(opponents) - {SELF} else "collaborative"
 
@@ -372,8 +367,9 @@ def _check_company(settings: Settings) -> None:
 def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
+    found += settings.layout.differences(started.layout, settings.layout.observation)
     for name in sorted(
-        vars(settings).keys() - {"identity", "hyperparameters", "start"}
+        vars(settings).keys() - {"identity", "layout", "hyperparameters", "start"}
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)

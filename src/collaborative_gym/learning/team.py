@@ -5,38 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym.control.modes import grip_columns
-from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.blocks import Layout, columns_of
 from collaborative_gym.errors import unknown
 from collaborative_gym.learning.config import MODES, Mode
 from collaborative_gym.policies.network import Part, with_index
-from collaborative_gym.tasks.task import Task
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Components of each agent's spaces.
-
-    Attributes:
-      observation: by agent.
-      action: by agent.
-      gripping: whether the last component of an action grips where it is above zero.
-    """
-
-    observation: Mapping[str, int]
-    action: Mapping[str, int]
-    gripping: bool = False
-
-    @classmethod
-    def of(cls, task: Task) -> "Sizes":
-        """Return the sizes of a task's spaces."""
-        env = VectorEnv(task, 1, num_threads=1)
-        observation, action = (
-            {agent: space.shape[0] for agent, space in spaces.items()}
-            for spaces in (env.single_observation_spaces, env.single_action_spaces)
-        )
-        env.close()
-        return cls(observation, action, task.gripping)
 
 
 @dataclass(frozen=True)
@@ -63,42 +35,40 @@ class Learner:
     team: tuple[str, ...] = ()
     member: str = ""
 
-    def observation_size(self, sizes: Sizes) -> int:
+    def observation_size(self, layout: Layout) -> int:
         """Return the width of its rows of observations."""
         if self.stacked:
-            return sizes.observation[self.agents[0]] + len(self.agents)
-        return sum(sizes.observation[agent] for agent in self.agents)
+            return layout.observation_sizes[self.agents[0]] + len(self.agents)
+        return sum(layout.observation_sizes[agent] for agent in self.agents)
 
-    def action_size(self, sizes: Sizes) -> int:
+    def action_size(self, layout: Layout) -> int:
         """Return the width of its rows of actions."""
         if self.stacked:
-            return sizes.action[self.agents[0]]
-        return sum(sizes.action[agent] for agent in self.agents)
+            return layout.action_sizes[self.agents[0]]
+        return sum(layout.action_sizes[agent] for agent in self.agents)
 
-    def networks(self, sizes: Sizes) -> dict[str, tuple[int, int]]:
+    def networks(self, layout: Layout) -> dict[str, tuple[int, int]]:
         """Return inputs and outputs of each network of its policy, by name.
 
         They stand side by side: the inputs in its rows of observations, the outputs in
         its rows of actions.
         """
         if self.stacked:
-            ends = self.observation_size(sizes), self.action_size(sizes)
+            ends = self.observation_size(layout), self.action_size(layout)
             return {self.parts[0].weights: ends}
         return {
             part.weights: (
-                sum(sizes.observation[agent] for agent in part.agents),
-                sum(sizes.action[agent] for agent in part.agents),
+                sum(layout.observation_sizes[agent] for agent in part.agents),
+                sum(layout.action_sizes[agent] for agent in part.agents),
             )
             for part in self.parts
         }
 
-    def is_grip(self, sizes: Sizes) -> np.ndarray:
+    def is_grip(self, layout: Layout) -> np.ndarray:
         """Return which columns of its actions grip, (action_size,) bool."""
         agents = self.agents[:1] if self.stacked else self.agents
-        columns = []
-        for agent in agents:
-            columns += list(grip_columns(sizes.action[agent], sizes.gripping))
-        return np.array(columns)
+        own = [columns_of(layout.action[agent], "grip") for agent in agents]
+        return np.concatenate(own)
 
     def observations(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return rows of observations."""
@@ -124,26 +94,26 @@ class Learner:
         return np.mean([by_agent[agent] for agent in team], axis=0)
 
     def actions(
-        self, rows: np.ndarray, sizes: Sizes, ends: Sequence[int] | None = None
+        self, rows: np.ndarray, layout: Layout, ends: Sequence[int] | None = None
     ) -> dict[str, np.ndarray]:
         """Return the actions by agent that stand in its rows.
 
         Args:
           rows: (rows, action_size).
-          sizes: of the agents' spaces.
+          layout: of the agents' observations and actions.
           ends: of all blocks but the last, where it is stacked; None for equal ones.
         """
         if self.stacked:
             blocks = np.split(rows, len(self.agents) if ends is None else ends)
         else:
-            widths = [sizes.action[agent] for agent in self.agents]
+            widths = [layout.action_sizes[agent] for agent in self.agents]
             blocks = np.split(rows, np.cumsum(widths)[:-1], axis=1)
         return dict(zip(self.agents, blocks, strict=True))
 
 
 def make_learners(
     mode: Mode,
-    sizes: Sizes,
+    layout: Layout,
     sides: Sequence[Sequence[str]] = (),
     *,
     seats: Mapping[str, tuple[str, ...]] | None = None,
@@ -153,7 +123,7 @@ def make_learners(
 
     Args:
       mode: who learns what.
-      sizes: of all agents' spaces.
+      layout: of all agents' observations and actions.
       sides: agents that share a goal, from `Task.sides`; none for all.
       seats: the agents that are learned together, by a name for them; None for sides.
       member: whose policy is learned; stands before the learners' names.
@@ -162,7 +132,7 @@ def make_learners(
       ValueError: if there is no such mode, or a shared policy does not fit; names the
         sizes.
     """
-    sides = [tuple(side) for side in sides] or [tuple(sizes.observation)]
+    sides = [tuple(side) for side in sides] or [tuple(layout.observation)]
     if seats is None:
         seats = {f"side_{i + 1}": side for i, side in enumerate(sides)}
         if len(sides) == 1:
@@ -192,9 +162,10 @@ def make_learners(
             for seat, own in seats.items()
         )
     if mode == "shared":
-        _check_equal("observations", {a: sizes.observation[a] for a in agents})
-        _check_equal("actions", {a: sizes.action[a] for a in agents})
-        parts = tuple(Part((a,), "shared", i) for i, a in enumerate(agents))
+        _check_equal("observations", {a: layout.observation_sizes[a] for a in agents})
+        _check_equal("actions", {a: layout.action_sizes[a] for a in agents})
+        count = len(agents)
+        parts = tuple(Part((a,), "shared", i, count) for i, a in enumerate(agents))
         name = f"{before}shared"
         return (Learner(name, tuple(agents), parts, stacked=True, member=member),)
     raise ValueError(unknown("mode", mode, MODES))

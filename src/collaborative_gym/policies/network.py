@@ -13,6 +13,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from collaborative_gym.blocks import Layout
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.files import check_regular, replacing
@@ -22,8 +23,10 @@ from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 OBSERVATION_LIMIT = 5.0
 """Networks see observations in standard deviations, cut off at this many."""
 
-_FORMAT = 2
-"""Number of the file format; a file of another one is refused."""
+_FORMATS = 2, 3
+"""Numbers of the file formats; a file of another one is refused.
+
+The former has only the sizes of observations and actions, the latter all blocks."""
 
 _KEY = "collaborative_gym"
 """Where a file's digest and, right after it, its description are in its metadata."""
@@ -50,11 +53,13 @@ class Part:
       weights: name of its weights. Parts of one name share them.
       index: its number among the parts that share its weights. It gets this number
         after the observations, one-hot. None where it has weights of its own.
+      count: how many parts share its weights, where it has an index.
     """
 
     agents: tuple[str, ...]
     weights: str
     index: int | None = None
+    count: int = 0
 
 
 @dataclass(frozen=True)
@@ -87,16 +92,14 @@ class NetworkPolicy:
       weights: by name.
       activation: one of `ACTIVATIONS`.
       identity: the environment that it is for.
-      observation_sizes: by agent.
-      action_sizes: by agent.
+      layout: the blocks of observations and the parts of actions.
       metadata: what else people should know of it, such as mode, seed and steps; must
         fit into JSON.
 
     Attributes:
       agents: whom it commands.
       identity: the environment that it is for.
-      observation_sizes: by agent.
-      action_sizes: by agent.
+      layout: the blocks of observations and the parts of actions.
       metadata: how it was trained.
       weights: of its networks, by name.
       activation: between their layers.
@@ -113,8 +116,7 @@ class NetworkPolicy:
         *,
         activation: str,
         identity: Identity,
-        observation_sizes: Mapping[str, int],
-        action_sizes: Mapping[str, int],
+        layout: Layout,
         metadata: Mapping[str, Any],
     ):
         check_activation(activation)
@@ -124,8 +126,8 @@ class NetworkPolicy:
         self._parts = tuple(parts)
         self.weights = dict(weights)
         self.activation = activation
-        self.observation_sizes = dict(observation_sizes)
-        self.action_sizes = dict(action_sizes)
+        self.layout = layout
+        self._inputs, self._outputs = layout.observation_sizes, layout.action_sizes
         if len(set(self.agents)) != len(self.agents):
             raise ValueError("two networks command one agent")
         for part in parts:
@@ -144,16 +146,16 @@ class NetworkPolicy:
                 axis=1,
             )
             if part.index is not None:
-                rows = with_index(rows, part.index, len(weights.mean) - rows.shape[1])
+                rows = with_index(rows, part.index, part.count)
             out = np.clip(self._forward(rows, weights), -1.0, 1.0)
-            sizes = [self.action_sizes[agent] for agent in part.agents]
+            sizes = [self._outputs[agent] for agent in part.agents]
             blocks = np.split(out, np.cumsum(sizes)[:-1], axis=1)
             actions |= dict(zip(part.agents, blocks, strict=True))
         return actions
 
     def _rows(self, agent: str, observation: Array) -> np.ndarray:
         """Return an agent's observations, (num_envs, n)."""
-        rows, size = np.asarray(observation, np.float32), self.observation_sizes[agent]
+        rows, size = np.asarray(observation, np.float32), self._inputs[agent]
         if rows.ndim != 2 or rows.shape[1] != size:
             raise ValueError(
                 f"the observation of {agent} has shape {rows.shape}, not (num_envs,"
@@ -175,11 +177,8 @@ class NetworkPolicy:
 
     def _widths(self, part: Part) -> tuple[int, int]:
         """Return how many numbers go into a part and how many come out."""
-        inputs = sum(self.observation_sizes[agent] for agent in part.agents)
-        outputs = sum(self.action_sizes[agent] for agent in part.agents)
-        if part.index is not None:
-            inputs += sum(each.weights == part.weights for each in self._parts)
-        return inputs, outputs
+        inputs = sum(self._inputs[agent] for agent in part.agents) + part.count
+        return inputs, sum(self._outputs[agent] for agent in part.agents)
 
     def serving(self, agents: Collection[str]) -> "NetworkPolicy":
         """Return the policy of these agents alone.
@@ -212,8 +211,7 @@ class NetworkPolicy:
 
         Args:
           env: what it is to play. Episodes may start and last as they like.
-          any_env: whether the environment may be another one with spaces of the same
-            sizes.
+          any_env: whether the environment may be another one with the same blocks.
 
         Raises:
           ValueError: says what differs.
@@ -221,30 +219,15 @@ class NetworkPolicy:
         here = Identity.of(env.task)
         differences = here.differences(self.identity, ignore=ON_PLAYING)
         title = f"this policy is for {self.identity.title}"
+        others = env.world.definition.layout.differences(self.layout, self.agents)
         or_else = ", or evaluate this one here with any_env=True (--any-env)"
-        for kind, all_sizes, spaces in (
-            ("observation", self.observation_sizes, env.single_observation_spaces),
-            ("action", self.action_sizes, env.single_action_spaces),
-        ):
-            own = {agent: all_sizes[agent] for agent in self.agents}
-            sizes = {
-                agent: space.shape[0]
-                for agent, space in spaces.items()
-                if agent in self.agents
-            }
-            if own == sizes:
-                continue
-            or_else = ""
-            if any_env or not differences:
-                raise ValueError(
-                    f"{title}: its {kind} sizes are {_listed(own)}, the environment's"
-                    f" {_listed(sizes)}"
-                )
         if differences and not any_env:
             raise ValueError(
                 f"{title}; here {'; '.join(differences)}. Train one for this"
-                f" environment{or_else}"
+                f" environment{'' if others else or_else}"
             )
+        if others:
+            raise ValueError(f"{title}; here {'; '.join(others)}")
 
     @property
     def digest(self) -> str:
@@ -270,13 +253,17 @@ class NetworkPolicy:
             name: np.ascontiguousarray(tensor, np.float32)
             for name, tensor in tensors.items()
         }
+        # What was read without blocks is written so too, and keeps its digest.
+        has_names = self.layout.has_names
+        parts = [asdict(part) for part in self._parts]
+        for part in () if has_names else parts:
+            del part["count"]
         description = {
-            "format": _FORMAT,
-            "parts": [asdict(part) for part in self._parts],
+            "format": _FORMATS[has_names],
+            "parts": parts,
             "activation": self.activation,
             "identity": self.identity.to_dict(),
-            "observation_sizes": self.observation_sizes,
-            "action_sizes": self.action_sizes,
+            **self.layout.to_dict(),
             "metadata": self.metadata,
         }
         return json.dumps(description), tensors
@@ -311,25 +298,26 @@ class NetworkPolicy:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         digest, text = entry[:_DIGEST_LENGTH], entry[_DIGEST_LENGTH:]
         description = json.loads(text or "{}")
-        if description.get("format") != _FORMAT:
+        if description.get("format") not in _FORMATS:
             raise ValueError(
-                f"its format is {description.get('format')}, that of this version is"
-                f" {_FORMAT}"
+                f"its format is {description.get('format')}, those of this version are"
+                f" {' and '.join(map(str, _FORMATS))}"
             )
         if digest != _digest(text, tensors):
             raise ValueError("its content does not match its digest")
-        parts = [
-            Part(tuple(part["agents"]), part["weights"], part["index"])
-            for part in description["parts"]
-        ]
+        listed, parts = description["parts"], []
+        for part in listed:
+            shared = sum(each["weights"] == part["weights"] for each in listed)
+            count = 0 if part["index"] is None else shared
+            part = {"count": count} | part | {"agents": tuple(part["agents"])}
+            parts.append(Part(**part))
         names = dict.fromkeys(part.weights for part in parts)
         return cls(
             parts,
             {name: _weights(tensors, name) for name in names},
             activation=description["activation"],
             identity=Identity.from_dict(description["identity"]),
-            observation_sizes=description["observation_sizes"],
-            action_sizes=description["action_sizes"],
+            layout=Layout.from_dict(description),
             metadata=description["metadata"],
         )
 
@@ -409,10 +397,6 @@ def _digest(text: str, tensors: Mapping[str, np.ndarray]) -> str:
         digest.update(f"{name} {tensor.dtype} {tensor.shape}".encode())
         digest.update(tensor.tobytes())
     return digest.hexdigest()
-
-
-def _listed(sizes: Mapping[str, int]) -> str:
-    return ", ".join(f"{agent} {size}" for agent, size in sizes.items())
 
 
 def _and(agents: Collection[str]) -> str:

@@ -76,7 +76,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         then takes and returns the observations and actions of that contract. Without
         it, you can give an id or a path, and the policy plays a `VectorEnv`.
       any_env: whether a trained policy may play another environment than the one that
-        it is for, if the sizes of its spaces are the same.
+        it is for, if its observations and actions have the same blocks.
 
     Raises:
       FileNotFoundError: if there is no such file, or no such policy is shipped for the

@@ -36,6 +36,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math, motion
+from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
@@ -113,6 +114,15 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
     config_class = BalanceConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "ball": POSE,
+        "ball linear velocity": "m/s",
+        "ball angular velocity": "rad/s",
+        "board": POSE,
+        "target": "m",
+        "target velocity": "m/s",
+    }
     success_after = 5
     performance_from_start = True
 

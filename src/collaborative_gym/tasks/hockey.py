@@ -155,6 +155,13 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     config_class = HockeyConfig
     performance_from_start = True
     units: ClassVar[Mapping[str, str]] = {"clock": "s"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "joint speeds": "rad/s",
+        "mallet": "m",
+        "puck": "m",
+        "puck velocity": "m/s",
+    }
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:

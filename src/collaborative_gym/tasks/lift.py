@@ -36,6 +36,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array, array_namespace
@@ -149,6 +150,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         "to_target": "m",
         "tilt": "rad",
         "speed": "m/s",
+    }
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "handle": POSE,
+        "tcp": POSE,
+        "pot": POSE,
+        "target": "m",
     }
     styles: ClassVar[Mapping[str, str]] = {
         "first-leads": "robot_1 lifts, and robot_2 only keeps the pot level",

@@ -44,6 +44,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import quickest_way, reach, settling, standoff
@@ -137,6 +138,12 @@ class Pass(Task[PassConfig, PassFacts]):
     gripping = True
     config_class = PassConfig
     units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "end effector": POSE,
+        "cube": POSE,
+        "target": "m",
+    }
     styles: ClassVar[Mapping[str, str]] = {
         style: f"they hand over {where}" for style, (*_, where) in _ELSEWHERE.items()
     }

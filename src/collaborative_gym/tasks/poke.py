@@ -34,6 +34,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command, Motion
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import reach, settling, solve_pose
@@ -100,6 +101,11 @@ class Poke(Task[TaskConfig, PokeFacts]):
 
     config_class = TaskConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "stick": POSE,
+        "donut": POSE,
+    }
     styles: ClassVar[Mapping[str, str]] = {
         "ring-moves": "the stick holds still, and the ring comes over it"
     }

@@ -18,7 +18,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.settings import bounded, check_settings
 
 Blocks = Mapping[str, Array]
-"""Named columns of an observation, (num_envs, k) each, in order."""
+"""Named parts of an observation, (num_envs, *shape) each, in order."""
 
 Terms = Mapping[str, Array]
 """Named parts of a reward, (num_envs,) each."""
@@ -175,6 +175,8 @@ class Task(Generic[ConfigT, FactsT]):
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
       units: of the facts that are single numbers, by their names; viewers show them.
+      block_units: of the blocks of observations, by their names; "robot_1 joints" and
+        "ball 2" also go by "joints" and "ball".
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
@@ -188,6 +190,7 @@ class Task(Generic[ConfigT, FactsT]):
     performance_from_start: bool = False
     styles: ClassVar[Mapping[str, str]] = {}
     units: ClassVar[Mapping[str, str]] = {}
+    block_units: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
         self.name = type(self).__name__

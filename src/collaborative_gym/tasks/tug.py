@@ -143,6 +143,13 @@ class Tug(Task[TugConfig, TugFacts]):
     config_class = TugConfig
     performance_from_start = True
     units: ClassVar[Mapping[str, str]] = {"missing": "m"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("joints", "other joints"), "rad"),
+        **dict.fromkeys(("joint speeds", "other joint speeds"), "rad/s"),
+        **dict.fromkeys(("tcp", "other tcp", "bar"), "m"),
+        "bar velocity": "m/s",
+        "missing to own and other line": "m",
+    }
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:

@@ -1,0 +1,140 @@
+"""Blocks: the named parts of which observations and actions are made."""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+POSE = "m; quaternion"
+"""Unit of a position and, after it, a quaternion x, y, z, w."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A named part of an observation or of an action.
+
+    Attributes:
+      name: what it shows; empty where a policy file knows its size alone.
+      shape: of its array in one world.
+      dtype: "float32" for real numbers of any precision, else its own, such as "uint8".
+      unit: of its numbers; empty if they have none.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str = "float32"
+    unit: str = ""
+
+    @property
+    def size(self) -> int:
+        """How many numbers it adds to the flat view."""
+        return math.prod(self.shape)
+
+
+_KINDS = "observation", "action"
+
+Blocks = Mapping[str, Block]
+"""Blocks by name, in the order in which the flat view has them."""
+
+
+def columns_of(blocks: Blocks, name: str) -> np.ndarray:
+    """Return which numbers of the flat view are of the block `name`, (k,) booleans."""
+    return np.concatenate([np.full(b.size, b.name == name) for b in blocks.values()])
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the agents observe, and the parts of their actions.
+
+    Attributes:
+      observation: blocks by agent.
+      action: parts by agent: `moves`, and `grip` where the task has gripping.
+    """
+
+    observation: Mapping[str, Blocks]
+    action: Mapping[str, Blocks]
+
+    @classmethod
+    def of_sizes(
+        cls, observation: Mapping[str, int], action: Mapping[str, int]
+    ) -> "Layout":
+        """Return a layout of which nothing is known but the sizes by agent."""
+        sizes = observation, action
+        return cls(*({a: {"": Block("", (n,))} for a, n in s.items()} for s in sizes))
+
+    @cached_property
+    def observation_sizes(self) -> dict[str, int]:
+        """How many numbers each agent's observation has, in the flat view."""
+        return _sizes(self.observation)
+
+    @cached_property
+    def action_sizes(self) -> dict[str, int]:
+        """How many numbers each agent's action has."""
+        return _sizes(self.action)
+
+    @property
+    def has_names(self) -> bool:
+        """Whether more is known than sizes."""
+        both = *self.observation.values(), *self.action.values()
+        return any("" not in blocks for blocks in both)
+
+    def differences(self, other: "Layout", agents: Collection[str]) -> list[str]:
+        """Return in words how this one differs from another one for some agents."""
+        found: list[str] = []
+        for kind in _KINDS:
+            own, others = getattr(self, kind), getattr(other, kind)
+            for agent in agents:
+                what = f"the {kind} of {agent}"
+                found += _differences(what, own.get(agent, {}), others.get(agent, {}))
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain lists and dictionaries."""
+        if not self.has_names:
+            sizes = self.observation_sizes, self.action_sizes
+            return dict(zip(("observation_sizes", "action_sizes"), sizes, strict=True))
+        return {
+            kind: {
+                agent: [asdict(block) for block in blocks.values()]
+                for agent, blocks in getattr(self, kind).items()
+            }
+            for kind in _KINDS
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> "Layout":
+        """Return what `to_dict` was made of; other entries are left alone."""
+        if "observation" not in content:
+            return cls.of_sizes(content["observation_sizes"], content["action_sizes"])
+        kinds = (content[kind].items() for kind in _KINDS)
+        return cls(*({agent: _read(own) for agent, own in kind} for kind in kinds))
+
+
+def _sizes(by_agent: Mapping[str, Blocks]) -> dict[str, int]:
+    return {a: sum(b.size for b in own.values()) for a, own in by_agent.items()}
+
+
+def _read(listed: list[dict[str, Any]]) -> Blocks:
+    read = [Block(**{**each, "shape": tuple(each["shape"])}) for each in listed]
+    return {block.name: block for block in read}
+
+
+def _differences(what: str, own: Blocks, other: Blocks) -> list[str]:
+    if "" in own or "" in other:
+        here, there = _sizes({"own": own, "other": other}).values()
+        return [] if here == there else [f"{what} has {here} numbers, not {there}"]
+    found = [f"{what} has no block {name!r}" for name in other if name not in own]
+    found += [f"{what} has a block {name!r} more" for name in own if name not in other]
+    for name in [name for name in own if name in other]:
+        for detail, value in vars(own[name]).items():
+            wanted = getattr(other[name], detail)
+            if value != wanted:
+                found.append(
+                    f"{what} has a block {name!r} of {detail} {value}, not {wanted}"
+                )
+    if not found and list(own) != list(other):
+        found = [f"{what} has its blocks in another order: {', '.join(own)}"]
+    return found
