@@ -135,7 +135,7 @@ class Settings:
 
     def how(self) -> dict[str, Any]:
         """Return what it says of training, and not of the environment."""
-        world = "identity", "observation_sizes", "action_sizes"
+        world = "identity", "layout"
         return {n: own for n, own in self.to_dict().items() if n not in world}
 
     @classmethod
@@ -369,7 +369,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
     found = settings.identity.differences(started.identity)
     found += settings.layout.differences(started.layout, settings.layout.observation)
     for name in sorted(
-        vars(settings).keys() - {"identity", "hyperparameters", "start", "layout"}
+        vars(settings).keys() - {"identity", "layout", "hyperparameters", "start"}
     ):
         found += _differing(name, getattr(settings, name), getattr(started, name))
     own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)
