@@ -223,3 +223,8 @@ def test_grips_are_lost_and_missed_now_and_then(make, monkeypatch, lost, missed)
     for of_these, share in ((held, lost), (~held, missed)):
         assert of_these.sum() > 100
         assert fails[of_these].mean() == pytest.approx(share, abs=0.5 * share)
+
+
+def test_crashes_are_refined_where_somebody_asks_for_it(make):
+    assert make()[0].env.sim.refinement is None
+    assert make(refined=1)[0].env.sim.refinement is not None

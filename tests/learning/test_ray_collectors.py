@@ -32,14 +32,18 @@ from collaborative_gym.learning.ray_collectors import (
 from collaborative_gym.learning.run import Run
 from collaborative_gym.learning.settings import settle
 from collaborative_gym.learning.team import make_learners
+from collaborative_gym.tasks import registry
 from collaborative_gym.tasks.registry import as_task
 
 TASK = """
 from beside import MOST
 from collaborative_gym.tasks.poke import Poke
+from collaborative_gym.tasks.registry import register_task
 
 class Own(Poke):
     most = MOST
+
+register_task("OwnForRay", Own)
 """
 
 
@@ -205,6 +209,7 @@ def test_a_users_task_travels_with_the_modules_beside_it(
 ):
     # Else processes that later tests start would look for files that are gone.
     monkeypatch.setattr(plugins, "_loaded", {})
+    monkeypatch.setattr(registry, "_TASKS", dict(registry._TASKS))
     monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "beside.py").write_text("MOST = 7\n")
     (tmp_path / "own_for_ray.py").write_text(TASK)

@@ -15,6 +15,7 @@ from collaborative_gym.learning.config import MODES, PRICES, Hyperparameters, Re
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.rng import training_seed, validation_seed
+from collaborative_gym.scene import Scene
 
 TIMES = ("seconds", "core_seconds", "steps_per_second")
 
@@ -468,3 +469,10 @@ def test_where_more_is_charged_the_latest_of_the_equally_good_is_best(
     monkeypatch.setattr(running, "evaluate", as_given)
     result = train_tiny(hyperparameters=tiny(validation_interval=32))
     assert result.best["steps"] == 96 and result.best["validation/return"] == 2.0
+
+
+def test_a_run_compiles_one_world(train_tiny, tiny, monkeypatch):
+    compiled, own = [], Scene.compile
+    monkeypatch.setattr(Scene, "compile", lambda s: compiled.append(s) or own(s))
+    train_tiny(hyperparameters=tiny(contact_penalty=0.1))
+    assert len(compiled) == 1

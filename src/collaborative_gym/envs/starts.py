@@ -1,15 +1,12 @@
 """The starts of episodes, drawn for many worlds at a time."""
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
-from collaborative_gym.control import ActionMode
+from collaborative_gym.envs.world import World
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.task import Task
 
 
 class Starts:
@@ -20,26 +17,20 @@ class Starts:
     hardly longer than one.
 
     Args:
-      task: what is done.
-      sim: worlds of their own, as many, in which the starts wait.
-      mode: what actions mean there.
-      observe: returns what the robots see of facts, by agent.
+      world: what is started.
+      num_envs: how many worlds there are.
+      num_threads: physics threads.
 
     Attributes:
-      sim: as given.
+      sim: worlds of their own, as many, in which the starts wait.
       observations: what the robots see at the starts, by agent, (num_envs, k).
     """
 
-    def __init__(
-        self,
-        task: Task,
-        sim: Sim,
-        mode: ActionMode,
-        observe: Callable[[Any], dict[str, Array]],
-    ):
-        self._task, self.sim, self._mode, self._observe = task, sim, mode, observe
+    def __init__(self, world: World, num_envs: int, num_threads: int):
+        self._world = world
+        self.sim, self._mode = world.batch(num_envs, num_threads)
         self.observations: dict[str, Array] = {}
-        self._drawn = np.full((2, sim.num_envs), -1)
+        self._drawn = np.full((2, num_envs), -1)
 
     def prepare(self, env_ids: np.ndarray, progress: Mapping[str, Array]) -> None:
         """Let the starts of the episodes in which these worlds are be there.
@@ -58,16 +49,14 @@ class Starts:
     def _draw(
         self, env_ids: np.ndarray, seeds: np.ndarray, episodes: np.ndarray
     ) -> None:
-        task, sim = self._task, self.sim
+        task, sim = self._world.task, self.sim
         self._drawn[:, env_ids] = -1
         sim.reset(env_ids)
-        fresh = task.remember(len(env_ids))
-        sim.memory = sim.memory or task.remember(sim.num_envs)
-        for name, array in fresh.items():
+        for name, array in task.remember(len(env_ids)).items():
             sim.memory[name] = sim.xp.asarray(sim.memory[name], copy=True)
             sim.memory[name][env_ids] = array
         task.reset(sim, env_ids, rng=EpisodeRandom(seeds, episodes))
         self._mode.start(env_ids)
         sim.forward(env_ids)
-        self.observations = self._observe(task.measure(sim))
+        self.observations = self._world.flat(task.measure(sim), sim.xp)
         self._drawn[:, env_ids] = seeds, episodes

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control import Command
-from collaborative_gym.envs.arguments import check_env_ids, check_episodes
+from collaborative_gym.envs.arguments import check_env_ids, check_episodes, where
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
 from collaborative_gym.envs.starts import Starts
@@ -25,7 +25,6 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeDraws, Stream, check_seed
-from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import STYLE_DRAWS, Task, Terms
@@ -115,19 +114,16 @@ class VectorEnv:
         self.task, self.scene, self.model = world.task, world.scene, world.model
         self.num_envs, self.agents = num_envs, task.agents
         self.substeps, self.control_dt = SUBSTEPS, CONTROL_DT
-        self.sim = sim = CpuSim(self.model, num_envs, num_threads, world.refinement)
-        sim.memory = self.task.remember(num_envs)
-        self.action_mode = world.mode(self.scene, sim, task.gripping)
-        self.strain = Strain(self.scene, sim, self.action_mode) if strain else None
+        sim, self.action_mode = world.batch(num_envs, num_threads)
+        self.sim, mode = sim, self.action_mode
+        self.strain = Strain(self.scene, sim, mode) if strain else None
         self.observation_blocks = world.definition.layout.observation
         self.action_parts = world.definition.layout.action
         self.single_observation_spaces = world.definition.observation_spaces
         self.single_action_spaces = world.definition.action_spaces
         self.reward_terms = world.definition.reward_terms
         self.sides = world.definition.sides
-        apart = CpuSim(self.model, num_envs, num_threads, world.refinement)
-        mode = world.mode(self.scene, apart, task.gripping)
-        self._starts = Starts(self.task, apart, mode, self._observe)
+        self._starts = Starts(world, num_envs, num_threads)
         self._facts: Any = None
         self._turns = Turns()
         self._camera: Camera | None = None
@@ -145,13 +141,12 @@ class VectorEnv:
             reward_terms=self.reward_terms,
             has_strain=strain,
         )
-        parts = self.task, self.scene, sim, self.action_mode, self._progress
+        parts = self.task, self.scene, sim, mode, self._progress
         self._disturbances = Disturbances(*parts)
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.get_state() if self._is_started else None
-        task = self.task
-        arms = tuple(task.robots.values())
+        task, arms = self.task, tuple(self.task.robots.values())
         made = type(task), arms, task.config, task.name
         return made_anew, (type(self), made, self._options, state)
 
@@ -263,7 +258,7 @@ class VectorEnv:
             terminated, truncated = progress.endings(self.agents)
             observations, has_ended = last, infos["ended"] & ~resting
             if self._auto_reset and xp.any(has_ended):
-                begun = _where(has_ended, xp)
+                begun = where(has_ended, xp)
                 self._start_episodes(begun)
                 observations = self._begun(last, begun)
             self._observations = copied(observations, xp)
@@ -428,13 +423,10 @@ class VectorEnv:
     def _advance(
         self, actions: dict[str, Array], resting: Array
     ) -> tuple[dict[str, Command], Array]:
-        """Step the physics; return what was commanded, and which worlds diverged.
-
-        Those are put back.
-        """
-        sim, idle, moving = self.sim, _where(resting, self.sim.xp), None
+        """Step the physics; return the commands, and which worlds diverged."""
+        sim, idle, moving = self.sim, where(resting, self.sim.xp), None
         if len(idle):
-            kept, moving = sim.get_state(idle), _where(~resting, sim.xp)
+            kept, moving = sim.get_state(idle), where(~resting, sim.xp)
         commands = self.action_mode.commands(actions)
         controls = self.action_mode.prepare(commands)
         self.task.disturb(sim, self._progress.next_step)
@@ -503,17 +495,4 @@ class VectorEnv:
 
     def _seen(self) -> Observations:
         """Return what the robots see of the present state."""
-        return self._observe(self._disturbances.see(self.facts))
-
-    def _observe(self, facts: Any) -> Observations:
-        xp, flat = self.sim.xp, {}
-        for agent, own in self.task.observe(facts).items():
-            rows = list(own.values())
-            rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
-            flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
-        return flat
-
-
-def _where(mask: Array, xp: Any) -> np.ndarray:
-    """Return the worlds of a mask as NumPy's integers, which name worlds."""
-    return np.array([int(i) for i in xp.nonzero(mask)[0]], dtype=np.int64)
+        return self.world.flat(self._disturbances.see(self.facts), self.sim.xp)

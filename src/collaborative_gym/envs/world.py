@@ -2,13 +2,15 @@
 
 from copy import copy
 from functools import cached_property
+from typing import Any
 
 import mujoco
 
-from collaborative_gym.control import get_mode
+from collaborative_gym.control import ActionMode, get_mode
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.strain import add_strain_sensors
 from collaborative_gym.errors import check_kind
+from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.tasks.identity import Identity
@@ -70,6 +72,24 @@ class World:
         varied.task.worlds = task.worlds
         vars(varied).pop("identity", None)
         return varied
+
+    def batch(self, num_envs: int, num_threads: int) -> tuple[CpuSim, ActionMode]:
+        """Return so many worlds, and what actions mean in them."""
+        sim = CpuSim(self.model, num_envs, num_threads, self.refinement)
+        sim.memory = self.task.remember(num_envs)
+        return sim, self.mode(self.scene, sim, self.task.gripping)
+
+    def flat(self, facts: Any, xp: Any) -> dict[str, Array]:
+        """Return the flat view of what the robots see of facts, by agent.
+
+        It has the numbers of all blocks, one after the other, (num_envs, k) float32.
+        """
+        flat = {}
+        for agent, own in self.task.observe(facts).items():
+            rows = list(own.values())
+            rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
+            flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
+        return flat
 
     @cached_property
     def identity(self) -> Identity:

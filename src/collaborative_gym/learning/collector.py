@@ -254,6 +254,8 @@ class Collector:
             num_threads=job.num_threads,
             strain=job.hyperparameters.contact_penalty > 0.0,
         )
+        if not job.hyperparameters.refined:
+            self.env.sim.refinement = None
         self._players = [
             Player(learner, job, job.casting.worlds(learner, share))
             for learner in job.learners

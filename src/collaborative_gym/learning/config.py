@@ -130,6 +130,8 @@ class Hyperparameters:
         2018, arXiv 1803.03835). So a policy learns what it would not find by chance.
         Beside a partner or opponent that does not learn, its own policy for the
         learner's place advises instead, if it has one.
+      refined: 1 to take physics steps in which arms crash as short ones, as validations
+        and all other worlds do, or 0 not to, which learns as well and is faster.
       delayed: share of the worlds in which each action is done one control step late.
         In validations no action is late. Guests are never late, and no grip of theirs
         fails: opponents and partners may not have been trained for that.
@@ -201,6 +203,7 @@ class Hyperparameters:
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
     imitation: float = bounded(0.0, 0.0, 1e3)
+    refined: int = bounded(0, 0, 1)
     delayed: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     missed_grips: float = bounded(0.0, 0.0, 1.0)
