@@ -53,7 +53,7 @@ def env():
         (
             lambda env: enter({"x" * 3000: "idle", "b": "idle"}, env),
             ValueError,
-            "a player's name must have 1 to 200 letters",
+            "1 to 200 letters",
         ),
     ],
     ids=lambda given: given if isinstance(given, str) else "",

@@ -65,7 +65,8 @@ def test_a_run_leaves_what_it_promises(read_progress, trained, mode, carry):
     )
     assert len(events) == 1 and names == events | set(files.split())
     settings = json.loads((result.folder / "config.json").read_text())
-    assert settings.pop("digest") and settings == result.settings.to_dict()
+    own = json.loads(json.dumps(result.settings.to_dict()))
+    assert settings.pop("digest") and settings == own
     assert settings["mode"] == mode and settings["identity"]["task"] == "Carry"
     rows = read_progress(result.folder)
     assert [row["steps"] for row in rows] == [32, 64, 96, 128]

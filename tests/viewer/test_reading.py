@@ -153,7 +153,7 @@ def test_sides_are_told_apart(duel):
 def test_measures_are_the_facts_that_are_one_number_each(make_env):
     env = make_env()
     _, infos = env.reset()
-    env.facts = Facts(
+    env._facts = Facts(
         joints={"robot_1": np.zeros((1, 7))},
         pose=(np.zeros((1, 3)), np.zeros((1, 4))),
         to_cube={"robot_1": np.array([0.5]), "robot_2": np.array([0.25])},
@@ -168,7 +168,7 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
         "is held": True,
     }
     assert measures["is held"] is True
-    env.facts = {"of": "another kind"}
+    env._facts = {"of": "another kind"}
     assert read(env, infos, None).measures == {}
 
 
@@ -188,7 +188,7 @@ def test_an_episode_is_summed_up_at_its_end(played):
 def test_facts_need_not_be_a_dataclass(make_env, monkeypatch, kind):
     env = make_env()
     _, infos = env.reset(seed=0)
-    monkeypatch.setattr(env, "facts", kind(to_cube={"robot_1": np.array([0.5])}))
+    monkeypatch.setattr(env, "_facts", kind(to_cube={"robot_1": np.array([0.5])}))
     assert read(env, infos, None).measures == {"to cube robot_1": 0.5}
 
 

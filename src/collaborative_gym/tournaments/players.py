@@ -86,8 +86,8 @@ def enter(
     for name in map(str, policies):
         if not 0 < len(name) <= _LONGEST_NAME:
             raise ValueError(
-                f"a player's name must have 1 to {_LONGEST_NAME} letters, got"
-                f" {shown(name)}"
+                f"a player's name, which its policy gives or you, must have 1 to"
+                f" {_LONGEST_NAME} letters, got {shown(name)}"
             )
     return [
         _enter(str(name), policy, env, any_env) for name, policy in policies.items()
