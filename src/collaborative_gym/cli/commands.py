@@ -389,7 +389,7 @@ class View(Played, _Policy):
 class Demo:
     """Draw and film all baselines, measure them, and compare them with the thesis.
 
-    It takes some three minutes on two cores. Pictures and films come first. Where an
+    It takes some minutes on two cores. Pictures and films come first. Where an
     environment has no baseline, its expert plays. A film of Hockey shows the scripted
     player.
 
