@@ -38,7 +38,6 @@ class World:
     """
 
     def __init__(self, task: Task, strain: bool = False):
-        check_kind("task", task, Task, "a task, as cg.task returns it")
         self.task, self.scene = copy(task), Scene()
         self.mode = get_mode(task.config.action)
         self.task.build(self.scene)
