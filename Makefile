@@ -2,7 +2,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test quick check format docs serve-docs clean
+.PHONY: demo test quick check format pages docs serve-docs clean
 
 # Draw, film and measure the baselines; the last line tells how to watch them.
 demo: .venv/demo
@@ -30,6 +30,10 @@ check: .venv/dev
 format: .venv/dev
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
+
+# What the documentation has of the code, written anew into its pages.
+pages: .venv/docs
+	$(BIN)/python docs/made_pages.py
 
 # The documentation, into site/.
 docs: .venv/docs

@@ -9,6 +9,15 @@ from typing import Any
 
 from collaborative_gym.files import read_sealed, sealed, write_text
 
+_TITLES = {
+    "advised": "Cross-play of policies that learned with advice",
+    "crossplay": "Cross-play of the shipped policies",
+    "egos": "Egos and their partners",
+    "populations": "What partners taught",
+    "robustness": "Each disturbance alone",
+    "seeds": "Many seeds",
+}
+
 _TABLES = Path(__file__).parents[1] / "docs" / "tables"
 
 
@@ -31,4 +40,4 @@ def keep(
         rows = rows.setdefault(key, {})
     rows[keys[-1]] = row
     write_text(path, sealed(numbers, indent=1))
-    write_text(path.with_suffix(".md"), page(numbers))
+    write_text(path.with_suffix(".md"), f"# {_TITLES[name]}\n\n{page(numbers)}")

@@ -1,38 +1,19 @@
-"""What the site's builder calls: it adds what is made from the code."""
+"""What the site's builder calls."""
 
-import io
 import posixpath
 import re
 from pathlib import Path
 
-from made_pages import expanded, made_pages, still
 from mkdocs.structure.files import File
 from PIL import Image
 
 
 def on_files(files, config):
-    """Add the pages that are made."""
-    for path, text in made_pages().items():
-        files.append(File.generated(config, path, content=text))
-    docs = Path(config["docs_dir"])
-    for film in sorted(docs.glob("media/baselines/*.gif")):
-        path = still(film.relative_to(docs).as_posix())
-        files.append(File.generated(config, path, content=_still(film)))
-    return files
-
-
-def _still(film: Path) -> bytes:
-    """Return a film's picture after 1.5 seconds, as JPEG."""
-    content = io.BytesIO()
-    with Image.open(film) as image:
-        image.seek(min(15, image.n_frames - 1))
-        image.convert("RGB").save(content, format="JPEG", quality=85)
-    return content.getvalue()
-
-
-def on_page_markdown(markdown, page, config, files):
-    """Put what is made into a page that asks for it."""
-    return expanded(markdown, page.file.src_uri)
+    """Add the pages that stand at the repository's root, as its readers expect."""
+    root = Path(config["docs_dir"]).parent
+    for name in ("CHANGELOG", "CONTRIBUTING"):
+        text = (root / f"{name}.md").read_text().replace("](docs/", "](")
+        files.append(File.generated(config, f"{name.lower()}.md", content=text))
 
 
 def on_page_content(html, page, config, files):

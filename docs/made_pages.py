@@ -1,8 +1,11 @@
-"""Pages of the documentation that are made from the code.
+"""Writes those parts of the documentation that are made from the code.
 
-A page for each task from its module's docstring, its spaces and its baselines' cards;
-one for the command line, from what it says itself; and parts of others. Nothing is
-typed twice, so nothing goes out of date.
+    python docs/made_pages.py
+
+It writes a page for each task from its module's docstring, its spaces and its
+baselines' cards; one for the command line from its own help; and in the other pages
+what stands between `<!-- made: NAME -->` and `<!-- end -->`. The results are committed,
+so that every page can be read as a file; a test fails where they are stale.
 """
 
 import contextlib
@@ -15,20 +18,24 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import griffe
 import numpy as np
+from PIL import Image
 
 import collaborative_gym as cg
 from collaborative_gym.certificate.report import (
     Certificate,
     certificates_to_markdown,
 )
-from collaborative_gym.cli.main import main
+from collaborative_gym.cli.main import main as command_line
 from collaborative_gym.policies.policy import is_shipped, shipped_file
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
 ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+_NOTE = "<!-- made by docs/made_pages.py: change the code, not this page -->"
 COMMANDS = (
     "list",
     "view",
@@ -66,49 +73,68 @@ collaborative-gym --tyro-write-completion zsh ~/.zfunc/_collaborative-gym
 ```"""
 """How the shell learns what can follow; zsh's folder must be in its `fpath`."""
 
-_WHOSE = "thesis", "ours"
-"""Whose bars a chart has, by the names that the stylesheet knows."""
+_WHOSE = {"the thesis": "#9aa5ad", "the baselines here": "#e64a19"}
+"""Whose bars the chart has, with their colours."""
 
 _WIDTH = 78
 """Columns of the command line's help."""
 
 
+def main() -> None:
+    """Write all pages, and the pictures that are made."""
+    for path, content in stale().items():
+        path.write_bytes(content)
+        print(path.relative_to(ROOT))
+
+
+def stale() -> dict[Path, bytes]:
+    """Return what the files should hold that differ from what the code makes."""
+    made = {DOCS / path: text.encode() for path, text in made_pages().items()}
+    for page in [*DOCS.rglob("*.md"), ROOT / "README.md"]:
+        if page not in made:
+            text = filled(page.read_text(), page.relative_to(ROOT).as_posix())
+            made[page] = text.encode()
+    made[DOCS / "media" / "table11.svg"] = _chart().encode()
+    for film in DOCS.glob("media/baselines/*.gif"):
+        if not film.with_suffix(".jpg").exists():
+            made[film.with_suffix(".jpg")] = _still(film)
+    return {
+        path: content
+        for path, content in made.items()
+        if not path.exists() or path.read_bytes() != content
+    }
+
+
 def made_pages() -> dict[str, str]:
     """Return the Markdown of each page that is made, by its path in `docs/`."""
-    pages = {
-        "reference/command_line.md": _command_line_page(),
-    }
+    pages = {"reference/command_line.md": _command_line_page()}
     for name in _TASKS:
         pages[f"tasks/{name.lower()}.md"] = _task_page(name)
-    return pages
+    return {path: f"{_NOTE}\n\n{text}\n" for path, text in pages.items()}
 
 
-def expanded(markdown: str, path: str = "index.md") -> str:
-    """Return a page with its comments `<!-- put: ... -->` replaced by what they name.
+def filled(markdown: str, path: str) -> str:
+    """Return a page with what is made between its comments made anew.
 
-    That is one of `_MADE`; a file of the repository, such as `CHANGELOG.md`; a section
-    of one, such as `README.md, Licence`; or lines of Python, such as
-    `examples/it.py:1:11`. Links in it are made to be from the page.
+    `<!-- made: NAME -->` names one of `_MADE`; a file of the repository, such as
+    `docs/tables/table11.md`; a section of one, such as `README.md, Licence`; or lines
+    of Python, such as `examples/it.py:1:11`.
 
     Args:
       markdown: the page.
-      path: where it is in `docs/`.
+      path: where it is in the repository; links are made to be from there.
 
     Raises:
       FileNotFoundError: if there is no such file.
       KeyError: if the file has no such section.
     """
-    links = f"]({'../' * path.count('/')}"
+    links = f"]({'../' * (path.count('/') - 1)}"
 
-    def put(comment: re.Match[str]) -> str:
-        return _put(comment[1]).replace("](docs/", links)
+    def make(hole: re.Match[str]) -> str:
+        text = _make(hole[1]).replace("](docs/", links)
+        return f"<!-- made: {hole[1]} -->\n\n{text}\n\n<!-- end -->"
 
-    return re.sub(r"<!-- put: (.+) -->", put, markdown)
-
-
-def still(film: str) -> str:
-    """Return the path of the picture that stands for a film in the gallery."""
-    return film.removesuffix(".gif") + ".jpg"
+    return re.sub(r"<!-- made: (.+?) -->.*?<!-- end -->", make, markdown, flags=re.S)
 
 
 def python_lines(what: str) -> str:
@@ -118,10 +144,10 @@ def python_lines(what: str) -> str:
     return "\n".join(lines[int(first) - 1 : int(last)])
 
 
-def _put(what: str) -> str:
+def _make(what: str) -> str:
     if what in _MADE:
         return _MADE[what]()
-    if ":" in what:
+    if ".py:" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
     text = (ROOT / name).read_text()
@@ -169,8 +195,8 @@ def _task_page(name: str) -> str:
     paragraphs += ["## Settings", _settings(task.config_class)]
     paragraphs += ["## Reward and success, as the code has them"]
     for method in (task.reward, task.success):
-        source = textwrap.dedent(inspect.getsource(method))
-        paragraphs.append(_folded(f"{method.__name__}()", source))
+        source = textwrap.dedent(inspect.getsource(method)).rstrip()
+        paragraphs.append(f"```python\n{source}\n```")
     return "\n\n".join(paragraphs)
 
 
@@ -198,7 +224,7 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
         paragraphs += ["### Baseline", card.read_text().partition("\n\n")[2].strip()]
         curve = f"media/baselines/{env_id}.png"
         if (ROOT / "docs" / curve).exists():
-            paragraphs.append(f'![Learning curve](../{curve}){{ width="600" }}')
+            paragraphs.append(_picture("Learning curve", f"../{curve}", 600))
     if is_shipped("ego", env_id):
         paragraphs.append(
             "There is also [an ego](../strangers.md#an-ego-with-advice), which works"
@@ -316,10 +342,13 @@ def _certificates() -> str:
     return certificates_to_markdown([Certificate.load(path) for path in paths])
 
 
-def _examples() -> str:
-    """Return the examples' files, each under a title that opens it."""
-    paths = sorted((ROOT / "examples").glob("*.py"))
-    return "\n\n".join(_folded(path.name, path.read_text()) for path in paths)
+def _still(film: Path) -> bytes:
+    """Return a film's picture after 1.5 seconds, as JPEG."""
+    content = io.BytesIO()
+    with Image.open(film) as image:
+        image.seek(min(15, image.n_frames - 1))
+        image.convert("RGB").save(content, format="JPEG", quality=85)
+    return content.getvalue()
 
 
 def _films(tasks: Sequence[str]) -> str:
@@ -330,49 +359,65 @@ def _films(tasks: Sequence[str]) -> str:
     paragraphs = []
     for name in tasks:
         for env_id, _ in _envs(name):
-            film = f"media/baselines/{env_id}.gif"
-            if (ROOT / "docs" / film).exists():
-                page = f"tasks/{name.lower()}.md#{env_id.lower()}"
+            film = f"docs/media/baselines/{env_id}.gif"
+            if (ROOT / film).exists():
+                page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
                     f"### [{env_id}]({page})",
                     f"[![{env_id}, played by those whom the picture names; to its film]"
-                    f"({still(film)})]({film})",
+                    f"({film.removesuffix('.gif')}.jpg)]({film})",
                 ]
     return "\n\n".join(paragraphs)
+
+
+def _names(module: ModuleType) -> str:
+    """Return a table of what a module offers, with the first line of each docstring."""
+    rows = [
+        (f"`{name}`", " ".join(summary.split()))
+        for name in sorted(module.__all__, key=str.lower)
+        for summary in [inspect.getdoc(getattr(module, name)).partition("\n\n")[0]]
+    ]
+    return _table(("name", "what it is"), rows)
 
 
 def _chart() -> str:
     """Return Table 11 as bars, drawn as SVG: the thesis above, ours below."""
     rows = re.findall(
         r"^\| (\S+-v\d) \| (completion|performance) \| (\S+) % \| (\S+) %",
-        (ROOT / "docs" / "tables" / "table11.md").read_text(),
+        (DOCS / "tables" / "table11.md").read_text(),
         re.M,
     )
-    half = len(rows) // 2
+    height = len(rows) // 2 * 34 + 50
     lines = [
-        f'<svg viewBox="0 0 760 {half * 34 + 24}" role="img"'
-        ' aria-label="Completion and performance, the thesis and ours">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {height}"'
+        ' font-family="sans-serif" font-size="12" fill="#222" role="img"'
+        ' aria-label="Completion and performance, the thesis and ours">',
+        f'<rect width="760" height="{height}" fill="white"/>',
     ]
+    for j, (whose, color) in enumerate(_WHOSE.items()):
+        x = 190 + 290 * j
+        lines += [
+            f'<rect x="{x}" y="8" width="11" height="11" fill="{color}"/>',
+            f'<text x="{x + 17}" y="18">{whose}</text>',
+        ]
     for column, measure in enumerate(("completion", "performance")):
         x = 190 + 290 * column
-        lines.append(f'<text x="{x}" y="14" class="head">{measure}, %</text>')
+        lines.append(f'<text x="{x}" y="40" font-weight="bold">{measure}, %</text>')
         own = [row for row in rows if row[1] == measure]
         for i, (env_id, _, *values) in enumerate(own):
-            y = 24 + 34 * i
+            y = 50 + 34 * i
             if not column:
-                lines.append(f'<text x="0" y="{y + 18}">{env_id}</text>')
-            for j, (kind, value) in enumerate(zip(_WHOSE, values, strict=True)):
+                lines.append(f'<text x="8" y="{y + 18}">{env_id}</text>')
+            for j, (color, value) in enumerate(
+                zip(_WHOSE.values(), values, strict=True)
+            ):
                 width, top = 2.2 * float(value), y + 13 * j
                 lines.append(
-                    f'<rect class="{kind}" x="{x}" y="{top}" width="{width:.1f}"'
+                    f'<rect fill="{color}" x="{x}" y="{top}" width="{width:.1f}"'
                     f' height="11"/><text x="{x + width + 5:.1f}" y="{top + 10}"'
-                    f' class="number">{value}</text>'
+                    f' font-size="10">{value}</text>'
                 )
-    caption = (
-        '<figcaption><span class="thesis">■</span> the thesis'
-        ' <span class="ours">■</span> the baselines here</figcaption>'
-    )
-    return f"<figure class='chart'>{''.join(lines)}</svg>{caption}</figure>"
+    return "\n".join([*lines, "</svg>", ""])
 
 
 def _arm(robot: cg.Robot) -> str:
@@ -399,14 +444,14 @@ def _arm(robot: cg.Robot) -> str:
         )
         for i, joint in enumerate(robot.joints)
     ]
-    definition = robot.model_file.with_suffix(".py").read_text()
+    definition = robot.model_file.with_suffix(".py").relative_to(ROOT)
     return "\n\n".join(
         (
-            f"### {robot.title} {{ #{robot.name} }}",
-            f'![{robot.title}](media/robots/{robot.name}.jpg){{ width="360" }}',
-            _first_comment(robot.model_file),
+            f"### {robot.name}",
+            _picture(robot.title, f"media/robots/{robot.name}.jpg", 360),
+            f"{robot.title}. {_first_comment(robot.model_file)}",
             _table(columns, rows),
-            _folded(f"{robot.name}.py, with the source of each number", definition),
+            f"The source of each number stands in `{definition.as_posix()}`.",
         )
     )
 
@@ -418,10 +463,9 @@ def _first_comment(path: Path) -> str:
     return "\n".join(line.strip() for line in comment[1].strip().splitlines())
 
 
-def _folded(title: str, source: str) -> str:
-    """Return Python code under a title that opens it."""
-    block = f"```python\n{source.rstrip()}\n```"
-    return f'??? info "{title}"\n\n' + textwrap.indent(block, "    ")
+def _picture(title: str, path: str, width: int) -> str:
+    """Return a picture of a width in pixels."""
+    return f'<img src="{path}" alt="{title}" width="{width}">'
 
 
 def _command_line_page() -> str:
@@ -451,7 +495,9 @@ def _help(*command: str) -> str:
     os.environ["COLUMNS"] = str(_WIDTH)
     try:
         with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-            main([*command, "--help-all" if command == ("train",) else "--help"])
+            command_line(
+                [*command, "--help-all" if command == ("train",) else "--help"]
+            )
     finally:
         os.environ.pop("COLUMNS")
         if before is not None:
@@ -498,10 +544,12 @@ def _cell(value: object) -> str:
 _MADE = {
     "arms": _arms,
     "certificates": _certificates,
-    "chart": _chart,
     "environments": _environments,
-    "examples": _examples,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
     "films against": partial(_films, _AGAINST),
+    "names": partial(_names, cg),
 }
-"""What is put into a page by the name of what makes it."""
+"""What is made in a page, by the name of what makes it."""
+
+if __name__ == "__main__":
+    main()

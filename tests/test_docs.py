@@ -114,7 +114,23 @@ def load(path):
 
 made_pages = load(ROOT / "docs" / "made_pages.py")
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-RUNNING = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]
+ROOT_PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
+MADE = [ROOT / "docs" / path for path in made_pages.made_pages()]
+RUNNING = [
+    page
+    for page in (*ROOT_PAGES, *PAGES)
+    if page not in MADE and "tables" not in page.parts
+]
+
+
+def unmade(text):
+    """Return a page with blank lines in place of what is made."""
+    return re.sub(
+        r"<!-- made: .+? -->.*?<!-- end -->",
+        lambda made: "\n" * made[0].count("\n"),
+        text,
+        flags=re.S,
+    )
 
 
 def blocks(text):
@@ -133,7 +149,7 @@ def name(path):
 def as_script(text):
     """Return a page's blocks as one script whose lines have the page's numbers."""
     lines = [""] * (text.count("\n") + 1)
-    for language, first, content in blocks(text):
+    for language, first, content in blocks(unmade(text)):
         if language == "python":
             code = content.splitlines()
             lines[first : first + len(code)] = code
@@ -178,7 +194,7 @@ def reader(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", [p for p in RUNNING if blocks(p.read_text())], ids=name
+    "path", [p for p in RUNNING if blocks(unmade(p.read_text()))], ids=name
 )
 def test_every_block_of_a_page_runs(path, reader):
     if path.name == "own_task.md":
@@ -209,7 +225,7 @@ def test_no_block_escapes(path):
 
 def pieces(page):
     """Return what a page shows of Python files, such as `examples/it.py:1:11`."""
-    return re.findall(r"^<!-- put: (\S+\.py:\d+:\d+) -->$", page.read_text(), re.M)
+    return re.findall(r"^<!-- made: (\S+\.py:\d+:\d+) -->$", page.read_text(), re.M)
 
 
 def tutorial():
@@ -253,14 +269,19 @@ def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path):
             r'<(?:script|img|link|iframe)[^>]*(?:src|href)="(\w+:)', html
         )
         assert not loaded, f"{path.name} loads {loaded}"
-        assert "<!-- put" not in html
+        assert "<!-- made" not in html
     assert (tmp_path / "search" / "search_index.js").stat().st_size > 100_000
     home = pages[tmp_path / "index.html"]
     assert "javascripts/iframe-worker.js" in home
 
 
+def test_what_is_made_is_up_to_date():
+    stale = [str(path) for path in made_pages.stale()]
+    assert not stale, "python docs/made_pages.py writes these anew"
+
+
 def test_made_pages_say_what_the_code_is():
-    pages = made_pages.made_pages()
+    pages = {path: path.read_text() for path in PAGES}
     for env_id in cg.list_envs():
         listed = [text for text in pages.values() if f"\n## {env_id}\n" in text]
         assert len(listed) == 1
@@ -272,35 +293,83 @@ def test_made_pages_say_what_the_code_is():
                 shape = " x ".join(map(str, block.shape))
                 assert f"| {block.name} | {shape} | {block.unit} |" in listed[0]
             for term in env.reward_terms[agent]:
-                assert f"\n- `{term}`" in listed[0], f"{env_id}: {term}"
-    lift = pages["tasks/lift.md"]
+                assert f"`{term}`" in listed[0], f"{env_id}: {term}"
+    docs = ROOT / "docs"
+    lift = pages[docs / "tasks" / "lift.md"]
     assert "**Success:** the pot's middle is within 0.15 m" in lift
     assert "| `picking_threshold` | greatest distance at which a grip" in lift
     assert "collaborative-gym train LiftTaskSawyers-v0 --seed" in lift
-    arms = made_pages.expanded("<!-- put: arms -->")
-    assert "| 1 | -3.05 to 3.05 | 0 | 1.74 | 80 |" in arms
-    assert "franka_ros c11f000" in arms
-    files = made_pages.expanded("<!-- put: examples -->")
-    for path in (ROOT / "examples").glob("*.py"):
-        assert f'"{path.name}"' in files
-        assert textwrap.indent(path.read_text().splitlines()[0], "    ") in files
-    help_page = pages["reference/command_line.md"]
+    assert "| 1 | -3.05 to 3.05 | 0 | 1.74 | 80 |" in pages[docs / "robots.md"]
     for command in made_pages.COMMANDS:
-        assert f"usage: collaborative-gym {command} " in help_page
+        usage = f"usage: collaborative-gym {command} "
+        assert usage in pages[docs / "reference" / "command_line.md"]
 
 
 def test_what_is_put_into_a_page():
-    expanded = made_pages.expanded
-    assert expanded("a\n<!-- put: README.md, Licence -->\nb").startswith(
-        "a\nApache-2.0"
-    )
-    results = "<!-- put: README.md, Results -->"
-    assert "](gallery.md)" in expanded(results)
-    assert "](../gallery.md)" in expanded(results, "tasks/index.md")
+    filled = made_pages.filled
+    hole = "<!-- made: {} -->\nstale\n<!-- end -->"
+    page = filled("a\n" + hole.format("README.md, Licence") + "\nb", "docs/page.md")
+    assert page.startswith("a\n<!-- made: README.md, Licence -->\n\nApache-2.0")
+    assert page.endswith("\n\n<!-- end -->\nb") and "stale" not in page
+    assert filled(page, "docs/page.md") == page
+    results = hole.format("README.md, Results")
+    assert "](gallery.md)" in filled(results, "docs/page.md")
+    assert "](../gallery.md)" in filled(results, "docs/tasks/page.md")
     with pytest.raises(KeyError):
-        expanded("<!-- put: README.md, Nothing -->")
+        filled(hole.format("README.md, Nothing"), "docs/page.md")
     with pytest.raises(FileNotFoundError):
-        expanded("<!-- put: NOTHING.md -->")
+        filled(hole.format("NOTHING.md"), "docs/page.md")
+
+
+def anchors(page):
+    """Return the places in a page that a link can lead to."""
+    titles = re.findall(
+        r"^#+ (.+)$", re.sub(r"^```.*?^```", "", page, flags=re.S | re.M), re.M
+    )
+    plain = (re.sub(r"\]\([^)]*\)|[^\w\- ]", "", title) for title in titles)
+    return {title.strip().lower().replace(" ", "-") for title in plain}
+
+
+def broken_links(path):
+    """Return the links and pictures of a page that lead to nothing among the files."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(), flags=re.S | re.M)
+    links = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'src="([^"]+)"', text)
+    broken = []
+    for link in links:
+        file, _, anchor = link.partition("#")
+        if "://" in link or link.startswith("mailto:"):
+            continue
+        target = (path.parent / file).resolve() if file else path
+        # The site alone has a place for each name of Python.
+        known = not anchor or anchor.startswith("collaborative_gym.")
+        if not target.exists() or not (known or anchor in anchors(target.read_text())):
+            broken.append(link)
+    return broken
+
+
+@pytest.mark.parametrize(
+    "path", [*ROOT_PAGES, *PAGES, ROOT / "examples" / "README.md"], ids=name
+)
+def test_every_link_and_picture_resolves_among_the_files(path):
+    assert not broken_links(path)
+    assert "{ width" not in path.read_text()
+
+
+def test_a_broken_link_is_found(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A title: *it*\n[a](page.md#a-title-it) [b](no.md) [c](#none)\n")
+    assert broken_links(page) == ["no.md", "#none"]
+
+
+def test_the_pages_can_be_read_in_an_afternoon():
+    def words(text):
+        code = r"^```.*?^```"
+        return len(re.findall(r"\w\S*", re.sub(code, "", text, flags=re.S | re.M)))
+
+    written = [ROOT / "README.md", *(page for page in RUNNING if page in PAGES)]
+    assert sum(words(unmade(page.read_text())) for page in written) <= 25_000
+    for guide in ("training", "strangers"):
+        assert words((ROOT / "docs" / f"{guide}.md").read_text()) <= 1500
 
 
 def test_the_readme_has_the_results_of_table_11_and_can_be_read_in_minutes():
