@@ -13,7 +13,7 @@ from PIL import Image
 import collaborative_gym as cg
 
 DOCS = Path(__file__).parent
-SIZE = 480, 360
+SIZE = 640, 360
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import collaborative_gym as cg
 
-SIZE = 288, 216
+SIZE = 320, 180
 BAND = 26
 STEPS, HOLD = 80, 10
 """Pictures, which are control steps, and how long a success is shown."""

@@ -214,7 +214,7 @@ def test_pictures_of_a_batch(carry_id):
     envs = gymnasium.make_vec(carry_id, num_envs=2, render_mode="rgb_array")
     envs.reset(seed=0)
     pictures = envs.render()
-    assert [picture.shape for picture in pictures] == [(480, 640, 3)] * 2
+    assert [picture.shape for picture in pictures] == [(720, 1280, 3)] * 2
     envs.close()
     with pytest.raises(RuntimeError, match="closed"):
         envs.step(np.zeros((2, 16)))

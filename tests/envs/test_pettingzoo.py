@@ -137,7 +137,7 @@ def test_the_last_picture_is_of_the_ended_episode(env):
     while env.agents:
         batch = env.vector_env.expert()
         env.step({agent: rows[0] for agent, rows in batch.items()})
-    assert first.shape == (480, 640, 3)
+    assert first.shape == (720, 1280, 3)
     assert np.abs(env.render().astype(float) - first).mean() > 1
 
 

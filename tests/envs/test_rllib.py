@@ -65,7 +65,7 @@ def test_it_plays_what_the_pettingzoo_environment_plays(env, carry):
         assert rest[1] == {"robot_1": False, "robot_2": False, "__all__": False}
         assert rest[2] == dict.fromkeys([*AGENTS, "__all__"], step == 11)
     assert rest[3]["robot_1"]["metrics"]["length"] == 12
-    assert env.render().shape == (480, 640, 3)
+    assert env.render().shape == (720, 1280, 3)
 
 
 def test_an_episode_that_is_over_is_terminated_for_all(env):
@@ -83,7 +83,7 @@ def test_every_id_is_registered_with_its_options(carry_in_rllib):
     options = {"robots": ("panda", "jaco"), "max_episode_steps": 5}
     env = make({**options, "render_mode": "rgb_array"})
     env.reset(seed=0)
-    assert env.render().shape == (480, 640, 3)
+    assert env.render().shape == (720, 1280, 3)
     task = env.env.vector_env.task
     assert task.robots["robot_2"].name == "jaco"
     assert task.config.max_episode_steps == 5

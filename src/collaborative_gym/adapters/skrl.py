@@ -88,7 +88,7 @@ class SkrlEnv(MultiAgentEnvWrapper):
         return dict.fromkeys(self.possible_agents, state)
 
     def render(self, *_: Any, **__: Any) -> Any:
-        """Return a picture of the first world, (480, 640, 3) uint8."""
+        """Return a picture of the first world, (720, 1280, 3) uint8."""
         return self._env.render()
 
     def close(self) -> None:

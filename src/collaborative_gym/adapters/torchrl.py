@@ -135,7 +135,7 @@ class TorchRLEnv(EnvBase):
         self._next_seed = seed
 
     def render(self) -> np.ndarray:
-        """Return a picture of the first world, (480, 640, 3) uint8."""
+        """Return a picture of the first world, (720, 1280, 3) uint8."""
         return self.vector_env.render()
 
     def close(self, *, raise_if_closed: bool = True) -> None:

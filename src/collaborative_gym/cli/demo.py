@@ -15,11 +15,15 @@ from collaborative_gym.pictures import recording
 from collaborative_gym.policies.policy import is_shipped
 from collaborative_gym.tasks.registry import make_task
 
-_SHEET_SIZE = (480, 360)
+_SHEET_SIZE = (480, 270)
 """Width and height of one picture of the contact sheet, in pixels."""
 
-_GAME, _GAME_STEPS = "HockeyPandas-v0", 100
-"""What the scripted player plays, and for how many control steps."""
+_GAME, _GAME_STEPS, _GAME_EPISODE = "HockeyPandas-v0", 100, 6
+"""What the scripted player plays, for how many control steps, and an episode of it that
+has a goal by then."""
+
+_FILM_SIZE = (640, 360)
+"""Width and height of a film, in pixels."""
 
 _SECONDS = 6.0
 """How long a film lasts at least, in s. Without a graphics card, a second of it takes
@@ -82,6 +86,12 @@ def _draw_one(env_id: str, policy: str) -> np.ndarray:
 def _film_one(job: tuple[str, str, Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
-    is_game = env_id == _GAME
-    task = make_task(env_id, max_episode_steps=_GAME_STEPS) if is_game else env_id
-    return recording.record(task, output, policy=policy, seconds=_SECONDS)
+    if env_id == _GAME:
+        game = make_task(env_id, max_episode_steps=_GAME_STEPS)
+        chosen = [_GAME_EPISODE]
+        return recording.record(
+            game, output, policy=policy, only_episodes=chosen, size=_FILM_SIZE
+        )
+    return recording.record(
+        env_id, output, policy=policy, seconds=_SECONDS, size=_FILM_SIZE
+    )

@@ -89,7 +89,7 @@ Size = Annotated[
     tuple[int, int],
     tyro.conf.arg(
         metavar="WIDTH HEIGHT",
-        help_behavior_hint="(default: 640 480, of a GIF 320 240)",
+        help_behavior_hint="(default: 1280 720, of a GIF 416 234)",
     ),
 ]
 

@@ -123,7 +123,7 @@ class GymnasiumEnv(gymnasium.Env):
         return observation, reward, is_terminated, ended and not is_terminated, info
 
     def render(self) -> np.ndarray:
-        """Return a picture, (480, 640, 3) uint8.
+        """Return a picture, (720, 1280, 3) uint8.
 
         Raises:
           RuntimeError: without a render mode, and if no renderer can start.

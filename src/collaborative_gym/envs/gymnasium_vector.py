@@ -203,7 +203,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         )
 
     def render(self) -> tuple[np.ndarray, ...]:
-        """Return a picture of each world, (480, 640, 3) uint8.
+        """Return a picture of each world, (720, 1280, 3) uint8.
 
         Raises:
           RuntimeError: without a render mode, and if no renderer can start.

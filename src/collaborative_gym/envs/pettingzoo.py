@@ -142,7 +142,7 @@ class PettingZooEnv(ParallelEnv):
         return np.concatenate(list(self._observations.values()))
 
     def render(self) -> np.ndarray:
-        """Return a picture, (480, 640, 3) uint8.
+        """Return a picture, (720, 1280, 3) uint8.
 
         Raises:
           RuntimeError: without a render mode, and if no renderer can start.

@@ -88,7 +88,7 @@ class RLlibEnv(MultiAgentEnv):
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> Any:
-        """Return a picture, (480, 640, 3) uint8; see `PettingZooEnv.render`."""
+        """Return a picture, (720, 1280, 3) uint8; see `PettingZooEnv.render`."""
         return self.env.render()
 
     def close(self) -> None:

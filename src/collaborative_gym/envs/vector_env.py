@@ -363,7 +363,7 @@ class VectorEnv:
         self._watcher, self._shots = watcher, 1 if watcher is None else shots
 
     def render(
-        self, env_id: int = 0, *, width: int = 640, height: int = 480
+        self, env_id: int = 0, *, width: int = 1280, height: int = 720
     ) -> np.ndarray:
         """Return a picture of one world, (height, width, 3) uint8.
 

@@ -23,6 +23,7 @@ _STEEL = (0.72, 0.74, 0.77, 1.0)
 _RIM = (0.55, 0.57, 0.60, 1.0)
 _LID = (0.80, 0.22, 0.16, 1.0)
 _BLACK = (0.10, 0.10, 0.11, 1.0)
+_ORANGE = (0.95, 0.50, 0.08, 1.0)
 
 
 def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
@@ -80,13 +81,14 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
 
 def _add_handle(body: mujoco.MjsBody, name: str, side: float) -> None:
     """Add a bar that two struts carry, and the site where it is gripped."""
-    box, middle = mujoco.mjtGeom.mjGEOM_BOX, (0.0, side * _GRIP_Y, _HANDLE_Z)
+    capsule, middle = mujoco.mjtGeom.mjGEOM_CAPSULE, (0.0, side * _GRIP_Y, _HANDLE_Z)
     body.add_site(name=name, pos=middle)
-    add_visual(body, box, size=_HANDLE_SIZE, rgba=_BLACK, pos=middle)
-    strut = (0.006, (_GRIP_Y - 0.03) / 2, 0.006)
-    for x in (-0.045, 0.045):
-        place = (x, side * (_GRIP_Y + 0.03) / 2, _HANDLE_Z - 0.008)
-        add_visual(body, box, size=strut, rgba=_STEEL, pos=place)
+    long, thick = _HANDLE_SIZE[0] - 0.01, 0.013  # seen from a few metres
+    ends = (*(-long, *middle[1:]), *(long, *middle[1:]))
+    add_visual(body, capsule, size=(thick,), rgba=_ORANGE, fromto=ends)
+    for x in (-long, long):
+        strut = (x, side * 0.03, _HANDLE_Z - 0.012, x, *middle[1:])
+        add_visual(body, capsule, size=(0.009,), rgba=_ORANGE, fromto=strut)
 
 
 def _add_vessel(body: mujoco.MjsBody) -> None:

@@ -1,5 +1,7 @@
 """Shapes that are there to be seen."""
 
+from collections.abc import Sequence
+
 import mujoco
 
 
@@ -25,3 +27,30 @@ def add_visual(
     )
     if fromto is not None:
         geom.fromto = fromto
+
+
+def add_wire_sphere(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, radius: float, rgba: Sequence[float]
+) -> None:
+    """Add a sphere that hides nothing and throws no shadow: a ring about each axis.
+
+    Args:
+      spec: the world of the body.
+      body: what it is part of.
+      radius: in m.
+      rgba: its colour.
+    """
+    mesh = spec.add_mesh(name=f"{body.name} ring", scale=[radius] * 3)
+    mesh.make_supertorus(resolution=40, radius=0.025, s=1, t=1)
+    half = 0.5**0.5
+    for turn in ((1.0, 0.0, 0.0, 0.0), (half, half, 0.0, 0.0), (half, 0.0, half, 0.0)):
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            quat=turn,
+            rgba=rgba,
+            contype=0,
+            conaffinity=0,
+            group=2,
+            mass=0.0,
+        )

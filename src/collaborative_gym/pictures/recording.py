@@ -95,8 +95,8 @@ def record(
       seed: which episodes.
       only_episodes: indices of the seed's episodes to show instead of the first ones,
         such as the worst ones that a report names.
-      size: width and height in pixels, of each policy's picture; None for 640 x 480, of
-        a GIF 320 x 240.
+      size: width and height in pixels, of each policy's picture; None for 1280 x 720,
+        of a GIF 416 x 234.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -158,7 +158,7 @@ def picture(
     policy: AnyPolicy = "expert",
     *,
     seed: int = 0,
-    size: tuple[int, int] = (640, 480),
+    size: tuple[int, int] = (640, 360),
 ) -> np.ndarray:
     """Return a picture of the robots together, in a seed's first episode.
 
@@ -435,8 +435,8 @@ def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
 
 
 _FORMATS = {
-    ".mp4": _Format(_write_mp4, shots=2, size=(640, 480)),
-    ".gif": _Format(_write_gif, shots=1, size=(320, 240)),
+    ".mp4": _Format(_write_mp4, shots=2, size=(1280, 720)),
+    ".gif": _Format(_write_gif, shots=1, size=(416, 234)),
 }
 
 

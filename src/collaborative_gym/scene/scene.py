@@ -26,6 +26,7 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
+from collaborative_gym.objects.visual import add_wire_sphere
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
@@ -152,20 +153,22 @@ class Scene:
         self.tools.setdefault(agent, []).append(name)
 
     def add_target(
-        self, name: str, radius: float, *, rgba: Sequence[float] = (0.2, 0.75, 0.3, 0.3)
+        self, name: str, radius: float, *, rgba: Sequence[float] = (0.1, 0.6, 0.2, 1)
     ) -> None:
-        """Add a marker of a goal; `place` moves it and `Sim.pose` reads it."""
+        """Add a marker of a goal; `place` moves it and `Sim.pose` reads it.
+
+        Args:
+          name: of the target.
+          radius: of its rings, in m.
+          rgba: their colour.
+
+        Raises:
+          ValueError: if the name is taken, or the radius is out of bounds.
+        """
         self._check_free("name", name)
         radius = check_number("radius", radius, at_least=0.001, at_most=100.0)
         body = self.spec.worldbody.add_body(name=name, mocap=True)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[radius, 0, 0],
-            rgba=rgba,
-            contype=0,
-            conaffinity=0,
-            group=2,
-        )
+        add_wire_sphere(self.spec, body, radius, rgba)
         body.add_site(name=name)
         self.add_pose_sensor(name, name)
         self._targets.append(name)

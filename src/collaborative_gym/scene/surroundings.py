@@ -9,6 +9,9 @@ LARGEST = 1920, 1080
 """Largest width and height of an off-screen picture, in pixels."""
 
 
+_WALL = (0.90, 0.92, 0.94)
+
+
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
     _add_floor_and_sky(spec)
@@ -17,25 +20,28 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
 
 
 def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
+    """Add a quiet room: a pale floor that fades into walls without corners."""
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.82, 0.90, 0.97],
-        rgb2=[0.97, 0.98, 1.0],
-        width=256,
-        height=256,
+        rgb1=[0.87, 0.895, 0.92],
+        rgb2=_WALL,
+        width=512,
+        height=512,
     )
     spec.add_texture(
         name="floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.62, 0.61, 0.59],
-        rgb2=[0.57, 0.56, 0.54],
+        rgb1=[0.745, 0.755, 0.77],
+        rgb2=[0.72, 0.73, 0.745],
         width=256,
         height=256,
     )
-    floor = spec.add_material(name="floor", texrepeat=[1, 1], texuniform=True)
+    floor = spec.add_material(
+        name="floor", texrepeat=[1, 1], texuniform=True, specular=0.0, shininess=0.0
+    )
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     spec.worldbody.add_geom(
         name="floor",
@@ -43,34 +49,37 @@ def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
         size=[0, 0, 0.05],
         material="floor",
     )
+    # Haze hides where the floor ends.
+    spec.visual.rgba.haze = [*_WALL, 1.0]
 
 
 def _add_lights(spec: mujoco.MjSpec) -> None:
+    # A lamp above the camera throws the shadows; weaker ones fill them.
     for position, direction, diffuse in (
-        ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.55),
-        ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.3),
+        ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.5),
+        ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.25),
+        ((-3.0, 0.0, 3.0), (0.7, 0.0, -0.7), 0.15),
     ):
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=position,
             dir=direction,
             diffuse=[diffuse] * 3,
-            specular=[0.2] * 3,
-            castshadow=diffuse > 0.5,
+            specular=[0.25] * 3,
+            castshadow=diffuse > 0.4,
         )
     headlight = spec.visual.headlight
-    headlight.ambient = [0.35] * 3
-    headlight.diffuse = [0.25] * 3
-    headlight.specular = [0.1] * 3
+    headlight.ambient = [0.38] * 3
+    headlight.diffuse = [0.2] * 3
+    headlight.specular = [0.05] * 3
 
 
 def _set_quality(spec: mujoco.MjSpec) -> None:
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = LARGEST
-    # These are half of MuJoCo's facets and shadow texels. Nobody sees the difference,
-    # and without a graphics card a picture takes half the time.
-    visual.quality.shadowsize = 2048
-    visual.quality.numslices, visual.quality.numstacks = 16, 8
+    visual.quality.shadowsize = 3072
+    visual.quality.offsamples = 4
+    visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.
     visual.map.shadowclip = 1.5

@@ -162,7 +162,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("board", f"{first}/board/board")
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
-        scene.add_camera((3.85, 0, 2.1), (0, 1, 0, -0.32, 0, 1))
+        scene.add_camera((2.9, 0, 1.85), (0, 1, 0, -0.34, 0, 1))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

@@ -213,8 +213,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         # Its contacts turn the puck round within a step; `discrete` would stop it.
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
-        far = 1.6 + 0.8 * field.half_width
-        scene.add_camera((0, -far, HEIGHT + 0.85 * far), (1, 0, 0, 0, 0.65, 0.76))
+        far = 1.25 + 0.65 * field.half_width
+        scene.add_camera((0, -far, HEIGHT + 1.1 * far), (1, 0, 0, 0, 0.74, 0.67))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

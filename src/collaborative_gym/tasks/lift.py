@@ -205,8 +205,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
             threshold = self.config.picking_threshold
             scene.add_grip(agent, handle, threshold=threshold, width=HANDLE_WIDTH)
         radius = self.config.success_radius
-        scene.add_target("target", radius, rgba=(0.35, 0.8, 0.35, 0.2))
-        scene.add_camera((3.05, 0.0, 1.85), (0, 1, 0, -0.28, 0, 1))
+        scene.add_target("target", radius)
+        scene.add_camera((2.25, 0.0, 1.62), (0, 1, 0, -0.22, 0, 1))
 
     @property
     def _handles(self) -> dict[str, str]:

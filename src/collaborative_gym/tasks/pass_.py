@@ -180,7 +180,7 @@ class Pass(Task[PassConfig, PassFacts]):
         picks, hands = self.config.picking_threshold, self.config.handover_threshold
         for agent, threshold in ((giver, picks), (taker, hands)):
             scene.add_grip(agent, _CUBE, threshold=threshold, width=_GRIP_WIDTH)
-        scene.add_camera((2.8, 0, 1.85), (0, 1, 0, -0.38, 0, 0.9))
+        scene.add_camera((2.45, 0, 1.68), (0, 1, 0, -0.34, 0, 0.94))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

@@ -304,7 +304,7 @@ def _lay_out(
     into = _tilted((along + aside) / np.sqrt(2))
     level = (aside - along) / np.sqrt(2)
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
-    eye = middle + 1.4 * span * aside + 0.5 * up
+    eye = middle + 1.15 * span * aside + 0.45 * up
     start: dict[str, Pose] = {
         _STICK: (starts[0], outwards),
         _DONUT: (starts[1], _tcp_quat(along, outwards)),

@@ -181,7 +181,7 @@ class Tug(Task[TugConfig, TugFacts]):
             scene.add(f"{agent}_line", line(colour), position=place)
         scene.add_pose_sensor("bar", "bar/bar")
         scene.add_velocity_sensor("bar", "bar/bar")
-        scene.add_camera((2.6, 0.0, 1.7), (0, 1, 0, -0.28, 0, 1))
+        scene.add_camera((2.0, 0.0, 1.5), (0, 1, 0, -0.24, 0, 1))
 
     def _placed(self) -> Mapping[str, Placement]:
         """Return the placements, robot_1's at -y and robot_2's at +y.

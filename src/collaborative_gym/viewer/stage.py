@@ -15,7 +15,7 @@ from collaborative_gym.viewer.guard import PULL
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import add_geom
 
-_SKY = (230, 239, 248)
+_SKY = (230, 235, 240)
 """Colour of the page's sky, into which the floor fades."""
 
 _HAZE = (15.0, 40.0)
