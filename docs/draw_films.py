@@ -1,0 +1,45 @@
+"""Draws the films of the gallery: python docs/draw_films.py [ENV_ID ...].
+
+They go into `docs/media/baselines/`, each with a picture that stands for it; and
+`docs/media/ego.gif`, which the name `ego` draws alone.
+"""
+
+import sys
+from pathlib import Path
+
+import collaborative_gym as cg
+from collaborative_gym.pictures.recording import record
+from collaborative_gym.policies.policy import is_shipped
+
+MEDIA = Path(__file__).parent / "media"
+SIZE = 480, 270
+AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
+"""Who plays where robots play against each other."""
+
+
+def film(env_id: str) -> None:
+    """Film a baseline, and leave out the picture that stood for the last film."""
+    path = MEDIA / "baselines" / f"{env_id}.gif"
+    sides = cg.make_vec(env_id, 1, num_threads=1).sides
+    policy = "baseline" if len(sides) == 1 else AGAINST
+    record(env_id, path, policy=policy, size=SIZE)
+    path.with_suffix(".jpg").unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    shipped = [each for each in cg.list_envs() if is_shipped("baseline", each)]
+    for name in sys.argv[1:] or [*shipped, "ego"]:
+        if name == "ego":
+            nearer, higher = (
+                {"robot_1": f"expert:{place}", "robot_2": "ego"}
+                for place in ("nearer", "higher")
+            )
+            record(
+                "PassTaskSawyers-v0",
+                MEDIA / "ego.gif",
+                policy=[nearer, higher],
+                size=(400, 226),
+            )
+        else:
+            film(name)
+        print(name)
