@@ -32,6 +32,9 @@ class Chart:
 
     Raises:
       ValueError: if the arm cannot reach all of the area.
+
+    Attributes:
+      chains: the arm's kinematics.
     """
 
     def __init__(
@@ -54,7 +57,8 @@ class Chart:
         poses = [(place, approach) for place in places((-1, 1), (-1, 0, 1))]
         centre = central_pose(model, arm, poses=[(middle, approach), *poses])
         goals = places(*(np.linspace(-1.0, 1.0, count) for count in shape))
-        chains, rows = Chains(model, [arm]), np.zeros(len(goals), int)
+        self.chains = chains = Chains(model, [arm])
+        rows = np.zeros(len(goals), int)
         angles, misses = descend(
             chains.of(rows),
             np.tile(centre, (len(goals), 1)),

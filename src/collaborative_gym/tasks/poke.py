@@ -35,34 +35,33 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import reach, settling, solve_pose
+from collaborative_gym.motion import solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import poke as player
+from collaborative_gym.tasks.experts.poke import (
+    DONUT,
+    DONUT_AHEAD,
+    STICK,
+    STICK_AHEAD,
+    WAIT,
+)
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
-_STICK, _DONUT = "robot_1", "robot_2"
 _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
-
-_FAR = 0.5
-"""The expert goes straight where stick and ring are nearer than this, in m."""
-
-_WAIT = 0.2
-"""How far before the ring's place the stick waits for it, in m."""
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
 
-# How the objects sit in their grippers, which are both open by the same 2 cm.
-_STICK_AHEAD = 0.08  # m from tcp to middle: the rear 2 cm lie behind the tcp
-_DONUT_AHEAD = 0.11  # m from tcp to centre: held by the rear bar
+# How the ring sits in its gripper, which is as wide open as the stick's.
 _DONUT_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)  # normal along the tcp's y
 
 Pose = tuple[np.ndarray, np.ndarray]
@@ -71,33 +70,27 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class PokeFacts:
-    """What Poke looks at.
+    """What Poke looks at; a pose is a position and a quaternion."""
 
-    Attributes:
-      joints: arm joint angles by agent, (num_envs, joints), in rad.
-      stick: position and quaternion of the stick's middle.
-      donut: position and quaternion of the ring's centre, its z along the normal.
-      offset: (num_envs, 3) from the ring's centre to the stick's middle, in the ring's
-        frame, in m.
-      axis: (num_envs, 3) direction of the stick in the ring's frame.
-      distance: (num_envs,) length of `offset`, in m.
-      cosine: (num_envs,) |cos| of the angle between the stick and the ring's plane.
-      is_threaded: (num_envs,) whether the stick's axis crosses the ring's plane within
-        the hole.
-    """
-
-    joints: dict[str, Array]
-    stick: tuple[Array, Array]
-    donut: tuple[Array, Array]
-    offset: Array
-    axis: Array
-    distance: Array
-    cosine: Array
-    is_threaded: Array
+    joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
+    stick: tuple[Array, Array]  # pose of its middle
+    donut: tuple[Array, Array]  # pose of the ring's centre, its z along the normal
+    offset: Array  # (num_envs, 3) from ring to stick in the ring's frame, in m
+    axis: Array  # (num_envs, 3) direction of the stick in the ring's frame
+    distance: Array  # (num_envs,) length of `offset`, in m
+    cosine: Array  # (num_envs,) |cos| of the angle between stick and ring's plane
+    is_threaded: Array  # (num_envs,) whether the stick's axis passes through the hole
 
 
 class Poke(Task[TaskConfig, PokeFacts]):
-    """Put the stick of one arm through the ring of the other."""
+    """Put the stick of one arm through the ring of the other.
+
+    Attributes:
+      goal: by agent, where the tcp is when stick and ring meet: its position, and its
+        direction or quaternion.
+      postures: by agent, joint angles there; of the stick's arm, those in which it
+        waits before the hole, in rad.
+    """
 
     config_class = TaskConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
@@ -106,9 +99,8 @@ class Poke(Task[TaskConfig, PokeFacts]):
         "stick": POSE,
         "donut": POSE,
     }
-    styles: ClassVar[Mapping[str, str]] = {
-        "ring-moves": "the stick holds still, and the ring comes over it"
-    }
+    styles = player.STYLES
+    expert, styled = player.expert, player.styled
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.8 of both reaches apart, turned 60 degrees to each other."""
@@ -121,43 +113,42 @@ class Poke(Task[TaskConfig, PokeFacts]):
         for agent, place in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=place, holds=THICKNESS)
         stick_spec, donut_spec = stick(), donut()
-        stick_spec.body("stick").pos = (0, 0, _STICK_AHEAD)
-        donut_spec.body("donut").pos = (0, 0, _DONUT_AHEAD)
+        stick_spec.body("stick").pos = (0, 0, STICK_AHEAD)
+        donut_spec.body("donut").pos = (0, 0, DONUT_AHEAD)
         donut_spec.body("donut").quat = _DONUT_QUAT
-        scene.add_tool(_STICK, "stick", child=stick_spec)
-        scene.add_tool(_DONUT, "donut", child=donut_spec)
-        scene.add_pose_sensor("stick", f"{_STICK}/stick/stick")
-        scene.add_pose_sensor("donut", f"{_DONUT}/donut/donut")
+        scene.add_tool(STICK, "stick", child=stick_spec)
+        scene.add_tool(DONUT, "donut", child=donut_spec)
+        scene.add_pose_sensor("stick", f"{STICK}/stick/stick")
+        scene.add_pose_sensor("donut", f"{DONUT}/donut/donut")
         *_, (eye, axes) = _lay_out(self.placements, self.robots)
         scene.add_camera(eye, axes)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        start, self._goal, _ = _lay_out(self.placements, self.robots)
+        start, self.goal, _ = _lay_out(self.placements, self.robots)
         self._start: dict[str, np.ndarray] = {}
         self._spread: dict[str, np.ndarray] = {}
-        self._posture: dict[str, np.ndarray] = {}
+        self.postures: dict[str, np.ndarray] = {}
         for agent, arm in scene.arms.items():
             angles = solve_pose(sim.model, arm, goal=start[agent], start=arm.robot.home)
             self._start[agent] = angles
             self._spread[agent] = _spread(sim.model, arm, angles)
-            goal = self._goal[agent]
-            self._posture[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
+            goal = self.goal[agent]
+            self.postures[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
         # The stick waits before the hole, in a posture from which it can go in.
-        place, into = self._goal[_STICK]
-        self._posture[_STICK] = solve_pose(
+        place, into = self.goal[STICK]
+        self.postures[STICK] = solve_pose(
             sim.model,
-            scene.arms[_STICK],
-            goal=(place - _WAIT * into, into),
-            start=self._posture[_STICK],
+            scene.arms[STICK],
+            goal=(place - WAIT * into, into),
+            start=self.postures[STICK],
         )
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        moves = [bounds.object_position] * 3 + [bounds.object_yaw]
         for agent, arm in self.scene.arms.items():
             # To first order, which will do for a start drawn at random.
-            moved = rng.within(moves, len(moves))
+            moved = rng.within(bounds.moves, 4)
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
             angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
             self.scene.bend(sim, env_ids, agent=agent, angles=angles)
@@ -212,52 +203,6 @@ class Poke(Task[TaskConfig, PokeFacts]):
         xp = array_namespace(facts.distance)
         return xp.where(self.success(facts), 0.0, facts.distance)
 
-    def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Motion]:
-        """Present the ring, wait behind the hole until lined up with it, then go in."""
-        normal = math.axis_z(facts.donut[1])
-        behind = self._behind(facts)
-        position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
-        return self._steer(sim, facts, {_STICK: (position, normal)})
-
-    def styled(
-        self, sim: Sim, facts: PokeFacts, *, style: str, draws: np.ndarray
-    ) -> dict[str, Motion]:
-        """Present the stick, wait before its tip until lined up, then come over it."""
-        axis = math.axis_z(facts.stick[1])
-        _, turned = self._goal[_DONUT]
-        ahead = _DONUT_AHEAD * math.axis_z(turned[None])
-        position = facts.stick[0] + self._behind(facts)[:, None] * axis - ahead
-        turned = np.tile(turned, (sim.num_envs, 1))
-        return self._steer(sim, facts, {_DONUT: (position, turned)})
-
-    def _behind(self, facts: PokeFacts) -> np.ndarray:
-        """Return how far behind the hole the stick's middle is to be, (num_envs,)."""
-        beside = math.norm(facts.offset[:, :2])
-        is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
-        # The stick's middle keeps its tip clear of the ring, the more the farther it is
-        # from the hole, and goes in so slowly that it stays in line.
-        return np.where(
-            is_lined_up | facts.is_threaded,
-            np.maximum(-facts.offset[:, 2] - 0.12, 0.0),
-            0.16 + np.minimum(beside, 0.15),
-        )
-
-    def _steer(
-        self, sim: Sim, facts: PokeFacts, moving: dict[str, tuple[Array, Array]]
-    ) -> dict[str, Motion]:
-        """Return motions to these poses, and for others to where both meet."""
-        motions, is_far = {}, facts.distance[:, None] > _FAR
-        for agent, arm in self.scene.arms.items():
-            tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
-            place, turn = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[agent])
-            goal = moving.get(agent, (place, turn))
-            change = reach(sim, arm, tcp=tcp, goal=goal, posture=posture)
-            # From afar all joints go to the posture at once: a straight way may turn a
-            # wrist into the ends of its joints, where it would stay.
-            swing = settling(sim, arm, change=posture - sim.qpos[:, arm.qpos])
-            motions[agent] = Motion(np.where(is_far, swing, change))
-        return motions
-
 
 def is_threaded(offset: Array, axis: Array) -> Array:
     """Return whether a stick placed so in the ring's frame passes through its hole."""
@@ -306,12 +251,12 @@ def _lay_out(
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
     eye = middle + 1.15 * span * aside + 0.45 * up
     start: dict[str, Pose] = {
-        _STICK: (starts[0], outwards),
-        _DONUT: (starts[1], _tcp_quat(along, outwards)),
+        STICK: (starts[0], outwards),
+        DONUT: (starts[1], _tcp_quat(along, outwards)),
     }
     goal: dict[str, Pose] = {
-        _STICK: (meeting - _STICK_AHEAD * into, into),
-        _DONUT: (meeting - _DONUT_AHEAD * across, _tcp_quat(into, across)),
+        STICK: (meeting - STICK_AHEAD * into, into),
+        DONUT: (meeting - DONUT_AHEAD * across, _tcp_quat(into, across)),
     }
     return start, goal, (eye, np.concatenate([along, up - 0.2 * aside]))
 

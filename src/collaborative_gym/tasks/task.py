@@ -67,6 +67,11 @@ class Randomization:
     def __post_init__(self) -> None:
         check_settings(self)
 
+    @property
+    def moves(self) -> np.ndarray:
+        """Bounds of an object's moves along x, y, z and of its turn about z, (4,)."""
+        return np.array([self.object_position] * 3 + [self.object_yaw])
+
 
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
@@ -151,6 +156,21 @@ def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
       by_agent: (num_envs, k) each, or (num_envs,) booleans.
     """
     return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
+
+
+def face_to_face(
+    distances: Sequence[float], heights: Sequence[float]
+) -> tuple[Placement, Placement]:
+    """Return bases that far from the middle along -y and +y, turned towards it.
+
+    Args:
+      distances: of the two bases, in m.
+      heights: their z, in m.
+    """
+    return (
+        Placement((0.0, -distances[0], heights[0]), math.pi / 2),
+        Placement((0.0, distances[1], heights[1]), -math.pi / 2),
+    )
 
 
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)
