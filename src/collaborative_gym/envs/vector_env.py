@@ -9,11 +9,10 @@ from collaborative_gym.control import Command
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes, where
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
-from collaborative_gym.envs.starts import Starts
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
-from collaborative_gym.envs.world import World
+from collaborative_gym.envs.world import Starts, World
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
