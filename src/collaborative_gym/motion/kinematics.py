@@ -58,14 +58,10 @@ class Kinematics:
         self.moves = xp.asarray(moves[..., None])
 
     def __call__(self, angles: Array) -> tuple[Pose, Array]:
-        """Return the tcps' poses and Jacobians.
+        """Return the tcps' poses and Jacobians (6, joints, arms, worlds).
 
         Args:
           angles: of the joints, (joints, arms, worlds), in rad.
-
-        Returns:
-          The poses, and what a rad of each joint does to them, (6, joints, arms,
-          worlds), in m and rad.
         """
         xp = array_namespace(angles)
         cosine, sine = xp.cos(angles), xp.sin(angles)
@@ -97,9 +93,8 @@ def _frames(
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = 0.0
     mujoco.mj_kinematics(model, data)
-    turned = np.array(
-        [[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
-    )
+    c, s = np.cos(yaw), np.sin(yaw)
+    turned = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     frames = []
     for joint in model.dof_jntid[arm.dof]:
         z = data.xaxis[joint]
@@ -118,14 +113,8 @@ def travel(start: Pose, end: Pose) -> Array:
         [_total([end[1][i, k] * start[1][j, k] for k in range(3)]) for j in range(3)]
         for i in range(3)
     ]
-    axis = xp.stack(
-        [
-            turned[2][1] - turned[1][2],
-            turned[0][2] - turned[2][0],
-            turned[1][0] - turned[0][1],
-        ],
-        axis=0,
-    )
+    pairs = (2, 1), (0, 2), (1, 0)
+    axis = xp.stack([turned[i][j] - turned[j][i] for i, j in pairs], axis=0)
     # Twice the sine and the cosine of the angle, the axis being as long as the former.
     sine = _total([axis[i] * axis[i] for i in range(3)]) ** 0.5
     cosine = turned[0][0] + turned[1][1] + turned[2][2] - 1.0

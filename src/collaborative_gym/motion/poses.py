@@ -11,8 +11,8 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import (
     Chains,
-    Kinematics,
     descend,
+    greatest,
     joint_change,
     simulated,
 )
@@ -55,13 +55,25 @@ def solve_pose(
       ValueError: if no try comes within 1 mm and 0.01 rad.
     """
     position, orientation = (np.asarray(part, float) for part in goal)
-    kinematics = simulated(CpuSim(model, tries, num_threads=1), arm)
+    sim = CpuSim(model, tries, num_threads=1)
     rng, best = np.random.default_rng(0), np.inf
     spreads = [0.0] + [0.2 + i / tries for i in range(1, tries)]
     drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
     # The first try is mostly enough; the others run side by side.
     for starts in np.split(np.asarray(start) + drawn, [1]):
-        angles, misses = _search(kinematics, arm, (position, orientation), starts)
+        middle = np.clip(starts, *arm.joint_range)
+        angles, missed = descend(
+            simulated(sim, arm),
+            middle,
+            goal=(position, orientation),
+            steps=100,
+            is_there=lambda error: _in_tolerances(error) < 0.1,
+            bound=_within_sight,
+            lean=lambda step, angle, rows, _, middle=middle: (
+                0.02 * (middle[rows] - angle)
+            ),
+        )
+        misses = _in_tolerances(missed)
         if (misses < 1.0).any():
             return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
         best = misses.min(initial=best)
@@ -75,28 +87,6 @@ def solve_pose(
         f" with orientation {np.round(orientation, 3).tolist()}"
         f" (best try missed by {best:.0f} times the tolerance of 1 mm and 0.01 rad);"
         f" {remedy}"
-    )
-
-
-def _search(
-    kinematics: Kinematics,
-    arm: Arm,
-    goal: tuple[np.ndarray, np.ndarray],
-    starts: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return where descents from starts end, and their misses in tolerances."""
-    low, high = arm.joint_range
-    middle = np.clip(starts, low, high)
-    return descend(
-        kinematics,
-        middle,
-        goal=goal,
-        limits=(low, high),
-        steps=100,
-        enough=0.1,
-        miss=_in_tolerances,
-        bound=_within_sight,
-        lean=lambda step, angle, rows, jacobian: 0.02 * (middle[rows] - angle),
     )
 
 
@@ -138,19 +128,18 @@ def hold(
     for i, (goal, angles) in enumerate(zip(goals, near, strict=True)):
         start[i, :, : angles.shape[1]] = angles
         positions[i], turns[i] = goal
-    limits = chains.low[arm], chains.high[arm]
-    angles, misses = descend(
-        chains.of(arm),
-        np.clip(start.reshape(-1, most), *limits),
+    postures = chains.of(arm)
+    angles, missed = descend(
+        postures,
+        np.clip(start.reshape(-1, most), postures.low, postures.high),
         goal=(positions.reshape(-1, 3), turns.reshape(start[..., 0].size, -1)),
-        limits=limits,
         steps=20,
-        enough=1e-6,
+        is_there=lambda error: greatest(error) < 1e-6,
         change=partial(joint_change, damping=0.01, longest=0.5, rounds=1),
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]
-    return found, misses.reshape(-1, count).max(axis=0) < _EXACT
+    return found, greatest(missed).reshape(-1, count).max(axis=0) < _EXACT
 
 
 def hold_moved(

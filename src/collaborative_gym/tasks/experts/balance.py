@@ -82,10 +82,9 @@ def _roll(
             sim.pose(f"{agent}/tcp"),
         )
         error = [goal[0] - hand[0], motion.rotation_error(hand[1], goal[1])]
-        jacobian = np.concatenate(sim.jacobian(arm.hand, hand[0]), axis=1)
         angle, (low, high) = np.asarray(sim.qpos[:, arm.qpos]), arm.joint_range
         change = motion.joint_change(
-            jacobian[:, :, arm.dof],
+            motion.tcp_jacobian(sim, arm, hand[0]),
             np.concatenate(error, axis=1),
             lean=0.3 * (task.postures[agent] - angle),
             room=(low - angle, high - angle),

@@ -67,11 +67,11 @@ def _swing(task: "Hockey", agent: str, angles: Array, way: Array) -> np.ndarray:
       way: (n, 2) in the table's frame, in m.
     """
     arm = task.scene.arms[agent]
-    kinematics = task.charts[agent].chains.of(np.zeros(len(way), int))
+    postures = task.charts[agent].chains.of(np.zeros(len(way), int))
     rows, goal, there = np.arange(len(way)), np.zeros((len(way), 3)), angles.copy()
     goal[:, 2] = HEIGHT + HOVER
     for i in range(4):
-        place, rotation, jacobian = kinematics(there, rows)
+        place, rotation, jacobian = postures.at(there, rows)
         lever = MALLET_HEIGHT * rotation[:, :, 2]
         turned = math.cross(jacobian[:, 3:].transpose(0, 2, 1), lever[:, None])
         moves = (jacobian[:, :3] + turned.transpose(0, 2, 1)) * arm.stride

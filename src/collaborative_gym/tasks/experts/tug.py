@@ -24,8 +24,7 @@ def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
     motions = {}
     for agent, arm in self.scene.arms.items():
         pull = np.array([0.0, self.ways[agent], 0.0])
-        jacobian = sim.jacobian(arm.hand, facts.tcps[agent])
-        jacobian = np.concatenate(jacobian, axis=1)[:, :, arm.dof]
+        jacobian = motion.tcp_jacobian(sim, arm, facts.tcps[agent])
         angle, (low, high) = facts.joints[agent], arm.joint_range
         change = motion.joint_change(
             jacobian[:, :3],
