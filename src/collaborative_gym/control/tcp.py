@@ -8,21 +8,16 @@ from collaborative_gym.control.joints import ServoMode
 from collaborative_gym.control.modes import Motion, register_mode
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import Kinematics, damped_change, travel
+from collaborative_gym.motion.solver import DAMPING
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
 
 _FARTHEST = np.array([0.05] * 3 + [0.15] * 3)
 """Greatest translation in m, and greatest turn in rad, of a control step."""
 
-_DAMPING = 0.05
-"""Damping of the least squares: bounds joint motion near singular poses."""
-
-_ROUNDS = 2
-"""Newton steps in a control step. One alone misses a tenth of the way."""
-
+_ROUNDS = 2  # Newton steps in a control step; one alone misses a tenth of the way
 _LEANING, _FULLY = 0.2, 0.2
-"""Share of its distance to its posture that the free motion of an arm goes, and the
-size of an action from which on it does so; a smaller action leans less."""
+"""Gain towards the posture, and the size of an action from which on it is full."""
 
 
 class TcpChanges(ServoMode):
@@ -114,7 +109,7 @@ class TcpChanges(ServoMode):
             if step > 0:
                 here, jacobian = self._kinematics(angles + change)
                 left, lean = way - travel(start, here), xp.zeros_like(lean)
-            more = damped_change(jacobian, left, lean=lean, free=free, damping=_DAMPING)
+            more = damped_change(jacobian, left, lean=lean, free=free, damping=DAMPING)
             tried = change + more
             change = xp.minimum(xp.maximum(tried, low), high)
             # What a joint at the end of its range cannot do, the others do.

@@ -58,7 +58,7 @@ class Way:
 def torque_shares(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
     """Return joint torques per kg hung on the tcp, as signed shares of their limits.
 
-    The Jacobians are (n, 6, joints); the arm pulls against the load in a direction (3,).
+    Jacobians are (n, 6, joints); the arm pulls against the load in a direction (3,).
     """
     levers = math.dot(jacobian[:, :3].swapaxes(1, 2), pull)
     return levers * (GRAVITY / np.array(robot.torque_limits))

@@ -43,7 +43,7 @@ class Postures:
 
 
 def rotation_error(quat: Array, target: Array) -> Array:
-    """Return the rotation from a quaternion to another, or to a direction of the z axis.
+    """Return the rotation from a quaternion to another, or to a direction of z.
 
     It is a vector in the world frame, (..., 3), in rad.
     """

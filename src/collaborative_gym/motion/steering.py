@@ -20,7 +20,7 @@ asks for. With actions that are done at once, a miss falls to 0.61 in a step, an
 actions that are a control step late to 0.58; no other pair has both as small."""
 
 _LEANING, _KEEPING = 0.2, 0.8
-"""Gains of `reach` and `carry` towards the posture, of which `settling` leaves a part."""
+"""Gains of `reach` and `carry` towards the posture; `settling` leaves a part."""
 
 _NEAR = 0.05
 """Distance of a tcp to its goal, in m, below which a posture counts less and less."""
