@@ -46,7 +46,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.scene.contacts import (
     DEPTHS,
-    add_force_sensor,
+    add_contact_sensor,
     contact_pairs,
     depth_sensors,
 )
@@ -103,10 +103,10 @@ def add_strain_sensors(scene: Scene) -> None:
     spec = scene.spec
     for kind, pairs in contact_pairs(spec, scene.robots).items():
         for i, pair in enumerate(pairs):
-            add_force_sensor(spec, f"{kind} net {i}", *pair)
+            add_contact_sensor(spec, f"{kind} net {i}", *pair)
     for site in {bond.name1 for bond in _bonds(scene)}:
         body = spec.site(site).parent.name
-        add_force_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body), None)
+        add_contact_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body))
         # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(
             name=f"{body} force",

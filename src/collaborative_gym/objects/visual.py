@@ -1,8 +1,15 @@
-"""Shapes that are there to be seen."""
+"""How the models of things begin, and shapes that are there to be seen."""
 
 from collections.abc import Sequence
 
 import mujoco
+
+
+def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
+    """Return a model that has a name, and its body of that name."""
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    return spec, spec.worldbody.add_body(name=name)
 
 
 def add_visual(
