@@ -26,14 +26,8 @@ class Disturbances:
     """Changes models, actions and observations of worlds, and never their rewards.
 
     The reward counts what an arm does. A late or lost action costs what the arm does
-    instead, not what the policy asked for.
-
-    Args:
-      task: what is done.
-      scene: its compiled world.
-      sim: the worlds.
-      mode: what actions mean.
-      progress: of the episodes; its rows get the actions that are on their way.
+    instead, not what the policy asked for. The rows of the progress get the actions
+    that are on their way.
     """
 
     def __init__(
@@ -117,11 +111,9 @@ class Disturbances:
             self._sim.vary(env_ids, factors)
 
     def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
-        """Return the actions by agent that arrive in this control step.
+        """Return the actions by agent that arrive, not those that were chosen.
 
-        Args:
-          actions: those that were chosen for it, (num_envs, k).
-          resting: where no episode goes on.
+        No action is on its way where worlds are `resting`.
         """
         rows, xp = self._progress.rows, self._sim.xp
         if self._bounds.delay:

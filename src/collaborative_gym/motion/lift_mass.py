@@ -21,8 +21,7 @@ _MARGIN = 1.2
 """The pot weighs at least so many times what one arm can carry, and two arms can carry
 at least so many times the pot."""
 
-_GREATEST_SHARE = 0.65
-"""Greatest share of the pot's weight on one handle."""
+_GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,10 @@ from collaborative_gym.motion.steering import shortened
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
 
-_DRAWS = 24
-"""From how many postures `central_pose` chooses."""
-
-_WAY_TRIES = 10
-"""Starts that `quickest_way` tries for each pose."""
-
-_ANY_POSE = 6
-"""An arm of fewer joints cannot take every pose within its reach."""
-
-_EXACT = 1e-4
-"""By how much in m and rad the poses of `hold` may be missed."""
+_DRAWS = 24  # from how many postures `central_pose` chooses
+_WAY_TRIES = 10  # starts that `quickest_way` tries for each pose
+_ANY_POSE = 6  # an arm of fewer joints cannot take every pose within its reach
+_EXACT = 1e-4  # by how much in m and rad the poses of `hold` may be missed
 
 
 def solve_pose(

@@ -87,8 +87,7 @@ _HELP = 2.049
 a Panda wins 499 of 1,000 episodes against that of a Sawyer; 124 of 200 with 2.045, 59
 with 2.055. With 2.07 that of a Panda still wins 124 of 200 against that of a Jaco."""
 
-_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))
-"""Of the lines, by agent."""
+_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))  # of the lines, by agent
 
 
 @dataclass(frozen=True)
