@@ -282,9 +282,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         sim.qpos[:, x] = xp.where(is_called, 0.0, sim.qpos[:, x])
         sim.qpos[:, y] = xp.where(is_called, places[worlds, chosen], sim.qpos[:, y])
         for column, speed in zip((_PLACES, _PLACES + 1), self._speed, strict=True):
-            sim.qvel[:, speed] = xp.where(
-                is_called, serve[:, column], sim.qvel[:, speed]
-            )
+            before = sim.qvel[:, speed]
+            sim.qvel[:, speed] = xp.where(is_called, serve[:, column], before)
         memory["served"] = memory["served"] + is_called
         memory["half"] = xp.where(is_called, to, memory["half"])
         memory["since"] = xp.where(is_called, sim.time, memory["since"])
@@ -353,10 +352,10 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             far = math.distance(place[:, :2], facts.puck)
             speed = way * facts.puck_velocity[:, 0]
             height = xp.abs(place[:, 2] - HOVER)
+            speed = xp.minimum(xp.maximum(speed, -2.0 + 0 * speed), 2.0 + 0 * speed)
             terms[agent] = {
                 "goal": 10.0 * way * facts.goal,
-                "drive": 0.2
-                * xp.minimum(xp.maximum(speed, -2.0 + 0 * speed), 2.0 + 0 * speed),
+                "drive": 0.2 * speed,
                 "near": xp.where(way * facts.half < 0.0, -0.3 * far, 0.0),
                 "height": -2.0 * xp.where(height < 0.3, height, 0.3),
                 "upright": -0.3 * (1.0 + math.axis_z(quat)[:, 2]),
@@ -376,10 +375,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
 
 
 register_task("Hockey", Hockey)
-for _name, _robots in (
-    ("HockeyPandas", ("panda", "panda")),
-    ("HockeySawyers", ("sawyer", "sawyer")),
-    ("HockeyPandaSawyer", ("panda", "sawyer")),
-    ("HockeyDoubles", ("panda",) * 4),
-):
-    register_env(EnvSpec(f"{_name}-v0", Hockey, _robots))
+register_env(EnvSpec("HockeyPandas-v0", Hockey, ("panda", "panda")))
+register_env(EnvSpec("HockeySawyers-v0", Hockey, ("sawyer", "sawyer")))
+register_env(EnvSpec("HockeyPandaSawyer-v0", Hockey, ("panda", "sawyer")))
+register_env(EnvSpec("HockeyDoubles-v0", Hockey, ("panda",) * 4))

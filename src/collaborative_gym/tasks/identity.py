@@ -137,14 +137,8 @@ class Identity:
         if self.robot_names != other.robot_names:
             # Other arms stand elsewhere, which tells nothing more.
             ignore = {*ignore, "placements"}
-        own, others = (
-            {
-                name: value
-                for name, value in {**each.config, "action": each.action}.items()
-                if name not in ignore
-            }
-            for each in (self, other)
-        )
+        own, others = ({**each.config, "action": each.action} for each in (self, other))
+        own = {name: value for name, value in own.items() if name not in ignore}
         found += _differing("", own, others)
         if "versions" not in ignore:
             found += _differing("version of", self.versions, other.versions, " ")
@@ -164,9 +158,9 @@ def _differing(
 
 
 def _short(value: Any) -> str:
-    return (
-        value if isinstance(value, str) else json.dumps(value).replace("null", "None")
-    )
+    if isinstance(value, str):
+        return value
+    return json.dumps(value).replace("null", "None")
 
 
 def _plain(value: Any) -> Any:

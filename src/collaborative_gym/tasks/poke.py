@@ -92,7 +92,6 @@ class Poke(Task[TaskConfig, PokeFacts]):
         waits before the hole, in rad.
     """
 
-    config_class = TaskConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
@@ -126,9 +125,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         start, self.goal, _ = _lay_out(self.placements, self.robots)
-        self._start: dict[str, np.ndarray] = {}
-        self._spread: dict[str, np.ndarray] = {}
-        self.postures: dict[str, np.ndarray] = {}
+        self._start, self._spread, self.postures = {}, {}, {}
         for agent, arm in scene.arms.items():
             angles = solve_pose(sim.model, arm, goal=start[agent], start=arm.robot.home)
             self._start[agent] = angles
@@ -170,22 +167,16 @@ class Poke(Task[TaskConfig, PokeFacts]):
         )
 
     def observe(self, facts: PokeFacts) -> dict[str, Blocks]:
-        return {
-            agent: {
-                "joints": facts.joints[agent],
-                "stick": math.pose(*facts.stick),
-                "donut": math.pose(*facts.donut),
-            }
-            for agent in self.agents
-        }
+        stick, donut = math.pose(*facts.stick), math.pose(*facts.donut)
+        joints = facts.joints.items()
+        return {a: {"joints": own, "stick": stick, "donut": donut} for a, own in joints}
 
     def reward(
         self, facts: PokeFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
         xp = array_namespace(facts.distance)
-        is_inside = (facts.distance < _INSIDE_DISTANCE) & (
-            facts.cosine < _INSIDE_COSINE
-        )
+        is_lined_up = facts.cosine < _INSIDE_COSINE
+        is_inside = is_lined_up & (facts.distance < _INSIDE_DISTANCE)
         return {
             agent: {
                 "distance": -facts.distance,
@@ -240,24 +231,18 @@ def _lay_out(
     up = np.array([0.0, 0.0, 1.0])
     middle = (first + second) / 2
     outwards = _tilted(aside)
-    starts = [
-        base + 0.65 * length * aside + 0.4 * up
-        for base, length in zip((first, second), reaches, strict=True)
-    ]
+    bases = zip((first, second), reaches, strict=True)
+    starts = [base + 0.65 * reach * aside + 0.4 * up for base, reach in bases]
     share = reaches[0] / sum(reaches) - 0.5
     meeting = middle + share * line + 0.15 * span * aside + 0.2 * up
     into = _tilted((along + aside) / np.sqrt(2))
     level = (aside - along) / np.sqrt(2)
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
     eye = middle + 1.15 * span * aside + 0.45 * up
-    start: dict[str, Pose] = {
-        STICK: (starts[0], outwards),
-        DONUT: (starts[1], _tcp_quat(along, outwards)),
-    }
-    goal: dict[str, Pose] = {
-        STICK: (meeting - STICK_AHEAD * into, into),
-        DONUT: (meeting - DONUT_AHEAD * across, _tcp_quat(into, across)),
-    }
+    start = {STICK: (starts[0], outwards)}
+    start[DONUT] = starts[1], _tcp_quat(along, outwards)
+    goal = {STICK: (meeting - STICK_AHEAD * into, into)}
+    goal[DONUT] = meeting - DONUT_AHEAD * across, _tcp_quat(into, across)
     return start, goal, (eye, np.concatenate([along, up - 0.2 * aside]))
 
 

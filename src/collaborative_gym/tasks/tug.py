@@ -219,13 +219,9 @@ class Tug(Task[TugConfig, TugFacts]):
     def _grasps(self, moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return where and how the arms hold a bar moved along x, y, z and about z."""
         place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
-        return [
-            (
-                place + math.rotate(quat, self._knob[agent]),
-                math.rotate(quat, self._approach[agent]),
-            )
-            for agent in self.agents
-        ]
+        knobs = [place + math.rotate(quat, self._knob[agent]) for agent in self.agents]
+        ways = [math.rotate(quat, self._approach[agent]) for agent in self.agents]
+        return list(zip(knobs, ways, strict=True))
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         sim.xfrc_applied[:, self._bar, 1] = self.help
@@ -318,9 +314,6 @@ def strength(robot: Robot) -> float:
 
 
 register_task("Tug", Tug)
-for _arms, _robots in (
-    ("Pandas", ("panda", "panda")),
-    ("Sawyers", ("sawyer", "sawyer")),
-    ("PandaSawyer", ("panda", "sawyer")),
-):
-    register_env(EnvSpec(f"Tug{_arms}-v0", Tug, _robots))
+register_env(EnvSpec("TugPandas-v0", Tug, ("panda", "panda")))
+register_env(EnvSpec("TugSawyers-v0", Tug, ("sawyer", "sawyer")))
+register_env(EnvSpec("TugPandaSawyer-v0", Tug, ("panda", "sawyer")))
