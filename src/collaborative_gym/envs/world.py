@@ -111,11 +111,6 @@ class Starts:
     is missing, those that other worlds need next are drawn with it: many at once take
     hardly longer than one.
 
-    Args:
-      world: what is started.
-      num_envs: how many worlds there are.
-      num_threads: physics threads.
-
     Attributes:
       sim: worlds of their own, as many, in which the starts wait.
       observations: what the robots see at the starts, by agent, (num_envs, k).
@@ -128,12 +123,7 @@ class Starts:
         self._drawn = np.full((2, num_envs), -1)
 
     def prepare(self, env_ids: np.ndarray, progress: Mapping[str, Array]) -> None:
-        """Draw the starts of these worlds' present episodes, unless they are there.
-
-        Args:
-          env_ids: the worlds.
-          progress: `seed` and `episode` of all.
-        """
+        """Draw the starts of these worlds' present episodes, unless they are there."""
         task, sim, count = self._world.task, self.sim, self.sim.num_envs
         wanted = np.stack([progress["seed"], progress["episode"] + count])
         wanted[1, env_ids] -= count

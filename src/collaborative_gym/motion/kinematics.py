@@ -126,14 +126,9 @@ def travel(start: Pose, end: Pose) -> Array:
 def damped_change(
     jacobian: Array, error: Array, *, lean: Array, free: Array, damping: float
 ) -> Array:
-    """Return joint changes that reduce an error, and make another change beside.
+    """Return joint changes as `joint_change` does, but for arms in this module's form.
 
-    Args:
-      jacobian: (6, joints, arms, worlds).
-      error: what is missing, (6, arms, worlds), in m and rad.
-      lean: what the free motion of the arms should come to, (joints, arms, worlds).
-      free: which joints may turn, ones and zeros of that shape.
-      damping: bounds the changes where an arm hardly moves its tcp.
+    Joints where `free` is 0, not 1, do not turn.
     """
     active, lean = jacobian * free, lean * free
     joints = range(lean.shape[0])

@@ -35,17 +35,11 @@ _CLEARANCE = 0.08  # m, least height of an elbow above what the arm stands on
 
 @dataclass(frozen=True)
 class Way:
-    """How an arm carries a load along a straight line.
+    """How an arm carries a load along a straight line."""
 
-    Attributes:
-      load: the mass in kg that it can hold all along.
-      angles: joint angles at each waypoint, (waypoints, joints), in rad.
-      approach: direction of the tcp's z axis at the first waypoint, (3,).
-    """
-
-    load: float
-    angles: np.ndarray
-    approach: np.ndarray
+    load: float  # kg that it can hold all along
+    angles: np.ndarray  # at each waypoint, (waypoints, joints), in rad
+    approach: np.ndarray  # direction of the tcp's z axis at the first waypoint, (3,)
 
     def at(self, progress: Array) -> np.ndarray:
         """Return joint angles (n, joints) at shares (n,) of the way."""
@@ -92,13 +86,12 @@ def greatest_load(
 ) -> float:
     """Return the greatest mass in kg that an arm can hold at one of some positions.
 
+    The first joint reaches its torque limit then, in the strongest posture found. It is
+    0 if the arm reaches none of the positions.
+
     Args:
       robot: the arm.
       positions: of the tcp, in the frame of the arm's base, in m.
-
-    Returns:
-      The mass at which the first joint reaches its torque limit, in the strongest
-      posture found; 0 if the arm reaches none of the positions.
     """
     paths = np.repeat(np.array(positions)[:, None], _STARTS, axis=0)
     return float(strong_paths(robot, paths)[0].max())
@@ -114,19 +107,19 @@ def strong_paths(
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 
     Each path is searched once, from a random posture: repeat a path to search it more
-    thoroughly. The postures along a path follow one another without a jump.
+    thoroughly. The postures along a path follow one another without a jump. All is in
+    the frame of the arm's base, in m and kg.
 
     Args:
       robot: the arm.
-      positions: (n, points, 3) of the tcp, in the frame of the arm's base, in m.
-      approaches: (n, 3) directions to which the tcp's z axis keeps along each path, in
-        the same frame; None leaves the orientation free.
-      pull: direction in which the arm pulls against the load, (3,), in the same frame.
+      positions: (n, points, 3) of the tcp.
+      approaches: (n, 3) directions to which the tcp's z axis keeps along each path;
+        None leaves the orientation free.
+      pull: direction in which the arm pulls against the load, (3,).
 
     Returns:
-      The loads (n,) in kg at the weakest point of each path, 0 where the arm misses a
-      point, the joint angles (n, points, joints), and the orientations of the tcp
-      (n, points, 4) that come of them, in the frame of the base.
+      The loads (n,) at the weakest point of each path, 0 where the arm misses a point,
+      joint angles (n, points, joints), and the tcp's quaternions (n, points, 4).
     """
     scene = Scene()
     scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)

@@ -71,10 +71,8 @@ def solve_pose(
             return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
         best = misses.min(initial=best)
     remedy = "mount it nearer or choose an arm with a longer reach"
-    if arm.num_joints < _ANY_POSE:
-        remedy += (
-            f", or one of {_ANY_POSE} joints: {arm.num_joints} do not take every pose"
-        )
+    if (count := arm.num_joints) < _ANY_POSE:
+        remedy += f", or one of {_ANY_POSE} joints: {count} do not take every pose"
     raise ValueError(
         f"{arm.robot.name} cannot bring its tcp to {np.round(position, 3).tolist()}"
         f" with orientation {np.round(orientation, 3).tolist()}"
@@ -142,17 +140,13 @@ def hold_moved(
     moved: np.ndarray,
     near: Sequence[Array],
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return joint angles that hold a moved thing, which is moved less far if need be.
+    """Return joint angles that hold a moved thing, and how far it is moved then.
 
     Args:
       chains: the arms' kinematics.
       grasps: returns each arm's goal, as `hold` takes them, of a thing so moved.
-      moved: (n, k) how far it is from its nominal place; halved until all arms reach
-        it.
-      near: for each arm, angles (n, joints) to begin with, in rad.
-
-    Returns:
-      The angles for each arm, and how far the thing is moved, (n, k).
+      moved: (n, k) how far from its nominal place; halved until all arms reach it.
+      near: as in `hold`.
     """
     held, left = [np.array(angles) for angles in near], np.arange(len(moved))
     there = np.zeros_like(moved)
@@ -214,13 +208,12 @@ def quickest_way(
     Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
     other.
 
+    It returns the way's index, and the joint angles at its poses, (poses, joints).
+
     Args:
       model: the compiled world.
       arm: whose tcp.
-      ways: each a sequence of poses, positions and orientations as for `solve_pose`.
-
-    Returns:
-      The way's index, and the joint angles at its poses, (poses, joints), in rad.
+      ways: each a sequence of goals as for `solve_pose`.
 
     Raises:
       ValueError: if the arm can go none of the ways.
@@ -234,7 +227,12 @@ def quickest_way(
         for pose in way:
             key += np.concatenate(pose).tobytes()
             if key not in solved:
-                solved[key] = _solved(model, arm, pose, angles[-1])
+                try:
+                    solved[key] = solve_pose(
+                        model, arm, goal=pose, start=angles[-1], tries=_WAY_TRIES
+                    )
+                except ValueError as error:
+                    solved[key] = error
             found = solved[key]
             if isinstance(found, ValueError):
                 failure = found
@@ -252,19 +250,6 @@ def quickest_way(
     return best
 
 
-def _solved(
-    model: mujoco.MjModel,
-    arm: Arm,
-    goal: tuple[ArrayLike, ArrayLike],
-    start: np.ndarray,
-) -> np.ndarray | ValueError:
-    """Return what `solve_pose` finds, or its error."""
-    try:
-        return solve_pose(model, arm, goal=goal, start=start, tries=_WAY_TRIES)
-    except ValueError as error:
-        return error
-
-
 def turn_fingers(
     model: mujoco.MjModel, arm: Arm, *, angles: np.ndarray, bar: np.ndarray
 ) -> np.ndarray:
@@ -277,7 +262,7 @@ def turn_fingers(
       model: the compiled world.
       arm: whose fingers.
       angles: (n, joints) postures, in rad.
-      bar: (3,) direction of the bar in the world frame.
+      bar: (3,) its direction in the world frame.
     """
     data = mujoco.MjData(model)
     joint = model.dof_jntid[arm.dof.stop - 1]

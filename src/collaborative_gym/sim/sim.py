@@ -110,9 +110,8 @@ class Sim(Protocol):
         Args:
           controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
           records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
-            what each physics step found: the state after the step, and all that follows
-            from a state of the one before it; of a step that was refined, its first
-            try.
+            the state after each physics step, and with all that follows from a state of
+            the one before it; of a step that was refined, its first try.
           breaks: judges each physics step. One that would break equality constraints
             is taken with those switched off, which they then are.
           env_ids: the worlds; None for all. The others keep state and sensors.
@@ -181,13 +180,12 @@ class Sim(Protocol):
     ) -> tuple[Array, Array]:
         """Return Jacobians of world points that move with a body.
 
+        The translational and the rotational one are (worlds, 3, nv) each.
+
         Args:
           body: id of the body.
           point: (worlds, 3) points in the world frame.
           env_ids: of which worlds.
-
-        Returns:
-          The translational and the rotational Jacobian, (worlds, 3, nv) each.
         """
         ...
 
