@@ -148,11 +148,7 @@ class Servo:
         return self._stiffness * dt * speed + self._damping * (speed - before)
 
     def turn_against(self, torque: Array) -> Array:
-        """Return by how much more a joint must turn to exert a torque, in rad.
-
-        A change that it cannot follow becomes torque, by the servo's stiffness, and so
-        does its speed, by the damping.
-        """
+        """Return by how much more a joint must turn to exert a torque, in rad."""
         return torque / (self._stiffness + self._damping / CONTROL_DT)
 
     def command(self, sim: Sim, controls: Array, change: Array) -> None:
@@ -162,11 +158,6 @@ class Servo:
         to its new angle in time. The servo's target leads the reference angle by
         damping / stiffness times the speed, which turns damping into feedback on the
         speed error, and by most of what the servo yields to its present load.
-
-        Args:
-          sim: the worlds.
-          controls: (num_envs, substeps, nu), to write to.
-          change: of the joint angles, (num_envs, joints), in rad.
         """
         arm, xp, full, fastest = self._arm, sim.xp, self.full, self._fastest
         angle, speed = sim.qpos[:, arm.qpos], sim.qvel[:, arm.dof]
@@ -188,14 +179,12 @@ class Servo:
 
 
 def lost_load(change: Array, xp: Any = np) -> Array:
-    """Return what share of its load an arm lets go of in a control step.
+    """Return what share of its load an arm lets go of in a control step, (num_envs, 1).
 
     An arm that is not asked to move keeps the torques that it exerts. An arm that moves
     lets go of a part. If it kept all, two arms that push against each other on a thing
     would do so until an action happened to undo it, and the joint angles do not show
     such a force. So the force halves in 0.2 s, and an arm must act to hold a weight.
-
-    The change of its joints is (num_envs, joints), in rad; the share (num_envs, 1).
     """
     greatest = xp.max(xp.abs(change), axis=1)[:, None]
     return _LOST * xp.minimum(greatest / _MOVING, 1.0)

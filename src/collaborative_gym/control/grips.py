@@ -51,11 +51,7 @@ class Grips:
         self._same_site = xp.asarray(sites == sites[:, None])
 
     def command(self, controls: Array, commands: Mapping[str, Any]) -> None:
-        """Take and leave grips for a control step; close the fingers where one holds.
-
-        The controls, (num_envs, substeps, nu), are written to; of each agent's command
-        only `grips` is read.
-        """
+        """Take and leave grips for a control step, and close the fingers that hold."""
         sim, xp, sensed = self._sim, self._sim.xp, self._sim.sensordata
         is_held = sim.eq_active[:, self._equalities] > 0
         # A grip that held at the last command, and does not now, has torn.

@@ -21,10 +21,7 @@ from collaborative_gym.timing import CONTROL_DT
 
 
 class ServoMode(ActionMode):
-    """The base of modes in which each joint has a servo, as `Servo` describes it.
-
-    Subclasses say by how much an action turns the joints.
-    """
+    """Modes with a `Servo` for each joint; they say by how much an action turns it."""
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)

@@ -90,11 +90,7 @@ class TcpChanges(ServoMode):
         return way
 
     def _joint_changes(self, asked: Array) -> Array:
-        """Return the joint changes that actions come to, (joints, arms, worlds).
-
-        Args:
-          asked: all six components of the tools' changes, (6, arms, worlds).
-        """
+        """Return joint changes (joints, arms, worlds) for actions (6, arms, worlds)."""
         xp, angles, size = self._sim.xp, self._angles(), self._size(asked)
         way = asked * self._farthest / xp.maximum(size, 1.0)
         low, high = self._low - angles, self._high - angles

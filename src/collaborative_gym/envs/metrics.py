@@ -20,7 +20,7 @@ class Metrics(Mapping[str, Any]):
       task: what is done.
       sides: the agents of each side, by its name.
       sums: the rows with the sums of reward terms, by agent and term.
-      rows: counters and sums of the episodes by name, which nobody writes to.
+      rows: those of `Progress`, which nobody writes to.
     """
 
     def __init__(

@@ -18,11 +18,10 @@ class Progress:
     random numbers are; counters and sums are the backend's arrays.
 
     Attributes:
-      rows: (num_envs,) arrays by name, part of a saved state. They are replaced and
-        never written to, so whoever holds old ones keeps the old values: `seed` and
-        index (`episode`) of the episode, its control steps (`step`; `length` counts
-        only those that were played where starts are staggered), the sums, and how it
-        ended (`terminated` or `truncated`, and whether it `diverged`).
+      rows: (num_envs,) arrays by name, part of a saved state, which are replaced and
+        never written to: `seed` and index (`episode`) of the episode, its control steps
+        (`step`; `length` counts only those that were played where starts are staggered),
+        the sums, and how it ended (`terminated` or `truncated`, and `diverged`).
     """
 
     def __init__(
@@ -100,8 +99,7 @@ class Progress:
     def count(self, facts: Any, terms: Mapping[str, Terms], diverged: Array) -> Any:
         """Bring all up to a control step; return where the goal is met.
 
-        Nothing counts where an episode had ended before. Terms of the reward are zero
-        where none is earned; `diverged` is where the physics has just done so.
+        Nothing counts where an episode had ended before.
         """
         rows, task, xp = self.rows, self._task, self._xp
         moved = ~self.has_ended

@@ -144,14 +144,7 @@ def made_anew(
     options: dict[str, Any],
     state: EnvState | None,
 ) -> Any:
-    """Return an environment like the one that was copied or pickled.
-
-    Args:
-      kind: its class.
-      task: class, arms, settings and name of what to do.
-      options: what its class is called with.
-      state: of its worlds, None before the first `reset`.
-    """
+    """Return an environment like the one, in this state, that was copied or pickled."""
     task_class, arms, config, name = task
     same = task_class(arms, config)
     same.name = name

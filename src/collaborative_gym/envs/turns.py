@@ -18,12 +18,9 @@ class Turns:
     def take(
         self, keep: Callable[[], Callable[[], None]] | None = None
     ) -> Iterator[None]:
-        """Let the calling thread in, and undo what fails.
+        """Let the calling thread in, and undo what fails by what `keep` returned.
 
         The same thread may come in again, as a watcher that draws a picture does.
-
-        Args:
-          keep: for a call that changes something, returns a function that undoes it.
 
         Raises:
           RuntimeError: in another process, while another thread is inside, or for a

@@ -24,12 +24,8 @@ class World:
     """A task's scene, compiled, and all that follows from it.
 
     Environments share it and change nothing of it. `World.of` compiles a task only
-    once, however many environments, and variations of the task by `Task.varied`, ask
-    for it.
-
-    Args:
-      task: what to do; it is left as it is.
-      strain: whether the sensors that measure strain are in it.
+    once, however many environments, and variations by `Task.varied`, ask for it. With
+    `strain` it has the sensors that measure strain.
 
     Attributes:
       task: a copy of the task that knows the compiled world.
@@ -82,10 +78,7 @@ class World:
         return sim, self.mode(self.scene, sim, self.task.gripping)
 
     def flat(self, facts: Any, xp: Any) -> dict[str, Array]:
-        """Return the flat view of what the robots see of facts, by agent.
-
-        It has the numbers of all blocks, one after the other, (num_envs, k) float32.
-        """
+        """Return all blocks by agent, one after the other, (num_envs, k) float32."""
         flat = {}
         for agent, own in self.task.observe(facts).items():
             rows = list(own.values())

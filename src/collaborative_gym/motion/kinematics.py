@@ -23,13 +23,8 @@ Pose = tuple[Array, Array]
 class Kinematics:
     """The kinematics of arms in closed form, each in the frame of its own base.
 
-    Arms with fewer joints than others get joints that move nothing.
-
-    Args:
-      model: the compiled world.
-      arms: which arms.
-      yaws: of their bases, in rad.
-      xp: array API namespace of what is computed.
+    Arms with fewer joints than others get joints that move nothing. The bases' yaws are
+    in rad.
 
     Attributes:
       moves: which joints move something, (joints, arms, 1) ones and zeros.
@@ -58,11 +53,7 @@ class Kinematics:
         self.moves = xp.asarray(moves[..., None])
 
     def __call__(self, angles: Array) -> tuple[Pose, Array]:
-        """Return the tcps' poses and Jacobians (6, joints, arms, worlds).
-
-        Args:
-          angles: of the joints, (joints, arms, worlds), in rad.
-        """
+        """Return the tcps' poses and Jacobians (6, joints, arms, worlds)."""
         xp = array_namespace(angles)
         cosine, sine = xp.cos(angles), xp.sin(angles)
         axes, anchors = [], []
@@ -87,8 +78,7 @@ def _frames(
 ) -> list[np.ndarray]:
     """Return frames (3, 4) at joint angles of zero, as seen from the arm's base.
 
-    Those of the joints have their axes as z; then comes that of the tcp, as often as
-    joints are missing and once more.
+    Joints have their axes as z. The tcp's follows, once more than joints are missing.
     """
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = 0.0
@@ -126,10 +116,7 @@ def travel(start: Pose, end: Pose) -> Array:
 def damped_change(
     jacobian: Array, error: Array, *, lean: Array, free: Array, damping: float
 ) -> Array:
-    """Return joint changes as `joint_change` does, but for arms in this module's form.
-
-    Joints where `free` is 0, not 1, do not turn.
-    """
+    """Return changes as `joint_change` does, of joints where `free` is 1 and not 0."""
     active, lean = jacobian * free, lean * free
     joints = range(lean.shape[0])
     missing = error - _total([active[:, j] * lean[j] for j in joints])

@@ -69,9 +69,6 @@ def weigh(
       ends: start and end (3,) of the way of each arm's handle, in the world frame.
       target: (3,) where the pot is to go.
       radius: distance of the pot to the target that counts as there, in m.
-
-    Raises:
-      ValueError: if an arm does not reach.
     """
     ways, alone = [], []
     for robot, placement, line in zip(robots, placements, ends, strict=True):

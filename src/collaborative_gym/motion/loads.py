@@ -59,10 +59,9 @@ def torque_shares(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
 
 
 def relief(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
-    """Return the direction of joint motion that most relieves the arm of a load.
+    """Return the directions of joint motion that most relieve the arm of a load.
 
-    They are (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`,
-    for which see there.
+    They are (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`.
     """
     levers, axes = jacobian[:, :3], jacobian[:, 3:]
     shares = torque_shares(robot, jacobian, pull)

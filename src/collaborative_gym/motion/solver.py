@@ -146,7 +146,7 @@ def descend(
       is_there: returns for which errors a row stops.
       bound: returns the part of an error that one step works on.
       lean: takes a step's number, and the angles (n, joints), indices and Jacobians of
-        the rows that go on; returns changes that the arms should make as well.
+        the rows that go on; returns changes beside.
       change: `joint_change`, or a partial of it with other options.
     """
     angles = np.array(start)

@@ -26,8 +26,7 @@ _NEIGHBOURS = 2  # joints apart, up to where links may overlap at home, by their
 def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return an arm's model for checks.
 
-    What collides in it collides with all, as in worlds, and touches from half a
-    millimetre on.
+    What collides in it collides with all, as in worlds, from half a millimetre on.
 
     Raises:
       FileNotFoundError: if a mesh is missing.

@@ -25,12 +25,7 @@ deepest (`mindist`), or the force of all (`netforce`)."""
 def contact_pairs(
     spec: mujoco.MjSpec, agents: Collection[str]
 ) -> dict[str, list[tuple[Place, Place]]]:
-    """Return what can touch what, by kind. Bodies without a name get one.
-
-    Args:
-      spec: the world.
-      agents: prefixes of the arms' bodies.
-    """
+    """Return what can touch what, by kind. Bodies without a name get one."""
     arms, loose, fixed = [], [], []
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"body {i}"

@@ -84,10 +84,7 @@ class _Rules:
         return ~xp.all(xp.abs(qvel) / xp.asarray(self._limits) <= _STOPPED, axis=-1)
 
     def stop(self, start: Array, qpos: Array, qvel: Array) -> None:
-        """Slow arms down that are still too fast after a short step.
-
-        It changes the positions (worlds, nq) and speeds (worlds, nv) at its end.
-        """
+        """Slow arms down, (worlds, ...) each, that are still too fast after a short step."""
         xp = array_namespace(qpos)
         for arm in self._arms:
             limits = xp.asarray(arm.robot.velocity_limits)

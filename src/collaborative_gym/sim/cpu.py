@@ -22,13 +22,8 @@ _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
 class CpuSim:
     """Worlds as rows of a `mujoco.batch.Batch`; see `Sim` for the contract.
 
-    The result is the same to the bit for any number of worlds and threads.
-
-    Args:
-      model: the compiled world.
-      num_envs: how many worlds to hold.
-      num_threads: threads to step them with; 0 for one per CPU.
-      refinement: how physics steps are refined; None if they never are.
+    The result is the same to the bit for any number of worlds and threads, of which 0
+    is one per CPU.
     """
 
     def __init__(

@@ -76,7 +76,7 @@ class Steps:
       rows: ids of those that take the steps; None for all.
       controls: (rows, steps, nu).
       records: where to record what the steps find, (rows, steps, ...) by MuJoCo's
-        names; those of `JUDGED` among them, and `STATE` where steps are `retaken`.
+        names; those of `JUDGED` among them, and `STATE` where steps are retaken.
       breaks: as in `Sim.step`.
       refinement: as in `Sim`.
 

@@ -131,12 +131,7 @@ class BalancePath(Balance):
         self.scene.place(sim, slice(None), name="target", position=coming)
 
     def _at(self, sim: Sim, time: Array) -> tuple[Array, Array, Array]:
-        """Return the target's place, velocity and acceleration, (num_envs, 3) each.
-
-        Args:
-          sim: the worlds.
-          time: (num_envs,) since the episode's start, in s.
-        """
+        """Return the target's place, velocity and acceleration at times in s."""
         xp, path = sim.xp, sim.memory["path"]
         rate = (2 * np.pi / self.config.lap) * path[:, 4:5] * self._rounds
         angle = path[:, 3:4] * self._rounds + rate * time[:, None] + self._start

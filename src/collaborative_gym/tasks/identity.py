@@ -182,10 +182,9 @@ def _plain(value: Any) -> Any:
 def _digest(robot: Robot, changed: int) -> str:
     """Return a short digest that tells apart arms of one name.
 
-    It is worked out once for as long as the model file was last `changed` at that time.
-
-    Fields that are left at their defaults do not count, so that a new field changes
-    nothing. What only people read in the model file does not count either.
+    It stays for as long as the model file was last `changed` at that time. Fields that
+    are left at their defaults do not count, so that a new field changes nothing. What
+    only people read in the model file does not count either.
     """
     content = {
         each.name: _plain(getattr(robot, each.name))

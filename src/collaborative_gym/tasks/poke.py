@@ -219,8 +219,7 @@ def _lay_out(
     """Return where the tcps start, where they meet, and a camera that sees it all.
 
     Both start aside of the line between the bases. They meet near where it is divided
-    as their reaches, and at right angles, as stick and ring must. The camera is given
-    by its position and its x and y axes.
+    as their reaches, and at right angles. The camera has a position and x and y axes.
     """
     first, second = (np.array(placements[agent].position) for agent in robots)
     reaches = [robot.reach for robot in robots.values()]
@@ -260,10 +259,7 @@ def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _spread(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """Return joint changes that move a tcp by 1 m along x, y, z and turn it about z.
-
-    To first order, (joints, 4) in rad per m and per rad.
-    """
+    """Return joint changes per m of a tcp along x, y, z and per rad of its turn about z."""
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = angles
     mujoco.mj_forward(model, data)

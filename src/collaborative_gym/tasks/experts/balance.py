@@ -62,13 +62,8 @@ def _roll(
 ) -> dict[str, Motion]:
     """Return motions that bring the board to a place and roll the ball on a course.
 
-    Args:
-      task: what is done.
-      sim: the worlds.
-      facts: of their present state.
-      centre: where the board's centre goes, (3,) or (num_envs, 3), in m.
-      course: the ball's way, and its velocity and acceleration then, (num_envs, 3)
-        each, in the board's frame.
+    The course is the ball's way, and its velocity and acceleration then, (num_envs, 3)
+    each, in the board's frame; the place is that of the board's centre.
     """
     place, quat = facts.board
     missing = np.clip(centre - place, -_LONGEST_MOVE, _LONGEST_MOVE)

@@ -58,13 +58,8 @@ def expert(self: "Hockey", sim: Sim, facts: "HockeyFacts") -> dict[str, Motion]:
 def _swing(task: "Hockey", agent: str, angles: Array, way: Array) -> np.ndarray:
     """Return joint changes that swing a mallet as far along a way as a step allows.
 
-    The mallet may tilt: an arm that keeps it upright is half as fast.
-
-    Args:
-      task: what is done.
-      agent: whose mallet.
-      angles: (n, joints) of its arm, in rad.
-      way: (n, 2) in the table's frame, in m.
+    The mallet may tilt: an arm that keeps it upright is half as fast. The way (n, 2)
+    is in the table's frame, in m.
     """
     arm = task.scene.arms[agent]
     postures = task.charts[agent].chains.of(np.zeros(len(way), int))
