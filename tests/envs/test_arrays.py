@@ -175,8 +175,11 @@ class StrictSim(CpuSim):
     def set_state(self, state, env_ids=None):
         super().set_state(own(state), bare(env_ids))
 
-    def _pair(self, *names):
-        return tuple(map(Strict, super()._pair(*names)))
+    def pose(self, name):
+        return tuple(map(Strict, super().pose(name)))
+
+    def velocity(self, name):
+        return tuple(map(Strict, super().velocity(name)))
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_all_arms_at_once_agree_with_the_simulation(pair):
             angles[: arm.num_joints, i].T,
             pair.placements[f"robot_{i + 1}"],
         )
-        sim = simulated(CpuSim(model, 8, num_threads=1), arm)(own, np.arange(8))
+        sim = simulated(CpuSim(model, 8, num_threads=1), arm).at(own, np.arange(8))
         c, s = np.cos(yaw), np.sin(yaw)
         back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         moved = (sim[0] - placement.position) @ back.T
@@ -57,8 +57,8 @@ def test_chains_agree_with_the_simulation(pair):
         angles = np.zeros((8, 7))
         angles[:, : arm.num_joints] = rng.uniform(*arm.joint_range, (8, arm.num_joints))
         own = angles[:, : arm.num_joints]
-        chain = Chains(model, arms).of(np.full(8, i))(angles, rows)
-        sim = simulated(CpuSim(model, 8, num_threads=1), arm)(own, rows)
+        chain = Chains(model, arms).of(np.full(8, i)).at(angles, rows)
+        sim = simulated(CpuSim(model, 8, num_threads=1), arm).at(own, rows)
         for found, expected in zip(chain[:2], sim[:2], strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-12)
         jacobian = chain[2][:, :, : arm.num_joints]

@@ -160,7 +160,7 @@ def test_a_six_joint_arm_lifts_with_its_elbow_up(own):
         mujoco.MjData(env.model),
         env.model.geom("table/table_top_collision").id,
     )
-    for way in env.task._ways.values():
+    for way in env.task.ways.values():
         assert way.approach[2] < -0.3
         for posture in way.angles:
             for arm in env.scene.arms.values():

@@ -8,7 +8,7 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.objects.puck import RADIUS
 from collaborative_gym.objects.rink import HALF_LENGTH
-from collaborative_gym.tasks.hockey_player import Field, foresee, play
+from collaborative_gym.tasks.experts.hockey_player import Field, foresee, play
 from collaborative_gym.timing import SIM_DT, SUBSTEPS
 
 IDS = [f"Hockey{arms}-v0" for arms in ("Pandas", "Sawyers", "PandaSawyer", "Doubles")]

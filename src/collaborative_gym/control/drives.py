@@ -4,7 +4,6 @@ The law of the servos stands here alone: what they ask of their motors, how far 
 yield, and how their targets move when a joint is to turn.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -16,28 +15,21 @@ from collaborative_gym.scene import STOP, Arm
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT, SUBSTEPS
 
-_BRAKE_FROM = 1.1
-"""Speed from which on a joint is braked, over its limit; free motion stays below."""
-
-_BRAKE_GAIN = 40.0
-"""Slope of the brake's torque over the speed, in torque limits per speed limit."""
+_BRAKE_FROM = 1.1  # speed from which on a joint is braked, over its limit
+_BRAKE_GAIN = 40.0  # torque over speed, in torque limits per speed limit
 
 _LOST, _MOVING = 0.3, 0.0025
 """Greatest share of a load that servos let go of, and the change of an angle, in rad,
 from which they do so. Both are our choice; see `lost_load`."""
 
-_NO_LIMIT = 1e6
-"""A torque in N m that is never reached."""
+_NO_LIMIT = 1e6  # N m, never reached
 
 _RAMP = 0.03
 """Time in which a joint's reference speed goes from rest to full, in s. Shorter asks
 for more torque than the motors have; longer turns too little in one control step."""
 
-_SPEED_MARGIN = 1.04
-"""How far the reference may pass a joint's speed limit to make up for the ramp."""
-
-_SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT
-"""A joint that arrives at a limit must also come to rest there."""
+_SPEED_MARGIN = 1.04  # reference over a joint's speed limit, to make up for the ramp
+_SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT  # a joint must also come to rest at a limit
 
 
 def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
@@ -50,9 +42,9 @@ def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         robot.joints, robot.torque_limits, robot.stiffness, robot.damping, strict=True
     )
     for name, torque, stiffness, damping in rows:
-        joint = f"{agent}/{name}"
-        bias, torques = (0.0, -stiffness, -damping), (-torque, torque)
-        servo = _add(spec, joint, joint, gain=stiffness, bias=bias, torques=torques)
+        joint, bias = f"{agent}/{name}", (0.0, -stiffness, -damping)
+        servo = _add(spec, joint, joint, bias, (-torque, torque))
+        servo.gainprm = [stiffness] + [0.0] * 9
         servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
 
 
@@ -71,8 +63,7 @@ def add_brakes(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
             ("forwards", (start, 0.0, -slope), (-_NO_LIMIT, 0.0)),
             ("backwards", (-start, 0.0, -slope), (0.0, _NO_LIMIT)),
         ):
-            brake = f"{joint}/brake {way}"
-            _add(spec, joint, brake, gain=0.0, bias=bias, torques=torques)
+            _add(spec, joint, f"{joint}/brake {way}", bias, torques)
 
 
 def add_fingers(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
@@ -97,106 +88,68 @@ def _add(
     spec: mujoco.MjSpec,
     joint: str,
     name: str,
-    *,
-    gain: float,
     bias: tuple[float, float, float],
     torques: tuple[float, float],
 ) -> mujoco.MjsActuator:
-    """Add what turns a joint by a gain and a bias, as MuJoCo's manual defines them."""
+    """Add what turns a joint by a bias, as MuJoCo's manual defines it."""
     return spec.add_actuator(
         name=name,
         target=joint,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        gainprm=[gain] + [0.0] * 9,
+        gainprm=[0.0] * 10,
         biasprm=[*bias] + [0.0] * 7,
         forcelimited=True,
         forcerange=torques,
     )
 
 
-@dataclass(frozen=True)
 class Servo:
-    """The servos of one arm; (joints,) arrays of the worlds' kind.
+    """The servos that `add_servos` gave an arm of some worlds.
 
     Attributes:
-      arm: whose they are.
-      act: their integrated targets in `act`.
-      stiffness: in N m/rad.
-      damping: in N m s/rad.
-      torque: greatest, in N m.
-      full: greatest speed that is asked for, in rad/s.
-      fastest: greatest reference speed, in rad/s.
-      low: least angles to go to, in rad.
-      high: greatest angles to go to, in rad.
-      ramp: how far a speed may have changed by each physics step and by the one after
-        the last, (substeps + 1, num_envs, joints), in rad/s. It is the same in all
-        worlds, but NumPy is quicker with a row for each; the same holds for `lead`.
-      lead: damping over stiffness, (num_envs, joints), in s.
+      full: greatest speed that is asked for, (joints,), in rad/s.
+      low: least angles to go to, (joints,), in rad.
+      high: greatest angles to go to, likewise.
     """
 
-    arm: Arm
-    act: slice
-    stiffness: Array
-    damping: Array
-    torque: Array
-    full: Array
-    fastest: Array
-    low: Array
-    high: Array
-    ramp: Array
-    lead: Array
-
-    @classmethod
-    def of(cls, arm: Arm, sim: Sim) -> "Servo":
-        """Return the servos that `add_servos` gave an arm of these worlds."""
+    def __init__(self, arm: Arm, sim: Sim):
         robot, xp = arm.robot, sim.xp
         limits = np.array(robot.velocity_limits)
         full = np.minimum(MAX_CHANGE / CONTROL_DT, limits)
+        first = int(sim.model.actuator_actadr[arm.servos.start])
+        self._arm, self._act = arm, slice(first, first + arm.num_joints)
+        self._stiffness = xp.asarray(robot.stiffness)
+        self._damping = xp.asarray(robot.damping)
+        self._torque = xp.asarray(robot.torque_limits)
+        self.full, self._fastest = xp.asarray(full), xp.asarray(_SPEED_MARGIN * limits)
+        self.low = xp.asarray(arm.joint_range[0] + STOP)
+        self.high = xp.asarray(arm.joint_range[1] - STOP)
+        # How far a speed may have changed by each physics step and by the one after the
+        # last, in rad/s, and damping over stiffness, in s. They are the same in all
+        # worlds, but NumPy is quicker with a row for each.
         ramp = np.arange(1.0, SUBSTEPS + 2)[:, None] * (full * SIM_DT / _RAMP)
         lead = np.array(robot.damping) / np.array(robot.stiffness)
-        first = int(sim.model.actuator_actadr[arm.servos.start])
-        return cls(
-            arm=arm,
-            act=slice(first, first + arm.num_joints),
-            stiffness=xp.asarray(robot.stiffness),
-            damping=xp.asarray(robot.damping),
-            torque=xp.asarray(robot.torque_limits),
-            full=xp.asarray(full),
-            fastest=xp.asarray(_SPEED_MARGIN * limits),
-            low=xp.asarray(arm.joint_range[0] + STOP),
-            high=xp.asarray(arm.joint_range[1] - STOP),
-            ramp=xp.asarray(np.stack([ramp] * sim.num_envs, axis=1)),
-            lead=xp.asarray(np.stack([lead] * sim.num_envs)),
-        )
+        self._ramp = xp.asarray(np.stack([ramp] * sim.num_envs, axis=1))
+        self._lead = xp.asarray(np.stack([lead] * sim.num_envs))
 
     def hold(self, sim: Sim, env_ids: EnvIds) -> None:
         """Make the servos of these worlds hold the present angles."""
-        sim.act[env_ids, self.act] = sim.qpos[env_ids, self.arm.qpos]
+        sim.act[env_ids, self._act] = sim.qpos[env_ids, self._arm.qpos]
 
     def torques(self, sim: Sim) -> Array:
         """Return what the servos ask of their motors, (num_envs, joints), in N m."""
-        angle, speed = sim.qpos[:, self.arm.qpos], sim.qvel[:, self.arm.dof]
-        return self.stiffness * (sim.act[:, self.act] - angle) - self.damping * speed
+        angle, speed = sim.qpos[:, self._arm.qpos], sim.qvel[:, self._arm.dof]
+        return self._stiffness * (sim.act[:, self._act] - angle) - self._damping * speed
 
     def yields(self, before: Array, speed: Array, dt: float) -> Array:
-        """Return what torque the servos lose as the joints turn during a step, in N m.
-
-        Args:
-          before: speeds at the step's beginning, (..., joints), in rad/s.
-          speed: those at its end.
-          dt: how long it is, in s.
-        """
-        return self.stiffness * dt * speed + self.damping * (speed - before)
+        """Return what torque the servos lose in a step; see `ActionMode.yields`."""
+        return self._stiffness * dt * speed + self._damping * (speed - before)
 
     def turn_against(self, torque: Array) -> Array:
-        """Return by how much more a joint must be turned to exert a torque, in rad.
-
-        A change that a joint cannot follow becomes torque: the change times the servo's
-        stiffness, and the speed times its damping.
-        """
-        return torque / (self.stiffness + self.damping / CONTROL_DT)
+        """Return by how much more a joint must turn to exert a torque, in rad."""
+        return torque / (self._stiffness + self._damping / CONTROL_DT)
 
     def command(self, sim: Sim, controls: Array, change: Array) -> None:
         """Write how the targets move during a control step that turns the joints.
@@ -205,45 +158,33 @@ class Servo:
         to its new angle in time. The servo's target leads the reference angle by
         damping / stiffness times the speed, which turns damping into feedback on the
         speed error, and by most of what the servo yields to its present load.
-
-        Args:
-          sim: the worlds.
-          controls: (num_envs, substeps, nu), what is written to.
-          change: of the joint angles, (num_envs, joints), in rad.
         """
-        arm, xp, full, fastest = self.arm, sim.xp, self.full, self.fastest
+        arm, xp, full, fastest = self._arm, sim.xp, self.full, self._fastest
         angle, speed = sim.qpos[:, arm.qpos], sim.qvel[:, arm.dof]
         kept = 1.0 - lost_load(change, xp)
         change = xp.maximum(change, (self.low - angle) / _SLACK)
         change = xp.minimum(change, (self.high - angle) / _SLACK)
-        load = xp.minimum(xp.maximum(self.torques(sim), -self.torque), self.torque)
-        load = load * kept / self.stiffness
+        load = xp.minimum(xp.maximum(self.torques(sim), -self._torque), self._torque)
+        load = load * kept / self._stiffness
         start = xp.minimum(xp.maximum(speed, -full), full)
         ramp = xp.abs(change / CONTROL_DT - start) / full * _RAMP
         final = (change - start * ramp / 2) / (CONTROL_DT - ramp / 2)
         final = xp.minimum(xp.maximum(final, -fastest), fastest)
         # The reference speed of each physics step, and of the one after the last.
-        ramped = xp.maximum(final - start, -self.ramp)
-        reference = start + xp.minimum(ramped, self.ramp)
-        ahead = self.lead / SIM_DT * (reference[1:] - reference[:-1])
-        sim.act[:, self.act] = angle + self.lead * reference[0] + load
+        ramped = xp.maximum(final - start, -self._ramp)
+        reference = start + xp.minimum(ramped, self._ramp)
+        ahead = self._lead / SIM_DT * (reference[1:] - reference[:-1])
+        sim.act[:, self._act] = angle + self._lead * reference[0] + load
         controls[:, :, arm.servos] = xp.moveaxis(reference[:-1] + ahead, 0, 1)
 
 
 def lost_load(change: Array, xp: Any = np) -> Array:
-    """Return what share of its load an arm lets go of in a control step.
+    """Return what share of its load an arm lets go of in a control step, (num_envs, 1).
 
     An arm that is not asked to move keeps the torques that it exerts. An arm that moves
     lets go of a part. If it kept all, two arms that push against each other on a thing
     would do so until an action happened to undo it, and the joint angles do not show
     such a force. So the force halves in 0.2 s, and an arm must act to hold a weight.
-
-    Args:
-      change: of its joints, (num_envs, joints), in rad.
-      xp: array API namespace of the change.
-
-    Returns:
-      (num_envs, 1) between 0 and 0.3.
     """
     greatest = xp.max(xp.abs(change), axis=1)[:, None]
     return _LOST * xp.minimum(greatest / _MOVING, 1.0)

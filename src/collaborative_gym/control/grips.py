@@ -10,9 +10,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
 
-_TEARING = 2.0
-"""Distance between tcp and site at which a grip tears, over that at which it can
-start."""
+_TEARING = 2.0  # distance at which a grip tears, over that at which it can start
 
 
 class Grips:
@@ -26,10 +24,6 @@ class Grips:
     hand could win a thing by force. After a tear the hand opens for one control step
     and cannot grip; otherwise a grip that is too weak would start and tear in every
     step.
-
-    Args:
-      scene: the compiled scene.
-      sim: its worlds.
     """
 
     def __init__(self, scene: Scene, sim: Sim):
@@ -57,13 +51,7 @@ class Grips:
         self._same_site = xp.asarray(sites == sites[:, None])
 
     def command(self, controls: Array, commands: Mapping[str, Any]) -> None:
-        """Take and leave grips for a control step; close the fingers where one holds.
-
-        Args:
-          controls: (num_envs, substeps, nu), what is written to.
-          commands: by agent, what has `grips`, in which worlds it is to grip,
-            (num_envs,).
-        """
+        """Take and leave grips for a control step, and close the fingers that hold."""
         sim, xp, sensed = self._sim, self._sim.xp, self._sim.sensordata
         is_held = sim.eq_active[:, self._equalities] > 0
         # A grip that held at the last command, and does not now, has torn.

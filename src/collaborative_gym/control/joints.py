@@ -21,16 +21,11 @@ from collaborative_gym.timing import CONTROL_DT
 
 
 class ServoMode(ActionMode):
-    """The base of modes in which each joint has a servo, as `Servo` describes it.
-
-    Subclasses say by how much an action turns the joints.
-    """
+    """Modes with a `Servo` for each joint; they say by how much an action turns it."""
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
-        self._servos = {agent: Servo.of(arm, sim) for agent, arm in self.arms.items()}
-        ends = np.cumsum([arm.num_joints for arm in self.arms.values()])
-        self._parts = list(zip([0, *ends], ends, self._servos.values(), strict=False))
+        self._servos = {agent: Servo(arm, sim) for agent, arm in self.arms.items()}
 
     @classmethod
     def add_drives(cls, scene: Scene) -> None:
@@ -53,12 +48,11 @@ class ServoMode(ActionMode):
         return self._servos[agent].torques(sim)
 
     def yields(self, before: Array, speed: Array, dt: float) -> Array:
-        xp = array_namespace(speed)
-        parts = [
-            servo.yields(before[..., start:end], speed[..., start:end], dt)
-            for start, end, servo in self._parts
-        ]
-        return xp.concat(parts, axis=-1)
+        parts, start = [], 0
+        for agent, servo in self._servos.items():
+            own = slice(start, start := start + self.arms[agent].num_joints)
+            parts.append(servo.yields(before[..., own], speed[..., own], dt))
+        return array_namespace(speed).concat(parts, axis=-1)
 
     def _borne(self, agent: str, motion: Motion) -> np.ndarray:
         """Return a motion's change, and what makes up for a load that servos let go."""

@@ -78,7 +78,6 @@ class ActionMode:
 
     Attributes:
       arms: the arms by agent.
-      gripping: as given.
       tears: which grips break in a physics step, for `Sim.step`; None without grips.
     """
 
@@ -161,13 +160,9 @@ class ActionMode:
         return self.num_moves(agent) + self.gripping
 
     def split(self, action: Array) -> tuple[Array, Array]:
-        """Return an action's components that move, and in which worlds it grips.
+        """Return the components that move, and in which worlds an action grips.
 
-        Args:
-          action: (num_envs, size).
-
-        Returns:
-          (num_envs, moves) in [-1, 1] and (num_envs,) booleans.
+        They are (num_envs, moves) in [-1, 1] and (num_envs,) booleans.
         """
         if self.gripping:
             return action[:, :-1], action[:, -1] > 0.0
@@ -184,11 +179,7 @@ class ActionMode:
         return {agent: Command(moves[agent], parts[agent][1]) for agent in self.arms}
 
     def prepare(self, commands: Mapping[str, Command]) -> Array:
-        """Prepare one control step: command the drives, take and leave grips.
-
-        Returns:
-          (num_envs, substeps, nu) controls for `Sim.step`.
-        """
+        """Command drives and grips; return the controls of `Sim.step`."""
         sim = self._sim
         controls = sim.xp.repeat(sim.ctrl[:, None, :], SUBSTEPS, axis=1)
         self.drive(controls, commands)
@@ -252,18 +243,15 @@ class ActionMode:
                     f"what {agent} is to do is of type {type(motion).__name__}; return"
                     " a Motion (joint changes, grips) for each agent"
                 )
-            shape = self._sim.num_envs, arm.num_joints
-            if np.shape(motion.change) != shape:
+            given, shape = motion.change.shape, (self._sim.num_envs, arm.num_joints)
+            if given != shape:
                 raise ValueError(
-                    f"the change of {agent} has shape {np.shape(motion.change)}, not"
-                    f" {shape}: one number for each world and joint, in rad"
+                    f"the change of {agent} has shape {given}, not {shape}: one number"
+                    " for each world and joint, in rad"
                 )
 
     def check(self, actions: Any) -> dict[str, Array]:
         """Return each agent's actions as numbers within [-1, 1].
-
-        Args:
-          actions: what was given.
 
         Raises:
           ValueError: if they are not finite numbers of the right shapes.

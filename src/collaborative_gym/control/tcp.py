@@ -8,21 +8,16 @@ from collaborative_gym.control.joints import ServoMode
 from collaborative_gym.control.modes import Motion, register_mode
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import Kinematics, damped_change, travel
+from collaborative_gym.motion.solver import DAMPING
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
 
 _FARTHEST = np.array([0.05] * 3 + [0.15] * 3)
 """Greatest translation in m, and greatest turn in rad, of a control step."""
 
-_DAMPING = 0.05
-"""Damping of the least squares: bounds joint motion near singular poses."""
-
-_ROUNDS = 2
-"""Newton steps in a control step. One alone misses a tenth of the way."""
-
+_ROUNDS = 2  # Newton steps in a control step; one alone misses a tenth of the way
 _LEANING, _FULLY = 0.2, 0.2
-"""Share of its distance to its posture that the free motion of an arm goes, and the
-size of an action from which on it does so; a smaller action leans less."""
+"""Gain towards the posture, and the size of an action from which on it is full."""
 
 
 class TcpChanges(ServoMode):
@@ -95,11 +90,7 @@ class TcpChanges(ServoMode):
         return way
 
     def _joint_changes(self, asked: Array) -> Array:
-        """Return the joint changes that actions come to, (joints, arms, worlds).
-
-        Args:
-          asked: all six components of the tools' changes, (6, arms, worlds).
-        """
+        """Return joint changes (joints, arms, worlds) for actions (6, arms, worlds)."""
         xp, angles, size = self._sim.xp, self._angles(), self._size(asked)
         way = asked * self._farthest / xp.maximum(size, 1.0)
         low, high = self._low - angles, self._high - angles
@@ -114,7 +105,7 @@ class TcpChanges(ServoMode):
             if step > 0:
                 here, jacobian = self._kinematics(angles + change)
                 left, lean = way - travel(start, here), xp.zeros_like(lean)
-            more = damped_change(jacobian, left, lean=lean, free=free, damping=_DAMPING)
+            more = damped_change(jacobian, left, lean=lean, free=free, damping=DAMPING)
             tried = change + more
             change = xp.minimum(xp.maximum(tried, low), high)
             # What a joint at the end of its range cannot do, the others do.

@@ -18,27 +18,18 @@ from collaborative_gym.tasks.task import Blocks, Task, Terms
 _NUMBERS = "bool", "integral", "real floating"
 """Kinds of numbers of which a block may be."""
 
-_HAND = 0.3
-"""What a hand, and what it holds, add to an arm's rated reach, in m."""
+_HAND = 0.3  # what a hand, and what it holds, add to an arm's rated reach, in m
 
 
 @dataclass(frozen=True)
 class Definition:
-    """What follows from a task and its world.
+    """What follows from a task and its world."""
 
-    Attributes:
-      layout: the blocks of observations and the parts of actions.
-      observation_spaces: of one world's flat view, by agent.
-      action_spaces: of one world, by agent.
-      reward_terms: names of a reward's parts, by agent.
-      sides: the agents of each side, by its name.
-    """
-
-    layout: Layout
-    observation_spaces: dict[str, Box]
-    action_spaces: dict[str, Box]
-    reward_terms: dict[str, tuple[str, ...]]
-    sides: dict[str, tuple[str, ...]]
+    layout: Layout  # the blocks of observations and the parts of actions
+    observation_spaces: dict[str, Box]  # of one world's flat view, by agent
+    action_spaces: dict[str, Box]  # of one world, by agent
+    reward_terms: dict[str, tuple[str, ...]]  # names of a reward's parts, by agent
+    sides: dict[str, tuple[str, ...]]  # the agents of each side, by its name
 
 
 def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
@@ -112,11 +103,7 @@ def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
 
 
 def _check_blocks(
-    name: str,
-    task: Task,
-    blocks: Mapping[str, Blocks],
-    tried: np.ndarray,
-    sim: Sim,
+    name: str, task: Task, blocks: Mapping[str, Blocks], tried: np.ndarray, sim: Sim
 ) -> None:
     for what, rows in _each(f"{name}.observe()", "block", task, blocks):
         shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
@@ -145,11 +132,7 @@ def _block(task: Task, name: str, rows: Array, xp: Any) -> Block:
 
 
 def _check_terms(
-    name: str,
-    task: Task,
-    terms: Mapping[str, Terms],
-    tried: np.ndarray,
-    sim: Sim,
+    name: str, task: Task, terms: Mapping[str, Terms], tried: np.ndarray, sim: Sim
 ) -> None:
     for what, values in _each(f"{name}.reward()", "term", task, terms):
         if np.shape(values) != (sim.num_envs,):
@@ -164,7 +147,17 @@ def _each(
     method: str, kind: str, task: Task, given: Any
 ) -> Iterator[tuple[str, Array]]:
     """Yield what to call each named array that a method returned, and the array."""
-    _check_agents(method, task, given)
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"{method} returns a {type(given).__name__}; it must return a dictionary"
+            f" with an entry for each of {', '.join(task.agents)}"
+        )
+    for agent in given:
+        if agent not in task.agents:
+            raise ValueError(f"{method}: {unknown('agent', agent, task.agents)}")
+    for agent in task.agents:
+        if agent not in given:
+            raise ValueError(f"{method} has no entry for {agent}; add one")
     for agent in task.agents:
         named = given[agent]
         if not isinstance(named, Mapping) or not named:
@@ -182,20 +175,6 @@ def _kind(thing: Any) -> str:
         return "an empty dictionary"
     shape = f" of shape {thing.shape}" if hasattr(thing, "shape") else ""
     return f"of type {type(thing).__name__}{shape}"
-
-
-def _check_agents(what: str, task: Task, given: Any) -> None:
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"{what} returns a {type(given).__name__}; it must return a dictionary"
-            f" with an entry for each of {', '.join(task.agents)}"
-        )
-    for agent in given:
-        if agent not in task.agents:
-            raise ValueError(f"{what}: {unknown('agent', agent, task.agents)}")
-    for agent in task.agents:
-        if agent not in given:
-            raise ValueError(f"{what} has no entry for {agent}; add one")
 
 
 def _sides(name: str, task: Task) -> dict[str, tuple[str, ...]]:

@@ -26,14 +26,8 @@ class Disturbances:
     """Changes models, actions and observations of worlds, and never their rewards.
 
     The reward counts what an arm does. A late or lost action costs what the arm does
-    instead, not what the policy asked for.
-
-    Args:
-      task: what is done.
-      scene: its compiled world.
-      sim: the worlds.
-      mode: what actions mean.
-      progress: of the episodes; its rows get the actions that are on their way.
+    instead, not what the policy asked for. The rows of the progress get the actions
+    that are on their way.
     """
 
     def __init__(
@@ -117,12 +111,7 @@ class Disturbances:
             self._sim.vary(env_ids, factors)
 
     def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
-        """Return the actions by agent that arrive in this control step.
-
-        Args:
-          actions: those that were chosen for it, (num_envs, k).
-          resting: where no episode goes on.
-        """
+        """Return the actions by agent that arrive; none comes late where worlds rest."""
         rows, xp = self._progress.rows, self._sim.xp
         if self._bounds.delay:
             late, due = xp.asarray(self._is_late)[:, None], {}

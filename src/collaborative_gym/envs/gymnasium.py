@@ -35,12 +35,11 @@ class GymnasiumEnv(gymnasium.Env):
 
     Args:
       env_id: an id from `list_envs` or a task's name from `list_tasks`.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
+      robots: as in `make`.
       render_mode: "rgb_array", or None for no pictures.
-      randomization: how starts are drawn, "default", "paper" or a value.
-      strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: other fields of the task's config.
+      randomization: as in `make`.
+      strain: as in `make`.
+      **settings: as in `make`.
 
     Attributes:
       vector_env: the batch of one.

@@ -38,16 +38,15 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
       env_id: an id from `list_envs` or a task's name from `list_tasks`.
       num_envs: how many worlds.
       num_threads: physics threads, 0 for one per CPU.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
+      robots: as in `make`.
       render_mode: "rgb_array", or None for no pictures.
-      randomization: how starts are drawn, "default", "paper" or a value.
+      randomization: as in `make`.
       autoreset_mode: when worlds start their next episode: in the step that ends one
         (`AutoresetMode.SAME_STEP`), in the step after it, whose actions do not count
         for them (`NEXT_STEP`, as most wrappers want it), or only by
         `reset(options={"reset_mask": mask})` (`DISABLED`).
-      strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: other fields of the task's config.
+      strain: as in `make`.
+      **settings: as in `make`.
 
     Raises:
       KeyError: if there is no such environment, robot, preset, setting or mode.
@@ -178,7 +177,9 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 " ended; call reset(options={'reset_mask': mask}) with a mask of them"
             )
         if begins.all():
-            return self._begin_all()
+            observations, infos = self.reset()
+            never = np.zeros(self.num_envs, bool)
+            return observations, np.zeros(self.num_envs), never, never.copy(), infos
         by_agent, rewards, terminated, truncated, infos = self.vector_env.step(
             self._agents.split(np.asarray(actions))
         )
@@ -214,12 +215,6 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer; `close` calls this."""
         self.vector_env.close()
-
-    def _begin_all(self) -> tuple[Any, ...]:
-        """Start an episode in every world, as the step after their ends."""
-        observations, infos = self.reset()
-        nothing, never = np.zeros(self.num_envs), np.zeros(self.num_envs, bool)
-        return observations, nothing, never, never.copy(), infos
 
     def _final_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
         ended, told = infos["ended"], _step_info(infos)

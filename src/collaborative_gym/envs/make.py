@@ -54,17 +54,14 @@ def make_vec(
     """Return many worlds of an environment.
 
     Args:
-      env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
-        `cg.task`, which has its own robots, randomization and settings.
+      env: as in `make`; a task has its own robots, randomization and settings.
       num_envs: how many worlds.
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
-      randomization: how starts are drawn, "paper", "hard" or a value; None for
-        "default".
-      strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: other fields of the task's config.
+      robots: as in `make`.
+      randomization: as in `make`.
+      strain: as in `make`.
+      **settings: as in `make`.
 
     Raises:
       KeyError: if there is no such environment, robot, preset or setting.

@@ -121,19 +121,13 @@ class PettingZooEnv(ParallelEnv):
           RuntimeError: before the first `reset`, after an episode's end, after `close`.
         """
         batch = self._batch_of_one(actions)
-        observations, rewards, terminated, truncated, infos = self.vector_env.step(
-            batch
-        )
+        observations, *earned, infos = self.vector_env.step(batch)
         self._observations = _row(observations)
         if infos["ended"][0]:
             self.agents = []
-        return (
-            dict(self._observations),
-            first_row(rewards),
-            first_row(terminated),
-            first_row(truncated),
-            self._infos(infos),
-        )
+        rewards, terminated, truncated = map(first_row, earned)
+        observations, infos = dict(self._observations), self._infos(infos)
+        return observations, rewards, terminated, truncated, infos
 
     def state(self) -> np.ndarray:
         """Return the observations of all agents in one array."""
@@ -170,8 +164,7 @@ class PettingZooEnv(ParallelEnv):
             return actions
         batch = {}
         for agent, action in actions.items():
-            space = self.action_spaces.get(agent)
-            shape = np.shape(action)
+            space, shape = self.action_spaces.get(agent), np.shape(action)
             if space is not None and shape != space.shape:
                 raise ValueError(
                     f"the action of {agent} has shape {shape}, not {space.shape}"

@@ -17,21 +17,11 @@ class Progress:
     World i plays every `num_envs`-th episode of its seed. Its index is NumPy's, because
     random numbers are; counters and sums are the backend's arrays.
 
-    Args:
-      task: what is done.
-      xp: array API namespace of the backend's arrays.
-      num_envs: how many worlds.
-      seed: of the first episodes.
-      sides: the agents of each side, by its name.
-      reward_terms: names of a reward's parts, by agent.
-      has_strain: whether the strain of the episodes is told, too.
-
     Attributes:
-      rows: (num_envs,) arrays by name, part of a saved state. They are replaced and
-        never written to, so whoever holds old ones keeps the old values: `seed` and
-        index (`episode`) of the episode, its control steps (`step`; `length` counts
-        only those that were played where starts are staggered), the sums, and how it
-        ended (`terminated` or `truncated`, and whether it `diverged`).
+      rows: (num_envs,) arrays by name, part of a saved state, which are replaced and
+        never written to: `seed` and index (`episode`) of the episode, its control steps
+        (`step`; `length` counts only those that were played where starts are staggered),
+        the sums, and how it ended (`terminated` or `truncated`, and `diverged`).
     """
 
     def __init__(
@@ -45,11 +35,8 @@ class Progress:
         reward_terms: Mapping[str, tuple[str, ...]],
         has_strain: bool = False,
     ):
-        self._task = task
-        self._xp = xp
-        self._num_envs = num_envs
-        self._sides = sides
-        self._is_divided = len(sides) > 1
+        self._task, self._xp, self._num_envs = task, xp, num_envs
+        self._sides, self._is_divided = sides, len(sides) > 1
         self._sums = {
             agent: {name: f"{agent}: {name}" for name in names}
             for agent, names in reward_terms.items()
@@ -64,13 +51,12 @@ class Progress:
             blank |= dict.fromkeys(names.values(), 0.0)
         if has_strain:
             blank |= strain.BLANK
-        self._blank = blank
-        self.rows: dict[str, Array] = {
-            name: xp.full(num_envs, value, dtype=_dtype(xp, value))
-            for name, value in blank.items()
-        }
-        self.rows["seed"] = np.zeros(num_envs, np.int64)
-        self.rows["episode"] = np.zeros(num_envs, np.int64)
+        kinds = {bool: xp.bool, int: xp.int64, float: xp.float64}
+        self._blank, self.rows = blank, {}
+        for name, value in blank.items():
+            self.rows[name] = xp.full(num_envs, value, dtype=kinds[type(value)])
+        for name in "seed", "episode":
+            self.rows[name] = np.zeros(num_envs, np.int64)
         self.begin(seed, np.arange(num_envs), np.arange(num_envs))
 
     @property
@@ -114,11 +100,6 @@ class Progress:
         """Bring all up to a control step; return where the goal is met.
 
         Nothing counts where an episode had ended before.
-
-        Args:
-          facts: of the state after it.
-          terms: of the reward, zero where none is earned.
-          diverged: where the physics has just diverged.
         """
         rows, task, xp = self.rows, self._task, self._xp
         moved = ~self.has_ended
@@ -165,21 +146,18 @@ class Progress:
 
     def endings(self, agents: tuple[str, ...]) -> tuple[dict[str, Array], ...]:
         """Return which episodes are terminated, and which truncated, by agent."""
-        terminated, truncated = {}, {}
-        for agent in agents:
-            terminated[agent] = self.rows["terminated"] | False
-            truncated[agent] = self.rows["truncated"] | False
-        return terminated, truncated
+        ends = self.rows["terminated"], self.rows["truncated"]
+        return tuple({agent: end | False for agent in agents} for end in ends)
 
     def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:
         """Return where the goal is met before any step, and reward terms of zero."""
         met, counts = self._task.success(facts), ~self.rows["diverged"]
         if self._is_divided:
-            success = {side: met[i] & counts for i, side in enumerate(self._sides)}
+            met = {side: met[i] & counts for i, side in enumerate(self._sides)}
         else:
-            success = met & counts
+            met = met & counts
         zero = self._xp.zeros(self._num_envs, dtype=self._xp.float32)
-        return success, {
+        return met, {
             agent: {name: zero + 0 for name in names}
             for agent, names in self._sums.items()
         }
@@ -207,12 +185,4 @@ class Progress:
 
 def copied(arrays: Mapping[str, Array], xp: Any) -> dict[str, Array]:
     """Return copies of named arrays."""
-    copies = {}
-    for name, array in arrays.items():
-        copies[name] = xp.asarray(array, copy=True)
-    return copies
-
-
-def _dtype(xp: Any, value: float) -> Any:
-    kinds = {bool: xp.bool, int: xp.int64, float: xp.float64}
-    return kinds[type(value)]
+    return {name: xp.asarray(array, copy=True) for name, array in arrays.items()}

@@ -16,19 +16,12 @@ from collaborative_gym.tasks.task import TaskConfig
 
 @dataclass(frozen=True)
 class EnvState:
-    """What `VectorEnv.set_state` needs to continue episodes bit for bit.
+    """What `VectorEnv.set_state` needs to continue episodes bit for bit."""
 
-    Attributes:
-      physics: rows of the backend's state.
-      memory: rows of the task's memory, by name.
-      progress: rows of the episodes' counters and sums, by name.
-      identity: what the environment is from which it was taken.
-    """
-
-    physics: Array
-    memory: Mapping[str, Array]
-    progress: Mapping[str, Array]
-    identity: Identity
+    physics: Array  # rows of the backend's state
+    memory: Mapping[str, Array]  # rows of the task's memory, by name
+    progress: Mapping[str, Array]  # rows of the episodes' counters and sums, by name
+    identity: Identity  # what the environment is from which it was taken
 
     def map(self, change: Callable[..., Any], *others: "EnvState") -> "EnvState":
         """Return the state of what `change` makes of each array, and of the others'."""
@@ -49,23 +42,19 @@ class EnvState:
         return self.map(lambda *parts: np.concatenate(parts), *others)
 
 
-def taken(
-    sim: Sim, progress: Mapping[str, Array], rows: Array
-) -> tuple[Array, dict[str, Array], dict[str, Array]]:
-    """Return copies of these worlds' physics, memory and progress, in this order."""
+def take(
+    sim: Sim, progress: Mapping[str, Array], rows: Array, identity: Identity
+) -> EnvState:
+    """Return a copy of the state of these worlds, in this order."""
     order = np.argsort(rows)
     physics = sim.get_state(rows[order])[np.argsort(order)]
-    remembered = {name: array[rows] for name, array in sim.memory.items()}
-    counted = {name: array[rows] for name, array in progress.items()}
-    return physics, remembered, counted
+    memory, counts = (
+        {n: array[rows] for n, array in part.items()} for part in (sim.memory, progress)
+    )
+    return EnvState(physics, memory, counts, identity)
 
 
-def put(
-    state: EnvState,
-    sim: Sim,
-    progress: dict[str, Array],
-    rows: Array,
-) -> None:
+def put(state: EnvState, sim: Sim, progress: dict[str, Array], rows: Array) -> None:
     """Put the rows of a state into these worlds, as new arrays of all of them."""
     order = np.argsort(rows)
     sim.set_state(state.physics[order], rows[order])
@@ -79,18 +68,12 @@ def put(
 def check_state(
     state: EnvState, blank: EnvState, max_steps: int, *, from_another: bool = False
 ) -> None:
-    """Raise unless a state may be put into worlds.
-
-    Args:
-      state: what was given.
-      blank: the present state of these worlds.
-      max_steps: control steps of an episode.
-      from_another: whether the environment may be another one.
+    """Raise unless a state may be put into worlds whose present state is `blank`.
 
     Raises:
       TypeError: if it is not a state.
-      ValueError: if it is of another environment, does not fit, or cannot be the state
-        of any world.
+      ValueError: if it is of another environment, unless it may be from another, does
+        not fit, or cannot be the state of any world.
     """
     from_another = check_flag("from_another", from_another)
     if not isinstance(state, EnvState):
@@ -119,27 +102,19 @@ def check_state(
                 " options, and give as many env_ids as it has rows"
             )
         for name, array in given.items():
-            _check_rows(f"{part} {name!r}", np.asarray(array), np.asarray(own[name]))
-        # What a task remembers may be infinite, such as the least distance so far.
-        is_sane = np.isfinite if part != "memory" else _is_number
-        for name, array in given.items():
-            if not is_sane(np.asarray(array)).all():
+            rows, wanted = np.asarray(array), np.asarray(own[name]).dtype
+            if rows.dtype.kind != wanted.kind:
+                raise ValueError(
+                    f"the state's {part} {name!r} is of type {rows.dtype}, not {wanted}"
+                )
+            # What a task remembers may be infinite, such as the least distance so far.
+            is_sane = rows == rows if part == "memory" else np.isfinite(rows)
+            if not is_sane.all():
                 raise ValueError(
                     f"the state's {part} {name!r} is not finite; take it from"
                     " get_state()"
                 )
     _check_counts(state.progress, max_steps)
-
-
-def _check_rows(what: str, given: np.ndarray, own: np.ndarray) -> None:
-    if given.dtype.kind != own.dtype.kind:
-        raise ValueError(
-            f"the state's {what} is of type {given.dtype}, not {own.dtype}"
-        )
-
-
-def _is_number(array: np.ndarray) -> np.ndarray:
-    return array == array
 
 
 def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:
@@ -169,14 +144,7 @@ def made_anew(
     options: dict[str, Any],
     state: EnvState | None,
 ) -> Any:
-    """Return an environment like the one that was copied or pickled.
-
-    Args:
-      kind: its class.
-      task: class, arms, settings and name of what to do.
-      options: what its class is called with.
-      state: of its worlds, None before the first `reset`.
-    """
+    """Return an environment like the one, in this state, that was copied or pickled."""
     task_class, arms, config, name = task
     same = task_class(arms, config)
     same.name = name

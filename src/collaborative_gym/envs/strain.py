@@ -46,7 +46,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.scene.contacts import (
     DEPTHS,
-    add_force_sensor,
+    add_contact_sensor,
     contact_pairs,
     depth_sensors,
 )
@@ -103,10 +103,10 @@ def add_strain_sensors(scene: Scene) -> None:
     spec = scene.spec
     for kind, pairs in contact_pairs(spec, scene.robots).items():
         for i, pair in enumerate(pairs):
-            add_force_sensor(spec, f"{kind} net {i}", *pair)
+            add_contact_sensor(spec, f"{kind} net {i}", *pair)
     for site in {bond.name1 for bond in _bonds(scene)}:
         body = spec.site(site).parent.name
-        add_force_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body), None)
+        add_contact_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body))
         # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(
             name=f"{body} force",
@@ -128,25 +128,16 @@ def _bonds(scene: Scene) -> list[mujoco.MjsEquality]:
 
 @dataclass(frozen=True)
 class _Held:
-    """Something that arms can hold.
+    """Something that arms can hold."""
 
-    Attributes:
-      tool: its body's id, if it is a part of one arm and held by that, too.
-      bonds: of each arm that can hold it the ids of the constraint and of the hand's
-        body, and where the net force of this body's contacts is in `sensordata`.
-    """
-
-    tool: int | None
+    tool: int | None  # id of its body, if it is a part of one arm, which holds it, too
+    # Of each arm that can hold it: ids of the constraint and of the hand's body, and
+    # where the net force of this body's contacts is in `sensordata`.
     bonds: list[tuple[int, int, slice]]
 
 
 class Strain:
-    """Measures the strain of episodes, as this module describes it.
-
-    Args:
-      scene: the compiled scene, which had `add_strain_sensors`.
-      sim: its worlds.
-      mode: what turns the joints.
+    """Measures the strain of episodes; the scene had `add_strain_sensors`.
 
     Attributes:
       depths: by kind of contact, how deep the deepest was in the physics steps that
@@ -176,22 +167,14 @@ class Strain:
     def records(self, substeps: int) -> dict[str, np.ndarray]:
         """Return the arrays that so many physics steps are to be recorded in."""
         if not self._records or self._records["qvel"].shape[1] != substeps:
-            self._records = {
-                name: np.zeros(
-                    (self._sim.num_envs, substeps, *field.shape), field.dtype
-                )
-                for name in _RECORDS
-                for field in [getattr(self._data, name)]
-            }
+            for name in _RECORDS:
+                field = getattr(self._data, name)
+                shape = (self._sim.num_envs, substeps, *field.shape)
+                self._records[name] = np.zeros(shape, field.dtype)
         return self._records
 
     def count(self, rows: dict[str, Array], moved: Array) -> None:
-        """Bring rows up to the physics steps that were last recorded.
-
-        Args:
-          rows: of the episodes, those of `BLANK` among them; they are replaced.
-          moved: (num_envs,) where these steps count.
-        """
+        """Bring episodes' rows up to the recorded physics steps, where they `moved`."""
         found = self._found(self._records, slice(None), SIM_DT)
         for refined in self._sim.refined:
             env_ids, steps = refined.env_ids, refined.steps
@@ -222,22 +205,19 @@ class Strain:
     def _found(
         self, records: dict[str, np.ndarray], env_ids: EnvIds, dt: float
     ) -> dict[str, np.ndarray]:
-        """Return what some worlds' steps come to by name, (worlds, steps) each.
-
-        Args:
-          records: what these steps found.
-          env_ids: the worlds.
-          dt: how long a step is, in s.
-        """
+        """Return by name what recorded steps of `dt` s come to, (worlds, steps)."""
         sensed = records["sensordata"]
         torque = records["actuator_force"][:, :, self._servos]
         speed = records["qvel"][:, :, self._dofs]
         limit = self._sim.limits(self._servos)
         limit = (limit if len(limit) == 1 else limit[env_ids])[:, None]
         before = records["actuator_velocity"][:, :, self._servos]
+        yields = self._mode.yields(before, speed, dt)
+        # At its limit a torque does not depend on the state.
+        yields = np.where(np.abs(torque) < limit, yields, 0.0)
         found = {
             "speed_over_limit": np.max(np.abs(speed) / self._speed, axis=2),
-            "energy": self._power(torque, before, speed, limit, dt) * dt,
+            "energy": math.dot(np.abs(torque - yields), np.abs(speed)) * dt,
             "torque_limit_share": (np.abs(torque) >= _AT_LIMIT * limit).mean(axis=2),
         }
         for kind in DEPTHS:
@@ -247,42 +227,16 @@ class Strain:
                 force = math.norm(sensed[:, :, self._forces[kind]])
                 found[f"contact_force_{kind}"] = force.max(axis=2)
         if self._held:
-            forces = [
-                self._internal_force(held, records, env_ids) for held in self._held
-            ]
-            is_held = [self._is_held(held, records) for held in self._held]
+            forces, is_held = [], []
+            for held in self._held:
+                forces.append(self._internal_force(held, records, env_ids))
+                bonds = [bond for bond, _, _ in held.bonds]
+                arms = records["eq_active"][:, :, bonds].sum(axis=2)
+                is_held.append(arms + (held.tool is not None) >= 2)
             found["internal_force"] = np.max(forces, axis=0)
             found["internal_force_mean"] = found["internal_force"].copy()
             found[_HELD_STEPS] = np.any(is_held, axis=0)
         return found
-
-    def _power(
-        self,
-        torque: np.ndarray,
-        before: np.ndarray,
-        speed: np.ndarray,
-        limit: np.ndarray,
-        dt: float,
-    ) -> np.ndarray:
-        """Return the sum of the joints' powers by amount, (worlds, steps), in W.
-
-        Args:
-          torque: of the servos before each step, (worlds, steps, joints).
-          before: speeds of the joints then.
-          speed: those after it.
-          limit: the greatest torques, (1 or worlds, 1, joints).
-          dt: how long a step is, in s.
-        """
-        yields = self._mode.yields(before, speed, dt)
-        # At its limit a torque does not depend on the state.
-        yields = np.where(np.abs(torque) < limit, yields, 0.0)
-        return math.dot(np.abs(torque - yields), np.abs(speed))
-
-    def _is_held(self, held: _Held, records: dict[str, np.ndarray]) -> np.ndarray:
-        """Return when two arms or more hold a thing, (worlds, steps)."""
-        bonds = [bond for bond, _, _ in held.bonds]
-        arms = records["eq_active"][:, :, bonds].sum(axis=2)
-        return arms + (held.tool is not None) >= 2
 
     def _internal_force(
         self, held: _Held, records: dict[str, np.ndarray], env_ids: EnvIds
@@ -320,11 +274,7 @@ class Strain:
 
 
 def internal_force(forces: Sequence[Array]) -> Array:
-    """Return what arms spend against each other, as this module defines it.
-
-    Args:
-      forces: of each arm on what all hold, (..., 3), in N.
-    """
+    """Return what arms spend against each other, by their forces (..., 3) in N."""
     total = np.sum(forces, axis=0)
     square = np.maximum(math.dot(total, total), 1e-12)
     spent = []
@@ -335,11 +285,7 @@ def internal_force(forces: Sequence[Array]) -> Array:
 
 
 def told(rows: Mapping[str, Array]) -> dict[str, Array]:
-    """Return copies of what episodes' rows tell, by the names of `STRAIN`.
-
-    Args:
-      rows: of the episodes, those of `BLANK` and `length` among them.
-    """
+    """Return the strain of episodes, by the names of `STRAIN`, from their rows."""
     strain = {name: rows[f"strain: {name}"] + 0.0 for name in STRAIN}
     strain["torque_limit_share"] /= np.maximum(rows["length"], 1) * SUBSTEPS
     strain["internal_force_mean"] /= np.maximum(rows[_HELD_STEPS], 1)

@@ -18,12 +18,9 @@ class Turns:
     def take(
         self, keep: Callable[[], Callable[[], None]] | None = None
     ) -> Iterator[None]:
-        """Let the calling thread in, and undo what fails.
+        """Let the calling thread in, and undo what fails by what `keep` returned.
 
         The same thread may come in again, as a watcher that draws a picture does.
-
-        Args:
-          keep: for a call that changes something, returns a function that undoes it.
 
         Raises:
           RuntimeError: in another process, while another thread is inside, or for a
@@ -41,29 +38,21 @@ class Turns:
                 f"thread {self._visitor!r} is inside this environment, which serves one"
                 " thread at a time; make one for each thread, or take turns by a lock"
             )
+        outer, put_back = self._is_changing, None
         try:
             self._visitor = threading.current_thread().name
-            if keep is None:
-                yield
-            else:
-                with self._change(keep):
-                    yield
-        finally:
-            self._lock.release()
-
-    @contextmanager
-    def _change(self, keep: Callable[[], Callable[[], None]]) -> Iterator[None]:
-        if self._is_changing:
-            raise RuntimeError(
-                "the environment is in the middle of a step; what watches it may look"
-                " and draw, but not step, reset or set the state"
-            )
-        put_back = keep()
-        self._is_changing = True
-        try:
+            if keep is not None:
+                if outer:
+                    raise RuntimeError(
+                        "the environment is in the middle of a step; what watches it"
+                        " may look and draw, but not step, reset or set the state"
+                    )
+                put_back, self._is_changing = keep(), True
             yield
         except BaseException:
-            put_back()
+            if put_back is not None:
+                put_back()
             raise
         finally:
-            self._is_changing = False
+            self._is_changing = outer
+            self._lock.release()

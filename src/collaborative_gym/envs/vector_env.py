@@ -9,11 +9,10 @@ from collaborative_gym.control import Command
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes, where
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied
-from collaborative_gym.envs.starts import Starts
-from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, taken
+from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, take
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
-from collaborative_gym.envs.world import World
+from collaborative_gym.envs.world import Starts, World
 from collaborative_gym.errors import (
     MOST_ENVS,
     MOST_THREADS,
@@ -146,8 +145,8 @@ class VectorEnv:
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.get_state() if self._is_started else None
-        task, arms = self.task, tuple(self.task.robots.values())
-        made = type(task), arms, task.config, task.name
+        task = self.task
+        made = type(task), tuple(task.robots.values()), task.config, task.name
         return made_anew, (type(self), made, self._options, state)
 
     @property
@@ -304,8 +303,7 @@ class VectorEnv:
         with self._turns.take():
             self._check_started("get_state")
             rows = check_env_ids(env_ids, self.num_envs)
-            parts = self.sim, self._progress.rows
-            return EnvState(*taken(*parts, rows), self.identity)
+            return take(self.sim, self._progress.rows, rows, self.identity)
 
     def set_state(
         self, state: EnvState, env_ids: EnvIds = None, *, from_another: bool = False
@@ -330,7 +328,7 @@ class VectorEnv:
                 self._check_started("set_state")
             rows = check_env_ids(env_ids, self.num_envs)
             parts = self.sim, self._progress.rows
-            own = EnvState(*taken(*parts, rows), self.identity)
+            own = take(*parts, rows, self.identity)
             steps = self.task.config.max_episode_steps
             check_state(state, own, steps, from_another=from_another)
             put(state, *parts, rows)

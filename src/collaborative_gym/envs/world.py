@@ -1,16 +1,19 @@
-"""A task compiled once, for all environments of it."""
+"""A task compiled once, for all environments of it, and starts of its episodes."""
 
+from collections.abc import Mapping
 from copy import copy
 from functools import cached_property
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from collaborative_gym.control import ActionMode, get_mode
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.strain import add_strain_sensors
 from collaborative_gym.errors import check_kind
 from collaborative_gym.math import Array
+from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.tasks.identity import Identity
@@ -21,12 +24,8 @@ class World:
     """A task's scene, compiled, and all that follows from it.
 
     Environments share it and change nothing of it. `World.of` compiles a task only
-    once, however many environments, and variations of the task by `Task.varied`, ask
-    for it.
-
-    Args:
-      task: what to do; it is left as it is.
-      strain: whether the sensors that measure strain are in it.
+    once, however many environments, and variations by `Task.varied`, ask for it. With
+    `strain` it has the sensors that measure strain.
 
     Attributes:
       task: a copy of the task that knows the compiled world.
@@ -79,10 +78,7 @@ class World:
         return sim, self.mode(self.scene, sim, self.task.gripping)
 
     def flat(self, facts: Any, xp: Any) -> dict[str, Array]:
-        """Return the flat view of what the robots see of facts, by agent.
-
-        It has the numbers of all blocks, one after the other, (num_envs, k) float32.
-        """
+        """Return all blocks by agent, one after the other, (num_envs, k) float32."""
         flat = {}
         for agent, own in self.task.observe(facts).items():
             rows = list(own.values())
@@ -99,3 +95,41 @@ class World:
     def drawn_model(self) -> mujoco.MjModel:
         """The world with all that is only drawn; `qpos` and mocap are the same."""
         return self.scene.compile_to_draw()
+
+
+class Starts:
+    """The start of an episode for each world, drawn before it is needed.
+
+    A start depends on nothing but the seed and the index of its episode. So where one
+    is missing, those that other worlds need next are drawn with it: many at once take
+    hardly longer than one.
+
+    Attributes:
+      sim: worlds of their own, as many, in which the starts wait.
+      observations: what the robots see at the starts, by agent, (num_envs, k).
+    """
+
+    def __init__(self, world: World, num_envs: int, num_threads: int):
+        self._world = world
+        self.sim, self._mode = world.batch(num_envs, num_threads)
+        self.observations: dict[str, Array] = {}
+        self._drawn = np.full((2, num_envs), -1)
+
+    def prepare(self, env_ids: np.ndarray, progress: Mapping[str, Array]) -> None:
+        """Draw the starts of these worlds' present episodes, unless they are there."""
+        task, sim, count = self._world.task, self.sim, self.sim.num_envs
+        wanted = np.stack([progress["seed"], progress["episode"] + count])
+        wanted[1, env_ids] -= count
+        missing = (self._drawn != wanted).any(axis=0)
+        if not missing[env_ids].any():
+            return
+        rows = np.flatnonzero(missing)
+        self._drawn[:, rows] = -1
+        sim.reset(rows)
+        for name, array in task.remember(len(rows)).items():
+            sim.memory[name][rows] = array
+        task.reset(sim, rows, rng=EpisodeRandom(*wanted[:, rows]))
+        self._mode.start(rows)
+        sim.forward(rows)
+        self.observations = self._world.flat(task.measure(sim), sim.xp)
+        self._drawn[:, rows] = wanted[:, rows]

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from collaborative_gym.math import Array
 from collaborative_gym.motion.poses import central_pose
-from collaborative_gym.motion.solver import Chains, descend
+from collaborative_gym.motion.solver import Chains, descend, greatest
 from collaborative_gym.scene import Arm
 
 _STEPS = 150
@@ -32,6 +32,9 @@ class Chart:
 
     Raises:
       ValueError: if the arm cannot reach all of the area.
+
+    Attributes:
+      chains: the arm's kinematics.
     """
 
     def __init__(
@@ -54,17 +57,17 @@ class Chart:
         poses = [(place, approach) for place in places((-1, 1), (-1, 0, 1))]
         centre = central_pose(model, arm, poses=[(middle, approach), *poses])
         goals = places(*(np.linspace(-1.0, 1.0, count) for count in shape))
-        chains, rows = Chains(model, [arm]), np.zeros(len(goals), int)
-        angles, misses = descend(
-            chains.of(rows),
+        self.chains = chains = Chains(model, [arm])
+        angles, missed = descend(
+            chains.of(np.zeros(len(goals), int)),
             np.tile(centre, (len(goals), 1)),
             goal=(goals, np.tile(approach, (len(goals), 1))),
-            limits=(chains.low[rows], chains.high[rows]),
             steps=_STEPS,
-            enough=_NEAR,
+            is_there=lambda error: greatest(error) < _NEAR,
             # This keeps the free motion near the middle's, and fades out.
             lean=lambda step, angle, *_: 0.03 * 0.97**step * (centre - angle),
         )
+        misses = greatest(missed)
         if misses.max() > 10 * _NEAR:
             worst = np.round(goals[misses.argmax()], 2).tolist()
             raise ValueError(

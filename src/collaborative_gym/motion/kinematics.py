@@ -23,13 +23,8 @@ Pose = tuple[Array, Array]
 class Kinematics:
     """The kinematics of arms in closed form, each in the frame of its own base.
 
-    Arms with fewer joints than others get joints that move nothing.
-
-    Args:
-      model: the compiled world.
-      arms: which arms.
-      yaws: of their bases, in rad.
-      xp: array API namespace of what is computed.
+    Arms with fewer joints than others get joints that move nothing. The bases' yaws are
+    in rad.
 
     Attributes:
       moves: which joints move something, (joints, arms, 1) ones and zeros.
@@ -58,15 +53,7 @@ class Kinematics:
         self.moves = xp.asarray(moves[..., None])
 
     def __call__(self, angles: Array) -> tuple[Pose, Array]:
-        """Return the tcps' poses and Jacobians.
-
-        Args:
-          angles: of the joints, (joints, arms, worlds), in rad.
-
-        Returns:
-          The poses, and what a rad of each joint does to them, (6, joints, arms,
-          worlds), in m and rad.
-        """
+        """Return the tcps' poses and Jacobians (6, joints, arms, worlds)."""
         xp = array_namespace(angles)
         cosine, sine = xp.cos(angles), xp.sin(angles)
         axes, anchors = [], []
@@ -91,15 +78,13 @@ def _frames(
 ) -> list[np.ndarray]:
     """Return frames (3, 4) at joint angles of zero, as seen from the arm's base.
 
-    Those of the joints have their axes as z; then comes that of the tcp, as often as
-    joints are missing and once more.
+    Joints have their axes as z. The tcp's follows, once more than joints are missing.
     """
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = 0.0
     mujoco.mj_kinematics(model, data)
-    turned = np.array(
-        [[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
-    )
+    c, s = np.cos(yaw), np.sin(yaw)
+    turned = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
     frames = []
     for joint in model.dof_jntid[arm.dof]:
         z = data.xaxis[joint]
@@ -118,14 +103,8 @@ def travel(start: Pose, end: Pose) -> Array:
         [_total([end[1][i, k] * start[1][j, k] for k in range(3)]) for j in range(3)]
         for i in range(3)
     ]
-    axis = xp.stack(
-        [
-            turned[2][1] - turned[1][2],
-            turned[0][2] - turned[2][0],
-            turned[1][0] - turned[0][1],
-        ],
-        axis=0,
-    )
+    pairs = (2, 1), (0, 2), (1, 0)
+    axis = xp.stack([turned[i][j] - turned[j][i] for i, j in pairs], axis=0)
     # Twice the sine and the cosine of the angle, the axis being as long as the former.
     sine = _total([axis[i] * axis[i] for i in range(3)]) ** 0.5
     cosine = turned[0][0] + turned[1][1] + turned[2][2] - 1.0
@@ -137,15 +116,7 @@ def travel(start: Pose, end: Pose) -> Array:
 def damped_change(
     jacobian: Array, error: Array, *, lean: Array, free: Array, damping: float
 ) -> Array:
-    """Return joint changes that reduce an error, and make another change beside.
-
-    Args:
-      jacobian: (6, joints, arms, worlds).
-      error: what is missing, (6, arms, worlds), in m and rad.
-      lean: what the free motion of the arms should come to, (joints, arms, worlds).
-      free: which joints may turn, ones and zeros of that shape.
-      damping: bounds the changes where an arm hardly moves its tcp.
-    """
+    """Return changes as `joint_change` does, of joints where `free` is 1 and not 0."""
     active, lean = jacobian * free, lean * free
     joints = range(lean.shape[0])
     missing = error - _total([active[:, j] * lean[j] for j in joints])

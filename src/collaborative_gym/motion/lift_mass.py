@@ -1,6 +1,6 @@
 """The mass of Lift's pot: too heavy for either arm, light enough for both.
 
-`statics` searches for the postures in which an arm's torque limits carry most: for one
+`loads` searches for the postures in which an arm's torque limits carry most: for one
 arm with the pot hanging from its handle anywhere in the success radius, and for both
 along the way of their handles. The mass is the geometric mean of what the stronger arm
 carries alone and what both carry together, so that both have the same share to spare.
@@ -21,25 +21,17 @@ _MARGIN = 1.2
 """The pot weighs at least so many times what one arm can carry, and two arms can carry
 at least so many times the pot."""
 
-_GREATEST_SHARE = 0.65
-"""Greatest share of the pot's weight on one handle."""
+_GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 
 
 @dataclass(frozen=True)
 class Weighing:
-    """What two arms carry. Tuples have an entry for each arm.
+    """What two arms carry. Tuples have an entry for each arm."""
 
-    Attributes:
-      ways: how they carry their handles to the target, approaches in the world frame.
-      alone: the mass in kg that each could hold near the target without help.
-      together: the mass in kg that both can hold all the way to the target.
-      shares: of the pot's weight on each handle.
-    """
-
-    ways: tuple[Way, ...]
-    alone: tuple[float, ...]
-    together: float
-    shares: tuple[float, float]
+    ways: tuple[Way, ...]  # of their handles, with approaches in the world frame
+    alone: tuple[float, ...]  # kg that each could hold near the target without help
+    together: float  # kg that both can hold all the way to the target
+    shares: tuple[float, float]  # of the pot's weight on each handle
 
     @property
     def pot_mass(self) -> float:
@@ -77,30 +69,23 @@ def weigh(
       ends: start and end (3,) of the way of each arm's handle, in the world frame.
       target: (3,) where the pot is to go.
       radius: distance of the pot to the target that counts as there, in m.
-
-    Raises:
-      ValueError: if an arm does not reach.
     """
     ways, alone = [], []
     for robot, placement, line in zip(robots, placements, ends, strict=True):
-        start, end, middle = (_from_base(placement, point) for point in (*line, target))
-        way = strongest_way(robot, start=start, end=end)
+        back = math.from_yaw(np.array(-placement.yaw))
+        points = np.array([*line, target]) - np.array(placement.position)
+        # In the frame of the arm's base, to the micrometre.
+        start, end, middle = math.rotate(back, points).round(6)
+        way = strongest_way(robot, start=tuple(start.tolist()), end=tuple(end.tolist()))
         turn = math.from_yaw(np.array(placement.yaw))
         ways.append(replace(way, approach=math.rotate(turn, way.approach)))
-        alone.append(greatest_load(robot, _places(np.array(middle), radius)))
+        alone.append(greatest_load(robot, _places(middle, radius)))
     first, second = (way.load for way in ways)
     # The contents lie nearer to the stronger arm, but still inside the pot.
     share = second / (first + second)
     share = min(max(share, 1 - _GREATEST_SHARE), _GREATEST_SHARE)
     together = min(first / (1 - share), second / share)
     return Weighing(tuple(ways), tuple(alone), together, (1 - share, share))
-
-
-def _from_base(placement: Placement, point: np.ndarray) -> tuple[float, float, float]:
-    """Return a world point in the frame of an arm's base, to the micrometre."""
-    turn = math.from_yaw(np.array(-placement.yaw))
-    x, y, z = math.rotate(turn, point - np.array(placement.position)).round(6).tolist()
-    return x, y, z
 
 
 def _places(

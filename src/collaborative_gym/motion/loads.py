@@ -13,57 +13,33 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.solver import Goal, descend, simulated
+from collaborative_gym.motion.solver import Goal, Postures, descend, simulated
 from collaborative_gym.robots import Robot
 from collaborative_gym.robots.data import GRAVITY
-from collaborative_gym.scene import Arm, Placement, Scene
+from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 
 UP = np.array([0.0, 0.0, 1.0])
 """The direction in which an arm pulls to hold a weight."""
 
-_SHARPNESS = 8
-"""Exponent of the mean that stands for the greatest torque where a slope is needed."""
-
-_FIRST_MOVES, _MOVES = 40, 20
-"""Steps of a search for a strong posture, at the first and at later path points."""
-
-_LIMIT_ROOM = 0.15
-"""How far from their limits joints stay in strong postures, in rad."""
-
-_TOLERANCE = 0.005
-"""Greatest miss of a point that counts as reached, in m."""
-
-_STARTS = 16
-"""From how many postures each of some positions is searched."""
-
-_WAYPOINTS, _TRIES = 5, 128
-"""Points of a way, and from how many postures it is searched."""
-
-_REDUNDANT = 7
-"""An arm with at least so many joints can turn its elbow while the hand stays as it
-is."""
-
-_DIPS = np.radians([25.0, 40.0, 60.0, 80.0])
-"""How far down the gripper points where it is held to a direction, in rad."""
-
-_CLEARANCE = 0.08
-"""Least height in m of an arm's elbow above what the arm stands on."""
+_SHARPNESS = 8  # exponent of the mean that stands for the greatest torque in slopes
+_FIRST_MOVES, _MOVES = 40, 20  # steps of a search at the first and later path points
+_LIMIT_ROOM = 0.15  # rad from their limits, where joints stay in strong postures
+_TOLERANCE = 0.005  # m, greatest miss of a point that counts as reached
+_STARTS = 16  # postures from which each of some positions is searched
+_WAYPOINTS, _TRIES = 5, 128  # points of a way, postures from which it is searched
+_REDUNDANT = 7  # joints of an arm that can turn its elbow while its hand stays
+_DIPS = np.radians([25.0, 40.0, 60.0, 80.0])  # below level, of hands that keep so
+_CLEARANCE = 0.08  # m, least height of an elbow above what the arm stands on
 
 
 @dataclass(frozen=True)
 class Way:
-    """How an arm carries a load along a straight line.
+    """How an arm carries a load along a straight line."""
 
-    Attributes:
-      load: the mass in kg that it can hold all along.
-      angles: joint angles at each waypoint, (waypoints, joints), in rad.
-      approach: direction of the tcp's z axis at the first waypoint, (3,).
-    """
-
-    load: float
-    angles: np.ndarray
-    approach: np.ndarray
+    load: float  # kg that it can hold all along
+    angles: np.ndarray  # at each waypoint, (waypoints, joints), in rad
+    approach: np.ndarray  # direction of the tcp's z axis at the first waypoint, (3,)
 
     def at(self, progress: Array) -> np.ndarray:
         """Return joint angles (n, joints) at shares (n,) of the way."""
@@ -76,25 +52,16 @@ class Way:
 def torque_shares(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
     """Return joint torques per kg hung on the tcp, as signed shares of their limits.
 
-    Args:
-      robot: the arm.
-      jacobian: (n, 6, joints) of the tcp's position and orientation.
-      pull: direction in which the arm pulls against the load, (3,).
+    Jacobians are (n, 6, joints); the arm pulls against the load in a direction (3,).
     """
     levers = math.dot(jacobian[:, :3].swapaxes(1, 2), pull)
     return levers * (GRAVITY / np.array(robot.torque_limits))
 
 
 def relief(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
-    """Return the direction of joint motion that most relieves the arm of a load.
+    """Return the directions of joint motion that most relieve the arm of a load.
 
-    Args:
-      robot: the arm.
-      jacobian: (n, 6, joints) of the tcp's position and orientation.
-      pull: direction in which the arm pulls against the load, (3,).
-
-    Returns:
-      (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`.
+    They are (n, joints) unit vectors, downhill on a smooth maximum of `torque_shares`.
     """
     levers, axes = jacobian[:, :3], jacobian[:, 3:]
     shares = torque_shares(robot, jacobian, pull)
@@ -118,13 +85,12 @@ def greatest_load(
 ) -> float:
     """Return the greatest mass in kg that an arm can hold at one of some positions.
 
+    The first joint reaches its torque limit then, in the strongest posture found. It is
+    0 if the arm reaches none of the positions.
+
     Args:
       robot: the arm.
       positions: of the tcp, in the frame of the arm's base, in m.
-
-    Returns:
-      The mass at which the first joint reaches its torque limit, in the strongest
-      posture found; 0 if the arm reaches none of the positions.
     """
     paths = np.repeat(np.array(positions)[:, None], _STARTS, axis=0)
     return float(strong_paths(robot, paths)[0].max())
@@ -140,19 +106,19 @@ def strong_paths(
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 
     Each path is searched once, from a random posture: repeat a path to search it more
-    thoroughly. The postures along a path follow one another without a jump.
+    thoroughly. The postures along a path follow one another without a jump. All is in
+    the frame of the arm's base, in m and kg.
 
     Args:
       robot: the arm.
-      positions: (n, points, 3) of the tcp, in the frame of the arm's base, in m.
-      approaches: (n, 3) directions to which the tcp's z axis keeps along each path, in
-        the same frame; None leaves the orientation free.
-      pull: direction in which the arm pulls against the load, (3,), in the same frame.
+      positions: (n, points, 3) of the tcp.
+      approaches: (n, 3) directions to which the tcp's z axis keeps along each path;
+        None leaves the orientation free.
+      pull: direction in which the arm pulls against the load, (3,).
 
     Returns:
-      The loads (n,) in kg at the weakest point of each path, 0 where the arm misses a
-      point, the joint angles (n, points, joints), and the orientations of the tcp
-      (n, points, 4) that come of them, in the frame of the base.
+      The loads (n,) at the weakest point of each path, 0 where the arm misses a point,
+      joint angles (n, points, joints), and the tcp's quaternions (n, points, 4).
     """
     scene = Scene()
     scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
@@ -163,13 +129,12 @@ def strong_paths(
     low, high = low + room, high - room
     bounds = np.maximum(low, -np.pi), np.minimum(high, 2 * np.pi)
     posture = np.random.default_rng(0).uniform(*bounds, (sim.num_envs, len(low)))
+    postures = simulated(sim, arm, (low, high))
     loads, angles, quats = np.full(len(positions), np.inf), [], []
     for i in range(positions.shape[1]):
         moves = _FIRST_MOVES if i == 0 else _MOVES
         goal = positions[:, i], approaches
-        posture, held = _strengthen(
-            sim, arm, posture, goal, (low, high), moves=moves, pull=pull
-        )
+        posture, held = _strengthen(postures, arm.robot, posture, goal, moves, pull)
         loads = np.minimum(loads, held)
         angles.append(posture)
         quats.append(np.array(sim.pose("arm/tcp")[1]))
@@ -177,35 +142,26 @@ def strong_paths(
 
 
 def _strengthen(
-    sim: CpuSim,
-    arm: Arm,
-    posture: Array,
-    goal: Goal,
-    limits: tuple[Array, Array],
-    *,
-    moves: int,
-    pull: Array,
+    postures: Postures, robot: Robot, start: Array, goal: Goal, moves: int, pull: Array
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return strong postures with the tcp at positions, and what they hold."""
-    kinematics, robot = simulated(sim, arm), arm.robot
 
     def lean(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
         # The last moves only restore the position.
         return 0.3 * max(0.0, 1 - step / (moves - 6)) * relief(robot, jacobian, pull)
 
-    posture, _ = descend(
-        kinematics,
-        posture,
+    angles, _ = descend(
+        postures,
+        start,
         goal=goal,
-        limits=limits,
         steps=moves,
         bound=lambda error: np.clip(error, -0.3, 0.3),
         lean=lean,
     )
-    here, _, jacobian = kinematics(posture, np.arange(len(posture)))
+    here, _, jacobian = postures.at(angles, np.arange(len(angles)))
     shares = np.abs(torque_shares(robot, jacobian, pull)).max(axis=1)
     is_there = math.distance(goal[0], here) < _TOLERANCE
-    return posture, np.where(is_there, 1 / shares, 0.0)
+    return angles, np.where(is_there, 1 / shares, 0.0)
 
 
 @lru_cache(maxsize=64)

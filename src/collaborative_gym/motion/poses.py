@@ -11,8 +11,8 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import (
     Chains,
-    Kinematics,
     descend,
+    greatest,
     joint_change,
     simulated,
 )
@@ -20,17 +20,10 @@ from collaborative_gym.motion.steering import shortened
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
 
-_DRAWS = 24
-"""From how many postures `central_pose` chooses."""
-
-_WAY_TRIES = 10
-"""Starts that `quickest_way` tries for each pose."""
-
-_ANY_POSE = 6
-"""An arm of fewer joints cannot take every pose within its reach."""
-
-_EXACT = 1e-4
-"""By how much in m and rad the poses of `hold` may be missed."""
+_DRAWS = 24  # from how many postures `central_pose` chooses
+_WAY_TRIES = 10  # starts that `quickest_way` tries for each pose
+_ANY_POSE = 6  # an arm of fewer joints cannot take every pose within its reach
+_EXACT = 1e-4  # by how much in m and rad the poses of `hold` may be missed
 
 
 def solve_pose(
@@ -55,48 +48,36 @@ def solve_pose(
       ValueError: if no try comes within 1 mm and 0.01 rad.
     """
     position, orientation = (np.asarray(part, float) for part in goal)
-    kinematics = simulated(CpuSim(model, tries, num_threads=1), arm)
+    sim = CpuSim(model, tries, num_threads=1)
     rng, best = np.random.default_rng(0), np.inf
     spreads = [0.0] + [0.2 + i / tries for i in range(1, tries)]
     drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
     # The first try is mostly enough; the others run side by side.
     for starts in np.split(np.asarray(start) + drawn, [1]):
-        angles, misses = _search(kinematics, arm, (position, orientation), starts)
+        middle = np.clip(starts, *arm.joint_range)
+        angles, missed = descend(
+            simulated(sim, arm),
+            middle,
+            goal=(position, orientation),
+            steps=100,
+            is_there=lambda error: _in_tolerances(error) < 0.1,
+            bound=_within_sight,
+            lean=lambda step, angle, rows, _, middle=middle: (
+                0.02 * (middle[rows] - angle)
+            ),
+        )
+        misses = _in_tolerances(missed)
         if (misses < 1.0).any():
             return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
         best = misses.min(initial=best)
     remedy = "mount it nearer or choose an arm with a longer reach"
-    if arm.num_joints < _ANY_POSE:
-        remedy += (
-            f", or one of {_ANY_POSE} joints: {arm.num_joints} do not take every pose"
-        )
+    if (count := arm.num_joints) < _ANY_POSE:
+        remedy += f", or one of {_ANY_POSE} joints: {count} do not take every pose"
     raise ValueError(
         f"{arm.robot.name} cannot bring its tcp to {np.round(position, 3).tolist()}"
         f" with orientation {np.round(orientation, 3).tolist()}"
         f" (best try missed by {best:.0f} times the tolerance of 1 mm and 0.01 rad);"
         f" {remedy}"
-    )
-
-
-def _search(
-    kinematics: Kinematics,
-    arm: Arm,
-    goal: tuple[np.ndarray, np.ndarray],
-    starts: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return where descents from starts end, and their misses in tolerances."""
-    low, high = arm.joint_range
-    middle = np.clip(starts, low, high)
-    return descend(
-        kinematics,
-        middle,
-        goal=goal,
-        limits=(low, high),
-        steps=100,
-        enough=0.1,
-        miss=_in_tolerances,
-        bound=_within_sight,
-        lean=lambda step, angle, rows, jacobian: 0.02 * (middle[rows] - angle),
     )
 
 
@@ -138,19 +119,18 @@ def hold(
     for i, (goal, angles) in enumerate(zip(goals, near, strict=True)):
         start[i, :, : angles.shape[1]] = angles
         positions[i], turns[i] = goal
-    limits = chains.low[arm], chains.high[arm]
-    angles, misses = descend(
-        chains.of(arm),
-        np.clip(start.reshape(-1, most), *limits),
+    postures = chains.of(arm)
+    angles, missed = descend(
+        postures,
+        np.clip(start.reshape(-1, most), postures.low, postures.high),
         goal=(positions.reshape(-1, 3), turns.reshape(start[..., 0].size, -1)),
-        limits=limits,
         steps=20,
-        enough=1e-6,
+        is_there=lambda error: greatest(error) < 1e-6,
         change=partial(joint_change, damping=0.01, longest=0.5, rounds=1),
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]
-    return found, misses.reshape(-1, count).max(axis=0) < _EXACT
+    return found, greatest(missed).reshape(-1, count).max(axis=0) < _EXACT
 
 
 def hold_moved(
@@ -160,17 +140,13 @@ def hold_moved(
     moved: np.ndarray,
     near: Sequence[Array],
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return joint angles that hold a moved thing, which is moved less far if need be.
+    """Return joint angles that hold a moved thing, and how far it is moved then.
 
     Args:
       chains: the arms' kinematics.
       grasps: returns each arm's goal, as `hold` takes them, of a thing so moved.
-      moved: (n, k) how far it is from its nominal place; halved until all arms reach
-        it.
-      near: for each arm, angles (n, joints) to begin with, in rad.
-
-    Returns:
-      The angles for each arm, and how far the thing is moved, (n, k).
+      moved: (n, k) how far from its nominal place; halved until all arms reach it.
+      near: as in `hold`.
     """
     held, left = [np.array(angles) for angles in near], np.arange(len(moved))
     there = np.zeros_like(moved)
@@ -232,13 +208,12 @@ def quickest_way(
     Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
     other.
 
+    It returns the way's index, and the joint angles at its poses, (poses, joints).
+
     Args:
       model: the compiled world.
       arm: whose tcp.
-      ways: each a sequence of poses, positions and orientations as for `solve_pose`.
-
-    Returns:
-      The way's index, and the joint angles at its poses, (poses, joints), in rad.
+      ways: each a sequence of goals as for `solve_pose`.
 
     Raises:
       ValueError: if the arm can go none of the ways.
@@ -252,7 +227,12 @@ def quickest_way(
         for pose in way:
             key += np.concatenate(pose).tobytes()
             if key not in solved:
-                solved[key] = _solved(model, arm, pose, angles[-1])
+                try:
+                    solved[key] = solve_pose(
+                        model, arm, goal=pose, start=angles[-1], tries=_WAY_TRIES
+                    )
+                except ValueError as error:
+                    solved[key] = error
             found = solved[key]
             if isinstance(found, ValueError):
                 failure = found
@@ -270,19 +250,6 @@ def quickest_way(
     return best
 
 
-def _solved(
-    model: mujoco.MjModel,
-    arm: Arm,
-    goal: tuple[ArrayLike, ArrayLike],
-    start: np.ndarray,
-) -> np.ndarray | ValueError:
-    """Return what `solve_pose` finds, or its error."""
-    try:
-        return solve_pose(model, arm, goal=goal, start=start, tries=_WAY_TRIES)
-    except ValueError as error:
-        return error
-
-
 def turn_fingers(
     model: mujoco.MjModel, arm: Arm, *, angles: np.ndarray, bar: np.ndarray
 ) -> np.ndarray:
@@ -295,7 +262,7 @@ def turn_fingers(
       model: the compiled world.
       arm: whose fingers.
       angles: (n, joints) postures, in rad.
-      bar: (3,) direction of the bar in the world frame.
+      bar: (3,) its direction in the world frame.
     """
     data = mujoco.MjData(model)
     joint = model.dof_jntid[arm.dof.stop - 1]

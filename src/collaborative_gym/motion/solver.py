@@ -5,6 +5,7 @@ is the same to the bit, whatever the other rows are.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.sim.sim import EnvIds, Sim
 
 DAMPING = 0.05
 """Damping of the least squares: bounds joint motion near singular poses."""
@@ -23,18 +25,27 @@ that leaves the turn about it free, or None."""
 
 _STILL = np.eye(4)
 
-Kinematics = Callable[[Array, Array], tuple[Array, Array, Array]]
-"""A function that returns, for angles (n, joints) of rows (n,), the tcps' positions
-(n, 3), their rotation matrices (n, 3, 3) and Jacobians (n, 6, joints)."""
+
+@dataclass(frozen=True)
+class Postures:
+    """Rows of a batch, each a posture of one arm.
+
+    Attributes:
+      at: returns the tcps' positions (n, 3), rotation matrices (n, 3, 3) and Jacobians
+        (n, 6, joints) for angles (n, joints) of rows (n,).
+      low: lowest angles, (joints,) or a row for each posture, in rad.
+      high: highest angles, likewise.
+    """
+
+    at: Callable[[Array, Array], tuple[Array, Array, Array]]
+    low: Array
+    high: Array
 
 
 def rotation_error(quat: Array, target: Array) -> Array:
-    """Return the rotation that is missing, as a world-frame vector in rad.
+    """Return the rotation from a quaternion to another, or to a direction of z.
 
-    Args:
-      quat: (..., 4) present orientation.
-      target: (..., 4) orientation to reach, or (..., 3) direction that the z axis is
-        to take.
+    It is a vector in the world frame, (..., 3), in rad.
     """
     if target.shape[-1] == 4:
         return math.rotation_vector(math.multiply(target, math.conjugate(quat)))
@@ -60,7 +71,7 @@ def joint_change(
     longest: float = np.inf,
     rounds: int = 3,
 ) -> Array:
-    """Return the joint changes that reduce an error, and also lean to a posture.
+    """Return the joint changes that reduce an error, and make another change beside.
 
     Joints that would run into their limits are left out, and the others solve it again.
 
@@ -72,9 +83,6 @@ def joint_change(
       damping: bounds the changes where the arm hardly moves the tcp.
       longest: change of a joint, in rad, beyond which all are scaled down.
       rounds: how often to solve at most; after the last, joints stop at their limits.
-
-    Returns:
-      (n, joints) in rad.
     """
     free, change = np.ones(lean.shape), np.zeros(lean.shape)
     damped, (lowest, highest) = damping**2 * np.eye(jacobian.shape[1]), room
@@ -86,7 +94,7 @@ def joint_change(
         needed = error - fixed - (active @ leaning[..., None])[..., 0]
         solved = np.linalg.solve(square, needed[..., None])
         step = leaning + (active.transpose(0, 2, 1) @ solved)[..., 0]
-        step = step / np.maximum(1.0, _greatest(step)[:, None] / longest)
+        step = step / np.maximum(1.0, greatest(step)[:, None] / longest)
         change = np.where(free > 0, step, change)
         limited = np.minimum(np.maximum(change, lowest), highest)
         stays = change == limited
@@ -94,6 +102,12 @@ def joint_change(
             break
         free, change = free * stays, limited
     return change
+
+
+def tcp_jacobian(sim: Sim, arm: Arm, tcp: Array, env_ids: EnvIds = None) -> np.ndarray:
+    """Return the Jacobian of an arm's tcp, which is there, (worlds, 6, joints)."""
+    both = sim.jacobian(arm.hand, tcp, env_ids)
+    return np.concatenate(both, axis=1)[:, :, arm.dof]
 
 
 def without_spin(jacobian: Array, error: Array, axis: Array) -> tuple[Array, Array]:
@@ -104,73 +118,57 @@ def without_spin(jacobian: Array, error: Array, axis: Array) -> tuple[Array, Arr
     return rows, np.concatenate([error[:, :3], turn], axis=1)
 
 
-def _quats(rotation: Array) -> np.ndarray:
-    """Return quaternions of rotation matrices (n, 3, 3)."""
-    quats = np.empty((len(rotation), 4))
-    # One by one is quickest for the few worlds that start together.
-    for quat, entries in zip(quats, rotation.reshape(-1, 9), strict=True):
-        mujoco.mju_mat2Quat(quat, entries)
-    return quats
-
-
-def _greatest(error: Array) -> np.ndarray:
+def greatest(error: Array) -> np.ndarray:
     """Return the worst coordinate of each error."""
     return np.abs(error).max(axis=1)
 
 
-def _all(error: Array) -> Array:
-    return error
-
-
-def _nothing(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
-    return np.zeros(angle.shape)
-
-
 def descend(
-    kinematics: Kinematics,
+    postures: Postures,
     start: Array,
     *,
     goal: Goal,
-    limits: tuple[Array, Array],
     steps: int,
-    enough: float = 0.0,
-    miss: Callable[[Array], Array] = _greatest,
-    bound: Callable[[Array], Array] = _all,
-    lean: Callable[[int, Array, Array, Array], Array] = _nothing,
+    is_there: Callable[[Array], Array] = lambda error: np.zeros(len(error), bool),
+    bound: Callable[[Array], Array] = lambda error: error,
+    lean: Callable[[int, Array, Array, Array], Array] | None = None,
     change: Callable[..., Array] = joint_change,
 ) -> tuple[Array, Array]:
-    """Return joint angles that bring tcps to their goals, and by how much they miss.
+    """Return joint angles that bring tcps to their goals, and what they still miss.
+
+    Errors are (n, 3 or 6), in m and rad.
 
     Args:
-      kinematics: of the rows' arms.
+      postures: the rows' kinematics.
       start: (n, joints) angles to begin with, within the limits, in rad.
       goal: of each row, (n, ...), or of all.
-      limits: lowest and highest angles, (n, joints) or (joints,) each.
       steps: greatest number of steps.
-      enough: a row stops once it misses by less.
-      miss: returns one number for each of the errors (n, 3 or 6) in m and rad; unless
-        given, the worst coordinate.
-      bound: returns the part of an error (n, 3 or 6) that one step works on.
+      is_there: returns for which errors a row stops.
+      bound: returns the part of an error that one step works on.
       lean: takes a step's number, and the angles (n, joints), indices and Jacobians of
-        the rows that go on; returns changes that the arms should make as well.
+        the rows that go on; returns changes beside.
       change: `joint_change`, or a partial of it with other options.
     """
     angles = np.array(start)
-    low, high = (np.full(angles.shape, limit) for limit in limits)
+    low, high = (np.full(angles.shape, x) for x in (postures.low, postures.high))
     position, orientation = goal
     position = np.full((len(angles), 3), position)
     aims = orientation is not None and orientation.shape[-1] == 3
     if orientation is not None:
         orientation = np.full((len(angles), orientation.shape[-1]), orientation)
-    misses, rows = np.full(len(angles), np.inf), np.arange(len(angles))
+    missed = np.zeros((len(angles), 3 if orientation is None else 6))
+    rows = np.arange(len(angles))
     for step in range(steps + 1):
-        here, rotation, jacobian = kinematics(angles[rows], rows)
-        error, quat = position[rows] - here, _quats(rotation)
+        here, rotation, jacobian = postures.at(angles[rows], rows)
+        error, quat = position[rows] - here, np.empty((len(rows), 4))
+        # One by one is quickest for the few worlds that start together.
+        for own, entries in zip(quat, rotation.reshape(-1, 9), strict=True):
+            mujoco.mju_mat2Quat(own, entries)
         if orientation is not None:
             turn = rotation_error(quat, orientation[rows])
             error = np.concatenate([error, turn], axis=1)
-        misses[rows] = miss(error)
-        goes_on = misses[rows] >= enough
+        missed[rows] = error
+        goes_on = ~is_there(error)
         if step == steps or not goes_on.any():
             break
         rows, error, jacobian = rows[goes_on], bound(error[goes_on]), jacobian[goes_on]
@@ -178,25 +176,26 @@ def descend(
         if aims:
             axis = math.axis_z(quat[goes_on])
             reduced, error = without_spin(reduced, error, axis)
-        posture = lean(step, angle, rows, jacobian)
+        free = lean(step, angle, rows, jacobian) if lean else np.zeros(angle.shape)
         room = low[rows] - angle, high[rows] - angle
-        angles[rows] = angle + change(reduced, error, lean=posture, room=room)
-    return angles, misses
+        angles[rows] = angle + change(reduced, error, lean=free, room=room)
+    return angles, missed
 
 
-def simulated(sim: CpuSim, arm: Arm) -> Kinematics:
-    """Return the kinematics of an arm, each row of which is a world of its own."""
+def simulated(
+    sim: CpuSim, arm: Arm, limits: tuple[Array, Array] | None = None
+) -> Postures:
+    """Return postures of an arm, each of a world of its own, within its range."""
     positions, rotations = sim.site_xpos, sim.site_xmat
 
-    def kinematics(angle: Array, rows: Array) -> tuple[Array, Array, Array]:
+    def at(angle: Array, rows: Array) -> tuple[Array, Array, Array]:
         sim.qpos[rows, arm.qpos] = angle
         sim.forward(rows)
         position = positions[rows, arm.tcp]
         rotation = rotations[rows, arm.tcp].reshape(-1, 3, 3)
-        jacobian = np.concatenate(sim.jacobian(arm.hand, position, rows), axis=1)
-        return position, rotation, jacobian[:, :, arm.dof]
+        return position, rotation, tcp_jacobian(sim, arm, position, rows)
 
-    return kinematics
+    return Postures(at, *(limits or arm.joint_range))
 
 
 class Chains:
@@ -232,12 +231,12 @@ class Chains:
         self._screws[..., :3, 3] = np.cross(anchors, axes)
         self._squares = self._screws @ self._screws
 
-    def of(self, arm: Array) -> Kinematics:
-        """Return the kinematics of rows (n,) that are postures of these arms."""
+    def of(self, arm: Array) -> Postures:
+        """Return rows that are postures of these arms, (n,) indices."""
         zero, tcp, lines = self._zero[arm], self._tcp[arm], self._lines[arm]
         screws, squares = self._screws[arm], self._squares[arm]
 
-        def kinematics(angle: Array, rows: Array) -> tuple[Array, Array, Array]:
+        def at(angle: Array, rows: Array) -> tuple[Array, Array, Array]:
             turned = (angle - zero[rows])[..., None, None]
             turns = _STILL + np.sin(turned) * screws[rows]
             turns += (1.0 - np.cos(turned)) * squares[rows]
@@ -253,4 +252,4 @@ class Chains:
             jacobian = np.concatenate([lever, axis], axis=2).transpose(0, 2, 1)
             return place[:, :3, 3], place[:, :3, :3], jacobian
 
-        return kinematics
+        return Postures(at, self.low[arm], self.high[arm])

@@ -4,7 +4,12 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.solver import joint_change, rotation_error, without_spin
+from collaborative_gym.motion.solver import (
+    joint_change,
+    rotation_error,
+    tcp_jacobian,
+    without_spin,
+)
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
@@ -15,8 +20,7 @@ asks for. With actions that are done at once, a miss falls to 0.61 in a step, an
 actions that are a control step late to 0.58; no other pair has both as small."""
 
 _LEANING, _KEEPING = 0.2, 0.8
-"""Shares of its distance to the posture that an arm goes in `reach` and `carry`, of
-which `settling` leaves a part."""
+"""Gains of `reach` and `carry` towards the posture; `settling` leaves a part."""
 
 _NEAR = 0.05
 """Distance of a tcp to its goal, in m, below which a posture counts less and less."""
@@ -53,13 +57,12 @@ def reach(
       posture: joint angles to prefer, (joints,), in rad.
 
     Returns:
-      (num_envs, joints) in rad, not limited to what the joints can do in a step.
+      (num_envs, joints) in rad, also more than the joints can do in a step.
     """
     position, orientation = goal
     missing = shortened(position - tcp[0], _FARTHEST)
     turn = shortened(rotation_error(tcp[1], orientation), 3 * _FARTHEST)
-    translation, rotation = sim.jacobian(arm.hand, tcp[0])
-    jacobian = np.concatenate([translation, rotation], axis=1)[:, :, arm.dof]
+    jacobian = tcp_jacobian(sim, arm, tcp[0])
     error = np.concatenate([missing, turn], axis=1)
     if orientation.shape[-1] == 3:
         jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
@@ -79,9 +82,6 @@ def settling(sim: Sim, arm: Arm, *, change: Array) -> Array:
       sim: the worlds.
       arm: whose joints.
       change: (num_envs, joints) from the present angles to the goal, in rad.
-
-    Returns:
-      (num_envs, joints) in rad.
     """
     return _GAIN * change - _BRAKE * CONTROL_DT * sim.qvel[:, arm.dof]
 
@@ -143,8 +143,7 @@ def carry(
     Returns:
       (num_envs, joints) in rad, not limited.
     """
-    translation, _ = sim.jacobian(arm.hand, tcp)
-    rows = translation[:, :, arm.dof]
+    rows = sim.jacobian(arm.hand, tcp)[0][:, :, arm.dof]
     nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
     share = _KEEPING * np.where(is_loaded, 1.0, nearness)
     change = _leaning(sim, arm, rows, goal - tcp, posture, share)

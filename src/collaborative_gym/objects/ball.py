@@ -3,6 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import begin
 
 RADIUS = 0.04  # m
 
@@ -22,8 +23,7 @@ def ball(mass: float = 0.02) -> mujoco.MjSpec:
       ValueError: if it is out of bounds.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
-    spec = mujoco.MjSpec()
-    spec.modelname = "ball"
+    spec, body = begin("ball")
     spec.add_texture(
         name="patches",
         type=mujoco.mjtTexture.mjTEXTURE_CUBE,
@@ -35,7 +35,6 @@ def ball(mass: float = 0.02) -> mujoco.MjSpec:
     )
     patches = spec.add_material(name="patches")
     patches.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "patches"
-    body = spec.worldbody.add_body(name="ball")
     body.add_freejoint(name="free")
     body.add_geom(
         name="ball",

@@ -3,14 +3,10 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 
-LENGTH = 0.4
-"""From knob to knob, in m."""
-
-KNOB = 0.04
-"""Diameter of a knob, in m."""
-
+LENGTH = 0.4  # from knob to knob, in m
+KNOB = 0.04  # diameter of a knob, in m
 KNOBS = ("knob_1", "knob_2")  # sites, at negative and positive y
 
 _RADIUS = 0.0125  # m, of the shaft
@@ -36,9 +32,7 @@ def bar(mass: float = 0.5) -> mujoco.MjSpec:
       ValueError: if it is out of bounds.
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
-    spec = mujoco.MjSpec()
-    spec.modelname = "bar"
-    body = spec.worldbody.add_body(name="bar")
+    spec, body = begin("bar")
     body.add_freejoint()
     shaft = LENGTH / 2 - _ROOM
     capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
@@ -71,9 +65,7 @@ def line(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
 
     Its origin is in its middle. A bar that is pulled over the line passes there.
     """
-    spec = mujoco.MjSpec()
-    spec.modelname = "line"
-    body = spec.worldbody.add_body(name="line")
+    spec, body = begin("line")
     box = mujoco.mjtGeom.mjGEOM_BOX
     add_visual(body, box, size=(0.3, 0.001, 0.3), rgba=(*rgba[:3], 0.15))
     for side in (-0.3, 0.3):

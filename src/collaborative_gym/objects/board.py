@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.errors import check_number
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 
 WIDTH = 0.8  # m, along x
 LENGTH = 1.5  # m, along y
@@ -38,10 +38,7 @@ def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     check_number("marked_radius", marked_radius, at_least=0.0, at_most=10.0)
-    spec = mujoco.MjSpec()
-    spec.modelname = "board"
-    spec.compiler.degree = False
-    body = spec.worldbody.add_body(name="board")
+    spec, body = begin("board")
     body.add_geom(
         name="plate",
         type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -54,13 +51,9 @@ def board(mass: float = 1.0, marked_radius: float = 0.0) -> mujoco.MjSpec:
     for name, side in zip(HANDLES, (-1.0, 1.0), strict=True):
         _add_handle(body, name, side)
     if marked_radius > 0:
-        add_visual(
-            body,
-            mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=(marked_radius, 0.0005),
-            rgba=_CENTRE_RGBA,
-            pos=(0, 0, THICKNESS / 2),
-        )
+        disc, size = mujoco.mjtGeom.mjGEOM_CYLINDER, (marked_radius, 0.0005)
+        pos = (0, 0, THICKNESS / 2)
+        add_visual(body, disc, size=size, rgba=_CENTRE_RGBA, pos=pos)
     return spec
 
 

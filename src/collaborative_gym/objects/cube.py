@@ -3,6 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import begin
 
 _RGBA = (0.90, 0.45, 0.13, 1.0)
 
@@ -28,9 +29,7 @@ def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
     """
     check_number("size", size, at_least=0.001, at_most=10.0)
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
-    spec = mujoco.MjSpec()
-    spec.modelname = "cube"
-    body = spec.worldbody.add_body(name="cube")
+    spec, body = begin("cube")
     body.add_joint(type=mujoco.mjtJoint.mjJNT_FREE, name="free", damping=_DAMPING)
     body.add_geom(
         name="cube",

@@ -2,18 +2,12 @@
 
 import mujoco
 
-OUTER = 0.24
-"""Outer side of the ring, in m."""
+from collaborative_gym.objects.visual import begin
 
-BAR = 0.04
-"""Width of the ring's bars, in m."""
-
-HOLE = OUTER - 2 * BAR
-"""Side of the square hole, in m."""
-
-THICKNESS = 0.02
-"""Thickness of the ring along its normal, in m."""
-
+OUTER = 0.24  # outer side of the ring, in m
+BAR = 0.04  # width of the ring's bars, in m
+HOLE = OUTER - 2 * BAR  # side of the square hole, in m
+THICKNESS = 0.02  # thickness of the ring along its normal, in m
 _MASS = 0.1  # kg
 _RGBA = (0.10, 0.32, 0.75, 1.0)
 
@@ -25,9 +19,7 @@ def donut() -> mujoco.MjSpec:
     normal. The ring has one body and, at the origin, one site, both named `donut`, and
     no joint. What is seen is what collides.
     """
-    spec = mujoco.MjSpec()
-    spec.modelname = "donut"
-    body = spec.worldbody.add_body(name="donut")
+    spec, body = begin("donut")
     body.add_site(name="donut")
     middle = (OUTER - BAR) / 2
     long, short, half = OUTER / 2, HOLE / 2, THICKNESS / 2

@@ -2,35 +2,24 @@
 
 import mujoco
 
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 
-RADIUS = 0.05
-"""Of the disc that hits the puck, in m."""
-
-HEIGHT = 0.16
-"""From the disc's lower face to the middle of the hand, in m."""
-
-GRIP = 0.03
-"""Width of the handle where a hand holds it, in m."""
-
+RADIUS = 0.05  # of the disc that hits the puck, in m
+HEIGHT = 0.16  # from the disc's lower face to the middle of the hand, in m
+GRIP = 0.03  # width of the handle where a hand holds it, in m
 _DISC = 0.10  # m, height of the disc
 _MASS = 0.15  # kg
 _FRICTION = (0.1, 0.005, 0.0001)  # of felt; the greater friction of a pair counts
 
 
 def mallet(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
-    """Return a mallet: a disc of 5 cm radius below a handle, without joints.
+    """Return a mallet: a disc of 5 cm radius, of a colour, below a handle, without joints.
 
     The body `mallet` has its origin in the middle of the hand that holds it and z down,
     as a tcp has that points down. The site `mallet` is in the middle of the disc's
     lower face.
-
-    Args:
-      rgba: colour of the disc.
     """
-    spec = mujoco.MjSpec()
-    spec.modelname = "mallet"
-    body = spec.worldbody.add_body(name="mallet")
+    spec, body = begin("mallet")
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
     body.add_geom(
         name="disc",

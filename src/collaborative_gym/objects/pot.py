@@ -3,7 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 
 _SIDE = 0.12  # m, from the original environment
 _MOST_BALANCE = 0.059  # m; the contents are at least 2 mm wide
@@ -45,9 +45,7 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     check_number("balance", balance, at_least=-_MOST_BALANCE, at_most=_MOST_BALANCE)
-    spec = mujoco.MjSpec()
-    spec.modelname = "pot"
-    body = spec.worldbody.add_body(name="pot")
+    spec, body = begin("pot")
     # Real fingers would not let the pot swing freely on its handles.
     body.add_freejoint().damping = (_SWING_DAMPING * mass, 0.0, 0.0)
     body.add_site(name="pot")

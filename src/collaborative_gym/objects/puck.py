@@ -3,7 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 from collaborative_gym.timing import SIM_DT
 
 RADIUS = 0.05  # m
@@ -37,9 +37,7 @@ def puck(restitution: float = 0.8) -> mujoco.MjSpec:
       ValueError: if it is not within 0 and 1.
     """
     check_number("restitution", restitution, at_least=0.0, at_most=1.0)
-    spec = mujoco.MjSpec()
-    spec.modelname = "puck"
-    body = spec.worldbody.add_body(name="puck")
+    spec, body = begin("puck")
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
         kind = mujoco.mjtJoint.mjJNT_SLIDE
         body.add_joint(

@@ -4,17 +4,11 @@ from collections.abc import Sequence
 
 import mujoco
 
-from collaborative_gym.objects.visual import add_visual
+from collaborative_gym.objects.visual import add_visual, begin
 
-HALF_LENGTH = 0.55
-"""From the middle to the cushion behind a goal's line, in m."""
-
-HEIGHT = 0.6
-"""Of the ice above the floor, in m."""
-
-MOUNT = 0.2
-"""Of the blocks on which arms stand, above the ice, in m."""
-
+HALF_LENGTH = 0.55  # from the middle to the cushion behind a goal's line, in m
+HEIGHT = 0.6  # of the ice above the floor, in m
+MOUNT = 0.2  # of the blocks on which arms stand, above the ice, in m
 _RAIL = 0.09  # m, height of the cushions above the ice
 _SLOT = 0.055  # m, height of a goal
 _POCKET = 0.2  # m, depth of a goal
@@ -47,9 +41,7 @@ def rink(
       half_goal: half of a goal's width, in m.
       mounts: x and y of the blocks on which arms stand, in m.
     """
-    spec = mujoco.MjSpec()
-    spec.modelname = "rink"
-    body = spec.worldbody.add_body(name="rink")
+    spec, body = begin("rink")
     lintels = spec.worldbody.add_body(name="lintels")
     long, wide, half = HALF_LENGTH + _END, half_width + _THICK, _RAIL / 2
     _box(body, (0, 0, -0.03), (long, wide, 0.03), rgba=_ICE)
@@ -61,10 +53,9 @@ def rink(
             place = (x, across * (half_goal + beside), half)
             _box(body, place, (_END / 2, beside, half))
         # What comes in stays in: stiff, and damped without a bounce.
-        place, deep = (side * (HALF_LENGTH + _POCKET), 0, half), (_END - _POCKET) / 2
-        place = (place[0] + side * deep, 0, half)
-        size = (deep, half_goal, half)
-        _box(body, place, size, rgba=_DARK, priority=2, condim=1)
+        deep = (_END - _POCKET) / 2
+        place = (side * (HALF_LENGTH + _POCKET) + side * deep, 0, half)
+        _box(body, place, (deep, half_goal, half), rgba=_DARK, priority=2, condim=1)
         bar = (_RAIL - _SLOT) / 2
         place = (side * (HALF_LENGTH + _POCKET / 2), 0, _RAIL - bar)
         _box(lintels, place, (_POCKET / 2, half_goal, bar))
@@ -79,24 +70,10 @@ def rink(
 
 
 def _box(
-    body: mujoco.MjsBody,
-    place: _Three,
-    size: _Three,
-    *,
-    rgba=_DECK,
-    priority=0,
-    condim=3,
+    body: mujoco.MjsBody, place: _Three, size: _Three, *, rgba=_DECK, **contacts: int
 ) -> None:
-    body.add_geom(
-        type=_BOX,
-        pos=place,
-        size=size,
-        rgba=rgba,
-        friction=_FRICTION,
-        priority=priority,
-        condim=condim,
-        group=2,
-    )
+    shape = {"type": _BOX, "pos": place, "size": size, "rgba": rgba, "group": 2}
+    body.add_geom(**shape, friction=_FRICTION, **contacts)
 
 
 def _paint(body: mujoco.MjsBody, half_width: float, half_goal: float) -> None:

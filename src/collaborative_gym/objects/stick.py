@@ -2,9 +2,9 @@
 
 import mujoco
 
-LENGTH = 0.2
-"""Length of the stick, in m."""
+from collaborative_gym.objects.visual import begin
 
+LENGTH = 0.2  # length of the stick, in m
 _SIDE = 0.02  # m, of its square section
 _MASS = 0.1  # kg
 _RGBA = (0.93, 0.62, 0.12, 1.0)
@@ -16,9 +16,7 @@ def stick() -> mujoco.MjSpec:
     The origin lies at its middle, z runs along it. The stick has one body and, at the
     origin, one site, both named `stick`, and no joint. What is seen is what collides.
     """
-    spec = mujoco.MjSpec()
-    spec.modelname = "stick"
-    body = spec.worldbody.add_body(name="stick")
+    spec, body = begin("stick")
     body.add_site(name="stick")
     body.add_geom(
         name="stick",

@@ -3,6 +3,7 @@
 import mujoco
 
 from collaborative_gym.errors import check_number
+from collaborative_gym.objects.visual import add_visual, begin
 
 _TOP_THICKNESS = 0.03  # m, our choice
 _LEG_RADIUS = 0.025  # m, our choice
@@ -39,27 +40,15 @@ def table(
             f"table of {length} x {width} x {height} m; length and width must be at "
             f"least {shortest_side} m and height more than {_TOP_THICKNESS} m"
         )
-    spec = mujoco.MjSpec()
-    spec.modelname = "table"
-    spec.compiler.degree = False
-    body = spec.worldbody.add_body(name="table")
+    spec, body = begin("table")
 
-    top_size = (length / 2, width / 2, _TOP_THICKNESS / 2)
-    top_pos = (0, 0, height - _TOP_THICKNESS / 2)
-    box = mujoco.mjtGeom.mjGEOM_BOX
-    body.add_geom(
-        name="table_top_collision", type=box, size=top_size, pos=top_pos, group=3
-    )
-    visual = {"group": 2, "contype": 0, "conaffinity": 0}
-    body.add_geom(
-        name="table_top", type=box, size=top_size, pos=top_pos, rgba=_TOP_RGBA, **visual
-    )
-
+    box, size = mujoco.mjtGeom.mjGEOM_BOX, (length / 2, width / 2, _TOP_THICKNESS / 2)
+    pos = (0, 0, height - _TOP_THICKNESS / 2)
+    body.add_geom(name="table_top_collision", type=box, size=size, pos=pos, group=3)
+    add_visual(body, box, size=size, pos=pos, rgba=_TOP_RGBA)
     leg_length = height - _TOP_THICKNESS
-    leg_x = length / 2 - _LEG_INSET
-    leg_y = width / 2 - _LEG_INSET
-    for x in (-leg_x, leg_x):
-        for y in (-leg_y, leg_y):
+    for x in (_LEG_INSET - length / 2, length / 2 - _LEG_INSET):
+        for y in (_LEG_INSET - width / 2, width / 2 - _LEG_INSET):
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
                 size=(_LEG_RADIUS, leg_length / 2 - _LEG_RADIUS, 0),

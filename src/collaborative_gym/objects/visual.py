@@ -1,8 +1,15 @@
-"""Shapes that are there to be seen."""
+"""How the models of things begin, and shapes that are there to be seen."""
 
 from collections.abc import Sequence
 
 import mujoco
+
+
+def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
+    """Return a model that has a name, and its body of that name."""
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    return spec, spec.worldbody.add_body(name=name)
 
 
 def add_visual(
@@ -32,14 +39,7 @@ def add_visual(
 def add_wire_sphere(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, radius: float, rgba: Sequence[float]
 ) -> None:
-    """Add a sphere that hides nothing and throws no shadow: a ring about each axis.
-
-    Args:
-      spec: the world of the body.
-      body: what it is part of.
-      radius: in m.
-      rgba: its colour.
-    """
+    """Add a sphere that hides nothing and throws no shadow: a ring about each axis."""
     mesh = spec.add_mesh(name=f"{body.name} ring", scale=[radius] * 3)
     mesh.make_supertorus(resolution=40, radius=0.025, s=1, t=1)
     half = 0.5**0.5

@@ -14,33 +14,19 @@ from collaborative_gym.robots.data import (
     robot_error,
 )
 
-_MOUNTING = 0.5
-"""Greatest distance of the first joint from the origin, as a share of the reach."""
-
-_STRETCHED = 1.5
-"""Greatest reach, as a share of the way from the first joint to the tcp."""
-
-_TURNS = 30.0
-"""Ends of a range beyond this, in rad, are degrees: that is almost five turns."""
-
-_LONGEST = 10.0
-"""Arms longer than this, in m, are given in mm."""
-
-_BULKIEST = 5.0
-"""Shapes with a radius above this, as a share of the reach, are given in mm."""
-
-_TOUCHING = 0.0005
-"""Shapes nearer than this, in m, count as touching at home."""
-
-_NEIGHBOURS = 2
-"""Links this many joints apart may overlap at home, by the look of their shapes."""
+_MOUNTING = 0.5  # greatest distance of the first joint from the origin, over the reach
+_STRETCHED = 1.5  # greatest reach over the way from the first joint to the tcp
+_TURNS = 30.0  # rad; ends of a range beyond this are degrees: it is almost five turns
+_LONGEST = 10.0  # m; longer arms are given in mm
+_BULKIEST = 5.0  # radius over the reach; larger shapes are given in mm
+_TOUCHING = 0.0005  # m; shapes nearer than this count as touching at home
+_NEIGHBOURS = 2  # joints apart, up to where links may overlap at home, by their shapes
 
 
 def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """Return an arm's model for checks.
 
-    What collides in it collides with all, as in worlds, and touches from half a
-    millimetre on.
+    What collides in it collides with all, as in worlds, from half a millimetre on.
 
     Raises:
       FileNotFoundError: if a mesh is missing.
@@ -59,9 +45,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     _check_ranges(robot, model)
     _check_chain(robot, model)
     data = at_home(robot, model, robot.gripper.open_position)
-    _check_reach(robot, model, data)
-    _check_mounting(robot, model, data)
-    _check_shapes(robot, model)
+    _check_size(robot, model, data)
     check_places(robot, model)
     _check_tcp(robot, model, data)
     if len(robot.gripper.joints) > 1:
@@ -190,8 +174,8 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
         )
 
 
-def _check_reach(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise ValueError if the arm is in mm, or much shorter than its reach."""
+def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise ValueError if the arm is in mm, or does not fit its reach."""
     points = [data.xanchor[model.joint(name).id] for name in robot.joints]
     points.append(data.site(robot.tcp).xpos)
     length = sum(np.linalg.norm(b - a) for a, b in pairwise(points))
@@ -207,27 +191,17 @@ def _check_reach(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -
             f"its reach is {robot.reach:g} m, but in the model file the way along its"
             f" joints to the tcp is {length:.2f} m long; give both in m",
         )
-
-
-def _check_mounting(
-    robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData
-) -> None:
-    anchor = data.xanchor[model.joint(robot.joints[0]).id]
-    if np.linalg.norm(anchor) > _MOUNTING * robot.reach or anchor[2] < -0.01:
+    if np.linalg.norm(points[0]) > _MOUNTING * robot.reach or points[0][2] < -0.01:
         raise robot_error(
             robot,
-            f"its first joint is at {np.round(anchor, 3).tolist()} in the model file,"
-            f" too far for a reach of {robot.reach} m; move the base to the origin, its"
-            " mounting plate at z = 0",
+            f"its first joint is at {np.round(points[0], 3).tolist()} in the model"
+            f" file, too far for a reach of {robot.reach} m; move the base to the"
+            " origin, its mounting plate at z = 0",
         )
-
-
-def _check_shapes(robot: RobotData, model: mujoco.MjModel) -> None:
-    """Raise ValueError if a shape is in mm, as meshes of CAD programs often are."""
+    # Meshes of CAD programs often are in mm.
     radius = model.geom_rbound.max(initial=0.0)
     if radius > _BULKIEST * robot.reach:
-        geom = int(model.geom_rbound.argmax())
-        body = model.body(int(model.geom_bodyid[geom])).name
+        body = model.body(int(model.geom_bodyid[model.geom_rbound.argmax()])).name
         raise robot_error(
             robot,
             f"a shape of its body {body!r} is {2 * radius:.0f} m wide;"
@@ -238,10 +212,8 @@ def _check_shapes(robot: RobotData, model: mujoco.MjModel) -> None:
 def check_payload(robot: RobotData, pull: float) -> None:
     """Raise ValueError if the payload is heavier than the gripper or the arm can hold.
 
-    Args:
-      robot: the arm, its gripper and torques filled in.
-      pull: what its strongest joint pulls with near the base, in N; 10 to 28 times the
-        weight of the payload of Sawyer, Panda and Jaco.
+    Its strongest joint pulls with `pull`, in N, near the base; that is 10 to 28 times
+    the weight of the payload of Sawyer, Panda and Jaco.
     """
     weight = GRAVITY * robot.payload
     if min(robot.gripper.holding_force, pull) < weight:

@@ -17,15 +17,9 @@ from collaborative_gym.errors import (
     unknown,
 )
 
-_STANDS = ("pedestal", "table", "none")
-"""What an arm can stand on."""
-
-_FASTEST = 30.0
-"""Joint speeds above this, in rad/s, are degrees: no arm turns five times a second."""
-
-_WIDEST = 1.0
-"""Gaps of a gripper above this, in m, are millimetres."""
-
+_STANDS = ("pedestal", "table", "none")  # what an arm can stand on
+_FASTEST = 30.0  # rad/s; joint speeds above this, five turns a second, are degrees
+_WIDEST = 1.0  # gaps of a gripper above this, in m, are millimetres
 _PER_JOINT = {
     "home": (-np.inf, np.inf, ""),
     "velocity_limits": (1e-9, _FASTEST, " rad/s"),

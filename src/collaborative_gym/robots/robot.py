@@ -7,7 +7,7 @@ import mujoco
 from collaborative_gym.robots.checks import check_payload, compile_alone, overlaps
 from collaborative_gym.robots.data import RobotData, check_per_joint, freeze
 from collaborative_gym.robots.model_file import load_model
-from collaborative_gym.robots.servos import armatures, dampings, torque_limits
+from collaborative_gym.robots.servos import gains, torque_limits
 
 _STIFFNESS = 8.0
 """Stiffness over damping of the joint servos where none is given, in 1/s."""
@@ -75,10 +75,9 @@ class Robot(RobotData):
         model = compile_alone(self, spec)
         check_payload(self, pull)
         freeze(self, _overlaps=overlaps(self, model))
-        if not self.armature:
-            freeze(self, armature=armatures(self, model))
-        if not self.damping:
-            freeze(self, damping=dampings(self, model))
+        if not (self.armature and self.damping):
+            armature, damping = gains(self, model)
+            freeze(self, armature=armature, damping=self.damping or damping)
         if not self.stiffness:
             freeze(self, stiffness=tuple(_STIFFNESS * d for d in self.damping))
 

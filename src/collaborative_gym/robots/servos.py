@@ -18,8 +18,7 @@ from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT
 _RISE = 0.02
 """Least time in s that a joint takes from rest to full speed at its torque limit."""
 
-_ROTOR_RISE = 0.01
-"""Least time in s that its rotor alone takes."""
+_ROTOR_RISE = 0.01  # least time in s that its rotor alone takes
 
 
 def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
@@ -43,28 +42,21 @@ def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
     return tuple(limits)
 
 
-def armatures(robot: RobotData, model: mujoco.MjModel) -> tuple[float, ...]:
-    """Return the rotor inertias of the model file, in kg m2, or sensible ones."""
-    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
-    own = model.dof_armature[dofs]
-    links = inertias(robot, model) - own
-    speed = np.minimum(robot.velocity_limits, MAX_CHANGE / CONTROL_DT)
-    push = np.array(robot.torque_limits) / speed
-    rotors = np.maximum(_RISE * push - links, _ROTOR_RISE * push)
-    return tuple(np.where(own > 0, own, rotors).tolist())
+def gains(
+    robot: RobotData, model: mujoco.MjModel
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return rotor inertias in kg m2, and velocity gains of the servos in N m s/rad.
 
-
-def dampings(robot: RobotData, model: mujoco.MjModel) -> tuple[float, ...]:
-    """Return velocity gains for the joint servos, in N m s/rad."""
-    dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
-    links = inertias(robot, model) - model.dof_armature[dofs]
-    return tuple(((links + np.array(robot.armature)) / SIM_DT).tolist())
-
-
-def inertias(robot: RobotData, model: mujoco.MjModel) -> np.ndarray:
-    """Return the inertia that each joint moves at home, (joints,) in kg m2."""
+    The inertias are those of the robot or else of the model file, where it has any.
+    """
     data = at_home(robot, model, robot.gripper.open_position)
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     dofs = [int(model.joint(name).dofadr[0]) for name in robot.joints]
-    return np.diag(full)[dofs]
+    own = model.dof_armature[dofs]
+    links = np.diag(full)[dofs] - own
+    speed = np.minimum(robot.velocity_limits, MAX_CHANGE / CONTROL_DT)
+    push = np.array(robot.torque_limits) / speed
+    rotors = np.maximum(_RISE * push - links, _ROTOR_RISE * push)
+    armature = robot.armature or tuple(np.where(own > 0, own, rotors).tolist())
+    return armature, tuple(((links + np.array(armature)) / SIM_DT).tolist())

@@ -9,8 +9,7 @@ import mujoco
 
 from collaborative_gym.errors import told_by_mujoco, unknown
 
-_MESHES = {".stl", ".obj", ".msh"}
-"""Formats that MuJoCo reads."""
+_MESHES = {".stl", ".obj", ".msh"}  # formats that MuJoCo reads
 
 
 def read_urdf(path: Path) -> mujoco.MjSpec:
@@ -26,11 +25,14 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
     """
     root = _parse(path)
     _check_tree(root)
-    compiler = _compiler(root)
+    compiler = _child(_child(root, "mujoco"), "compiler")
     compiler.attrib.setdefault("discardvisual", "false")
     for joint in root.iter("joint"):
         if joint.get("type") == "continuous":
-            _limit(joint)
+            joint.set("type", "revolute")
+            limit = _child(joint, "limit")
+            limit.attrib.setdefault("lower", str(-tau))
+            limit.attrib.setdefault("upper", str(tau))
     if not {"meshdir", "assetdir", "strippath"} & set(compiler.attrib):
         for link in root.iter("link"):
             _find_meshes(link, path)
@@ -100,24 +102,10 @@ def _read_by_mujoco(root: ElementTree.Element) -> mujoco.MjSpec:
         raise ValueError(f"{part.tag} {part.get('name')!r}: {told}") from error
 
 
-def _compiler(root: ElementTree.Element) -> ElementTree.Element:
-    """Return the settings that the file has for MuJoCo; added where it has none."""
-    mujoco_element = root.find("mujoco")
-    if mujoco_element is None:
-        mujoco_element = ElementTree.SubElement(root, "mujoco")
-    compiler = mujoco_element.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(mujoco_element, "compiler")
-    return compiler
-
-
-def _limit(joint: ElementTree.Element) -> None:
-    joint.set("type", "revolute")
-    limit = joint.find("limit")
-    if limit is None:
-        limit = ElementTree.SubElement(joint, "limit")
-    limit.attrib.setdefault("lower", str(-tau))
-    limit.attrib.setdefault("upper", str(tau))
+def _child(element: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Return the part of that name, added where there is none."""
+    found = element.find(name)
+    return ElementTree.SubElement(element, name) if found is None else found
 
 
 def _find_meshes(link: ElementTree.Element, path: Path) -> None:

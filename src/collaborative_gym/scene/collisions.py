@@ -29,12 +29,8 @@ def set_collisions(
 ) -> None:
     """Let arms and objects collide with one another and with what is fixed.
 
-    All contacts are alike but those of geoms with a `solref` of their own.
-
-    Args:
-      spec: the world.
-      agents: prefixes of the arms' bodies.
-      finger_bodies: names of bodies that do not collide with objects.
+    All contacts are alike but those of geoms with a `solref` of their own. Agents are
+    the prefixes of the arms' bodies; finger bodies do not collide with objects.
     """
     for geom in spec.geoms:
         if not geom.contype and not geom.conaffinity:

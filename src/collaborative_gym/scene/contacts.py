@@ -25,12 +25,7 @@ deepest (`mindist`), or the force of all (`netforce`)."""
 def contact_pairs(
     spec: mujoco.MjSpec, agents: Collection[str]
 ) -> dict[str, list[tuple[Place, Place]]]:
-    """Return what can touch what, by kind. Bodies without a name get one.
-
-    Args:
-      spec: the world.
-      agents: prefixes of the arms' bodies.
-    """
+    """Return what can touch what, by kind. Bodies without a name get one."""
     arms, loose, fixed = [], [], []
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"body {i}"
@@ -53,14 +48,27 @@ def add_depth_sensors(spec: mujoco.MjSpec, agents: Collection[str]) -> None:
     """Let `depth_sensors` read how deep contacts are."""
     for kind, pairs in contact_pairs(spec, agents).items():
         for i, pair in enumerate(pairs):
-            _add(spec, f"{kind} deep {i}", *pair, _DEEPEST)
+            add_contact_sensor(spec, f"{kind} deep {i}", *pair, tells=_DEEPEST)
 
 
-def add_force_sensor(
-    spec: mujoco.MjSpec, name: str, one: Place, other: Place | None
+def add_contact_sensor(
+    spec: mujoco.MjSpec,
+    name: str,
+    one: Place,
+    other: Place = (mujoco.mjtObj.mjOBJ_UNKNOWN, ""),
+    *,
+    tells: tuple[int, int] = _NET,
 ) -> None:
-    """Add a sensor of the net force of a place's contacts with another, or with all."""
-    _add(spec, name, one, other, _NET)
+    """Add a sensor of a place's contacts with another, or with all: their net force."""
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=one[0],
+        objname=one[1],
+        reftype=other[0],
+        refname=other[1],
+        intprm=[*tells, 1],
+    )
 
 
 def depth_sensors(model: mujoco.MjModel) -> dict[str, np.ndarray]:
@@ -70,22 +78,3 @@ def depth_sensors(model: mujoco.MjModel) -> dict[str, np.ndarray]:
         kind: np.flatnonzero(np.char.startswith(names, f"{kind} deep"))
         for kind in DEPTHS
     }
-
-
-def _add(
-    spec: mujoco.MjSpec,
-    name: str,
-    one: Place,
-    other: Place | None,
-    tells: tuple[int, int],
-) -> None:
-    kind, with_name = other or (mujoco.mjtObj.mjOBJ_UNKNOWN, "")
-    spec.add_sensor(
-        name=name,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=one[0],
-        objname=one[1],
-        reftype=kind,
-        refname=with_name,
-        intprm=[*tells, 1],
-    )

@@ -10,6 +10,8 @@ from collaborative_gym.errors import check_number, check_numbers
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
+_ACTUATOR = mujoco.mjtObj.mjOBJ_ACTUATOR
+
 SHOULDER = np.array([0.0, 0.0, 0.3])
 """Height of an arm's shoulder above its base in m, about right for all arms."""
 
@@ -39,29 +41,17 @@ class Placement:
 
 @dataclass(frozen=True)
 class Arm:
-    """Where one agent's arm is found in the arrays of the compiled world.
-
-    Attributes:
-      robot: the machine.
-      qpos: its joint angles in `qpos`.
-      dof: its joint speeds in `qvel`, and its columns in Jacobians.
-      servos: what turns its joints, in `ctrl`; empty in a world without drives.
-      fingers: its finger actuators in `ctrl`; empty where fingers are fixed.
-      joint_range: lower and upper joint angles, (2, joints), in rad.
-      stride: how far its joints turn in a control step at most, (joints,), in rad.
-      tcp: site id of its tool centre point.
-      hand: id of the body that carries the tcp.
-    """
+    """Where one agent's arm is found in the arrays of the compiled world."""
 
     robot: Robot
-    qpos: slice
-    dof: slice
-    servos: slice
-    fingers: slice
-    joint_range: np.ndarray
-    stride: np.ndarray
-    tcp: int
-    hand: int
+    qpos: slice  # its joint angles in `qpos`
+    dof: slice  # its joint speeds in `qvel`, and its columns in Jacobians
+    servos: slice  # what turns its joints, in `ctrl`; empty without drives
+    fingers: slice  # its finger actuators in `ctrl`; empty where fingers are fixed
+    joint_range: np.ndarray  # lower and upper joint angles, (2, joints), in rad
+    stride: np.ndarray  # (joints,) greatest turn in a control step, in rad
+    tcp: int  # site id of its tool centre point
+    hand: int  # id of the body that carries the tcp
 
     @property
     def num_joints(self) -> int:
@@ -71,19 +61,12 @@ class Arm:
 
 @dataclass(frozen=True)
 class Grip:
-    """A grip that an agent can take: its tcp held to a site by a constraint.
-
-    Attributes:
-      agent: who grips.
-      site: full name of the site that can be gripped.
-      threshold: greatest distance between tcp and site at which a grip starts, in m.
-      width: clear width between the fingers while gripping, in m.
-    """
+    """A grip that an agent can take: its tcp held to a site by a constraint."""
 
     agent: str
-    site: str
-    threshold: float
-    width: float
+    site: str  # full name of what can be gripped
+    threshold: float  # m between tcp and site, up to which a grip can start
+    width: float  # m between the fingers while gripping
 
     @property
     def name(self) -> str:
@@ -105,11 +88,7 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
     """
     joints = [model.joint(f"{agent}/{name}") for name in robot.joints]
     servos, fingers = (
-        [
-            actuator
-            for name in names
-            if (actuator := _actuator_id(model, f"{agent}/{name}")) >= 0
-        ]
+        [mujoco.mj_name2id(model, _ACTUATOR, f"{agent}/{name}") for name in names]
         for names in (robot.joints, robot.gripper.joints)
     )
     tcp = model.site(f"{agent}/{robot.tcp}")
@@ -118,17 +97,13 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
         robot=robot,
         qpos=_as_slice([int(joint.qposadr[0]) for joint in joints]),
         dof=_as_slice([int(joint.dofadr[0]) for joint in joints]),
-        servos=_as_slice(servos),
-        fingers=_as_slice(fingers),
+        servos=_as_slice([i for i in servos if i >= 0]),
+        fingers=_as_slice([i for i in fingers if i >= 0]),
         joint_range=np.array([joint.range for joint in joints]).T,
         stride=np.minimum(MAX_CHANGE, limits * CONTROL_DT),
         tcp=tcp.id,
         hand=int(tcp.bodyid[0]),
     )
-
-
-def _actuator_id(model: mujoco.MjModel, name: str) -> int:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
 
 
 def _as_slice(ids: list[int]) -> slice:

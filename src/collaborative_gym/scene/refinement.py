@@ -24,23 +24,13 @@ from collaborative_gym.scene.handles import Arm
 from collaborative_gym.sim.sim import Refinement
 from collaborative_gym.timing import SIM_DT
 
-SHORT_STEPS = 10
-"""How many short steps take the place of a physics step."""
+SHORT_STEPS = 10  # that take the place of a physics step
 
-_DEEPEST = 0.005
-"""Depth of a contact, in m, beyond which a step is refined."""
-
-_FASTEST = 1.5
-"""Speed of a joint over its limit beyond which a step is refined."""
-
-_STOPPED = 1.45
-"""Speed over its limit that no joint has after a short step."""
-
-_BEYOND = 0.005
-"""Angle beyond a joint's range, in rad, beyond which a step is refined."""
-
-_SHORT_SOLREF = 0.003
-"""Time in which contacts and stops give way in short steps, in s."""
+_DEEPEST = 0.005  # m, depth of a contact beyond which a step is refined
+_FASTEST = 1.5  # speed of a joint over its limit beyond which a step is refined
+_STOPPED = 1.45  # speed over its limit that no joint has after a short step
+_BEYOND = 0.005  # rad beyond a joint's range, from where on a step is refined
+_SHORT_SOLREF = 0.003  # s, time in which contacts and stops give way in short steps
 
 
 def refinement(model: mujoco.MjModel, arms: Collection[Arm]) -> Refinement:
@@ -94,13 +84,7 @@ class _Rules:
         return ~xp.all(xp.abs(qvel) / xp.asarray(self._limits) <= _STOPPED, axis=-1)
 
     def stop(self, start: Array, qpos: Array, qvel: Array) -> None:
-        """Slow arms down that are still too fast after a short step.
-
-        Args:
-          start: the positions at its start, (worlds, nq).
-          qpos: those at its end, likewise, which this changes.
-          qvel: the speeds at its end, (worlds, nv), which this changes.
-        """
+        """Slow arms down, (worlds, ...) each, that are still too fast after a short step."""
         xp = array_namespace(qpos)
         for arm in self._arms:
             limits = xp.asarray(arm.robot.velocity_limits)

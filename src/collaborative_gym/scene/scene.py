@@ -8,6 +8,8 @@ world.
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import or_
 
 import mujoco
 import numpy as np
@@ -87,13 +89,12 @@ class Scene:
         What turns its joints comes from the action mode, once the world is complete.
 
         Args:
-          agent: the agent that will command it.
+          agent: who commands it.
           robot: the arm.
           placement: where its base goes.
           holds: if given, the arm holds a tool of this width (m) for good: its fingers
             are fixed there and have no joints.
-          stand: whether to put the arm's own stand under it; without, the task has
-            something there already.
+          stand: whether to put the arm's own stand under it.
         """
         self._check_free("agent", agent)
         check_kind("robot", robot, Robot, "a Robot, as get_robot returns it")
@@ -323,11 +324,7 @@ class Scene:
     def bend(self, sim: Sim, env_ids: EnvIds, *, agent: str, angles: ArrayLike) -> None:
         """Put an arm at joint angles in these worlds, kept within the joints' ranges.
 
-        Args:
-          sim: the worlds.
-          env_ids: which of them.
-          agent: whose arm.
-          angles: (worlds, joints) or (joints,), in rad.
+        The angles are (worlds, joints) or (joints,), in rad.
         """
         arm = self.arms[agent]
         angles = np.clip(angles, *arm.joint_range)
@@ -343,11 +340,7 @@ class Scene:
             raise ValueError(
                 f"{agent} has no grip; give it one by add_grip when the world is built"
             )
-        first, *others = self._grip_ids[agent]
-        holds = sim.eq_active[:, first] > 0
-        for other in others:
-            holds = holds | (sim.eq_active[:, other] > 0)
-        return holds
+        return reduce(or_, (sim.eq_active[:, i] > 0 for i in self._grip_ids[agent]))
 
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""
@@ -413,13 +406,10 @@ class Scene:
 
     def _add_stand(self, agent: str, robot: Robot, placement: Placement) -> None:
         x, y, height = placement.position
-        if robot.stand == "pedestal":
-            stand = pedestal(height)
-        elif robot.stand == "table":
-            stand = table(height=height)
-        else:
-            return
-        self.add(f"{agent}_stand", stand, position=(x, y, 0.0), quat=placement.quat)
+        if robot.stand != "none":
+            at_floor = robot.stand == "pedestal"
+            stand = pedestal(height) if at_floor else table(height=height)
+            self.add(f"{agent}_stand", stand, position=(x, y, 0), quat=placement.quat)
 
 
 def _check_child(name: str, child: mujoco.MjSpec) -> None:

@@ -14,13 +14,7 @@ _WALL = (0.90, 0.92, 0.94)
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
-    _add_floor_and_sky(spec)
-    _add_lights(spec)
-    _set_quality(spec)
-
-
-def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
-    """Add a quiet room: a pale floor that fades into walls without corners."""
+    # A quiet room: a pale floor that fades into walls without corners.
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -51,9 +45,6 @@ def _add_floor_and_sky(spec: mujoco.MjSpec) -> None:
     )
     # Haze hides where the floor ends.
     spec.visual.rgba.haze = [*_WALL, 1.0]
-
-
-def _add_lights(spec: mujoco.MjSpec) -> None:
     # A lamp above the camera throws the shadows; weaker ones fill them.
     for position, direction, diffuse in (
         ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.5),
@@ -68,13 +59,8 @@ def _add_lights(spec: mujoco.MjSpec) -> None:
             specular=[0.25] * 3,
             castshadow=diffuse > 0.4,
         )
-    headlight = spec.visual.headlight
-    headlight.ambient = [0.38] * 3
-    headlight.diffuse = [0.2] * 3
-    headlight.specular = [0.05] * 3
-
-
-def _set_quality(spec: mujoco.MjSpec) -> None:
+    light = spec.visual.headlight
+    light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.2] * 3, [0.05] * 3
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = LARGEST
     visual.quality.shadowsize = 3072

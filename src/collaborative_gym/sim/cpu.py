@@ -2,7 +2,7 @@
 
 import ctypes
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from copy import copy
 from weakref import WeakSet
 
@@ -22,13 +22,8 @@ _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
 class CpuSim:
     """Worlds as rows of a `mujoco.batch.Batch`; see `Sim` for the contract.
 
-    The result is the same to the bit for any number of worlds and threads.
-
-    Args:
-      model: the compiled world.
-      num_envs: how many worlds to hold.
-      num_threads: threads to step them with; 0 for one per CPU.
-      refinement: how physics steps are refined; None if they never are.
+    The result is the same to the bit for any number of worlds and threads, of which 0
+    is one per CPU.
     """
 
     def __init__(
@@ -42,30 +37,33 @@ class CpuSim:
         self.num_envs = num_envs
         self._batch = batch.Batch(model, num_envs, num_threads)
         _living.add(self)
-        self.qpos = self._batch.bind("qpos")
+        bind = self._batch.bind
+        self.time, self.qpos, self.qvel = bind("time"), bind("qpos"), bind("qvel")
+        self.act, self.ctrl, self.userdata = bind("act"), bind("ctrl"), bind("userdata")
+        self.eq_active, self.mocap_pos = bind("eq_active"), bind("mocap_pos")
+        self.xfrc_applied, self.sensordata = bind("xfrc_applied"), bind("sensordata")
         self.xp = array_namespace(self.qpos)
-        self.time = self._batch.bind("time")
-        self.qvel = self._batch.bind("qvel")
-        self.act = self._batch.bind("act")
-        self.ctrl = self._batch.bind("ctrl")
-        self.eq_active = self._batch.bind("eq_active")
-        self.userdata = self._batch.bind("userdata")
-        self.mocap_pos = self._batch.bind("mocap_pos")
-        self.xfrc_applied = self._batch.bind("xfrc_applied")
-        self.sensordata = self._batch.bind("sensordata")
         self._worlds = Worlds(self._batch)
-        self._sensors = self._named()
+        self._find_sensors()
         self.memory: dict[str, Array] = {}
         self.refined: list[Refined] = []
         self._records = {name: np.empty((0, 0, 0)) for name in JUDGED}
 
-    def _named(self) -> dict[str, np.ndarray]:
-        """Return the columns of `sensordata` by the sensors' names."""
-        sensors, model = {}, self.model
-        for i in range(model.nsensor):
-            start, size = model.sensor_adr[i], model.sensor_dim[i]
-            sensors[model.sensor(i).name] = self.sensordata[:, start : start + size]
-        return sensors
+    def _find_sensors(self) -> None:
+        """Find the columns of `sensordata` that `pose` and `velocity` read."""
+        columns = {
+            self.model.sensor(i).name: self.sensordata[:, start : start + size]
+            for i, (start, size) in enumerate(
+                zip(self.model.sensor_adr, self.model.sensor_dim, strict=True)
+            )
+        }
+
+        def pairs(first: str, second: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+            names = [n.removesuffix(first) for n in columns if n.endswith(first)]
+            return {n: (columns[n + first], columns[n + second]) for n in names}
+
+        self._poses = pairs(".position", ".quat")
+        self._velocities = pairs(".linear", ".angular")
 
     @quiet()
     def step(
@@ -96,13 +94,9 @@ class CpuSim:
     def _blank(self, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
         """Return arrays for what judged steps find, which every call writes anew."""
         if self._records["qpos"].shape[:2] != shape:
-            self._records = {
-                name: np.empty((*shape, self._size(name))) for name in JUDGED
-            }
+            sizes = {name: self._batch.bind(name).shape[1] for name in JUDGED}
+            self._records = {n: np.empty((*shape, k)) for n, k in sizes.items()}
         return self._records
-
-    def _size(self, name: str) -> int:
-        return self._batch.bind(name).shape[1]
 
     @quiet()
     def forward(self, env_ids: EnvIds = None) -> None:
@@ -136,27 +130,22 @@ class CpuSim:
         view = copy(self)
         view.qpos, view.sensordata = qpos, sensordata
         view.memory = dict(self.memory)
-        view._sensors = view._named()
+        view._find_sensors()
         return view
 
     def pose(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._pair("pose", name, "position", "quat")
+        try:
+            position, quat = self._poses[name]
+        except KeyError:
+            raise _unread("pose", name, self._poses) from None
+        return position.copy(), quat.copy()
 
     def velocity(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        return self._pair("velocity", name, "linear", "angular")
-
-    def _pair(
-        self, kind: str, name: str, first: str, second: str
-    ) -> tuple[np.ndarray, np.ndarray]:
-        if f"{name}.{first}" not in self._sensors:
-            read = [key.rpartition(".") for key in self._sensors]
-            names = [own for own, _, part in read if part == first]
-            raise UnknownName(
-                f"{unknown(kind, name, names)}; in build(), add_{kind}_sensor() lets"
-                " another site be read"
-            )
-        pair = self._sensors[f"{name}.{first}"], self._sensors[f"{name}.{second}"]
-        return pair[0].copy(), pair[1].copy()
+        try:
+            linear, angular = self._velocities[name]
+        except KeyError:
+            raise _unread("velocity", name, self._velocities) from None
+        return linear.copy(), angular.copy()
 
     def jacobian(
         self, body: int, point: Array, env_ids: EnvIds = None
@@ -183,6 +172,13 @@ class CpuSim:
         with quiet():
             mujoco.mj_forward(self.model, data)
         return data
+
+
+def _unread(kind: str, name: str, names: Collection[str]) -> UnknownName:
+    return UnknownName(
+        f"{unknown(kind, name, names)}; in build(), add_{kind}_sensor() lets another"
+        " site be read"
+    )
 
 
 _living: WeakSet[CpuSim] = WeakSet()

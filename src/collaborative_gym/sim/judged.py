@@ -27,19 +27,7 @@ JUDGED = "qpos", "qvel", "sensordata"
 
 
 class Worlds:
-    """The rows of a batch, and how they take physics steps.
-
-    Args:
-      rows: the batch.
-
-    Attributes:
-      state: all that decides the worlds' future, (num_envs, nstate).
-      qpos: (num_envs, nq) positions.
-      qvel: (num_envs, nv) velocities.
-      eq_active: (num_envs, neq) switches of the equality constraints, 0 or 1.
-      sensordata: (num_envs, nsensordata) sensor values.
-      expand: returns a number of the model with a row for each world, by its name.
-    """
+    """The rows of a batch, live as in `Sim`, and how they take physics steps."""
 
     def __init__(self, rows: batch.Batch):
         self._batch, self.expand = rows, rows.expand
@@ -51,14 +39,7 @@ class Worlds:
     def roll(
         self, rows: np.ndarray | None, controls: Array, records: Mapping[Any, Array]
     ) -> np.ndarray:
-        """Advance worlds by physics steps; return which of them MuJoCo gave up.
-
-        Args:
-          rows: ids of the worlds; None for all.
-          controls: (rows, steps, nu).
-          records: arrays for what the steps find, (rows, steps, ...), by MuJoCo's names
-            and parts of the state.
-        """
+        """Advance worlds as `Steps` says; return which of them MuJoCo gave up."""
         every = slice(None) if rows is None else rows
         before, out = self._warnings()[every], dict(records)
         failed = self._fails(
@@ -83,11 +64,7 @@ class Worlds:
         return failed
 
     def _warnings(self) -> np.ndarray:
-        """Return how often MuJoCo has warned of each world, (num_envs,).
-
-        It warns of a state that is huge or not finite, for example. A rollout stops at
-        any warning.
-        """
+        """Return how often MuJoCo has warned of each world, where rollouts stop."""
         return self._batch.warning[:, :, 1].sum(axis=1)
 
 
@@ -99,9 +76,9 @@ class Steps:
       rows: ids of those that take the steps; None for all.
       controls: (rows, steps, nu).
       records: where to record what the steps find, (rows, steps, ...) by MuJoCo's
-        names; those of `JUDGED` among them, and `STATE` where steps are `retaken`.
-      breaks: which steps break a constraint; None if none does.
-      refinement: how steps are refined; None if they are not.
+        names; those of `JUDGED` among them, and `STATE` where steps are retaken.
+      breaks: as in `Sim.step`.
+      refinement: as in `Sim`.
 
     Attributes:
       failed: which worlds MuJoCo gave up, (rows,) booleans.
@@ -260,14 +237,8 @@ class Steps:
             for name, array in self.records.items()
         }
         controls = np.repeat(self._controls[left, at][:, None], count, axis=1)
-        short = _ShortSteps(
-            self._worlds,
-            rows,
-            controls,
-            records,
-            breaks=self._breaks,
-            refinement=refinement,
-        )
+        how = {"breaks": self._breaks, "refinement": refinement}
+        short = _ShortSteps(self._worlds, rows, controls, records, **how)
         with self._shortened(refinement, rows):
             short.retake()
         self.failed[left] = short.failed

@@ -21,17 +21,14 @@ when they began and with the forces in them, and which equality constraints were
 class Refinement:
     """How physics steps in which much happens are taken again as many short steps.
 
-    Each function returns (...) booleans for arrays (..., size).
+    Each function but `stop` returns (...) booleans for arrays (..., size).
 
     Attributes:
       steps: how many take the place of one.
-      fields: the model's numbers in short steps, by MuJoCo's names, `opt.timestep`
-        among them.
-      strays: takes `qpos` and `qvel` after physics steps, and returns which steps are
-        to be refined.
-      too_deep: takes `sensordata` after physics steps, with current contact sensors,
-        and returns likewise.
-      too_fast: takes `qvel` after short steps, and returns where `stop` is needed.
+      fields: the model's numbers in short steps, by MuJoCo's names.
+      strays: takes `qpos` and `qvel` after steps; returns which are to be refined.
+      too_deep: takes `sensordata` with current contact sensors; returns likewise.
+      too_fast: takes `qvel` after short steps; returns where `stop` is needed.
       stop: takes `qpos` before and `qpos` and `qvel` after a short step, (worlds, size)
         each, and may change the latter two.
     """
@@ -46,17 +43,11 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Refined:
-    """Physics steps that were refined, one in each of some worlds.
+    """Physics steps that were refined, one in each of some worlds."""
 
-    Attributes:
-      env_ids: the worlds, sorted integers.
-      steps: (worlds,) indices of the physics steps in their call of `step`.
-      records: what each short step found, (worlds, short steps, ...) by MuJoCo's names.
-    """
-
-    env_ids: Array
-    steps: Array
-    records: dict[str, Array]
+    env_ids: Array  # the worlds, sorted integers
+    steps: Array  # (worlds,) indices of the physics steps in their call of `step`
+    records: dict[str, Array]  # what each found, (worlds, short steps, ...)
 
 
 class Sim(Protocol):
@@ -119,9 +110,8 @@ class Sim(Protocol):
         Args:
           controls: (num_envs, substeps, nu), what `ctrl` is during each physics step.
           records: arrays to fill by MuJoCo's names, (num_envs, substeps, ...), with
-            what each physics step found: the state after the step, and all that follows
-            from a state of the one before it; of a step that was refined, its first
-            try.
+            the state after each physics step, and with all that follows from a state of
+            the one before it; of a step that was refined, its first try.
           breaks: judges each physics step. One that would break equality constraints
             is taken with those switched off, which they then are.
           env_ids: the worlds; None for all. The others keep state and sensors.
@@ -129,15 +119,12 @@ class Sim(Protocol):
         Raises:
           SimulationDiverged: if some worlds became unstable; the others went on.
         """
-        ...
 
     def forward(self, env_ids: EnvIds = None) -> None:
         """Make the sensors of these worlds current after a write to their state."""
-        ...
 
     def reset(self, env_ids: EnvIds = None) -> None:
         """Put these worlds into the model's initial state, forgetting all history."""
-        ...
 
     def get_state(self, env_ids: EnvIds = None) -> Array:
         """Return a copy of all that decides these worlds' future, one row each."""
@@ -145,7 +132,6 @@ class Sim(Protocol):
 
     def set_state(self, state: Array, env_ids: EnvIds = None) -> None:
         """Put rows from `get_state` into these worlds and refresh their sensors."""
-        ...
 
     def vary(self, env_ids: EnvIds, factors: Mapping[str, Array]) -> None:
         """Multiply numbers of these worlds' models by factors.
@@ -158,7 +144,6 @@ class Sim(Protocol):
           factors: by MuJoCo's names, such as `body_mass`, as many as the numbers, with
             an axis for these worlds in front.
         """
-        ...
 
     def limits(self, servos: Any) -> Array:
         """Return the greatest torques of some servos, in N m, (num_envs or 1, k)."""
@@ -195,13 +180,12 @@ class Sim(Protocol):
     ) -> tuple[Array, Array]:
         """Return Jacobians of world points that move with a body.
 
+        The translational and the rotational one are (worlds, 3, nv) each.
+
         Args:
           body: id of the body.
           point: (worlds, 3) points in the world frame.
           env_ids: of which worlds.
-
-        Returns:
-          The translational and the rotational Jacobian, (worlds, 3, nv) each.
         """
         ...
 

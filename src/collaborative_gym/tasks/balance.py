@@ -37,7 +37,7 @@ import numpy as np
 
 from collaborative_gym import math, motion
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
@@ -52,23 +52,20 @@ from collaborative_gym.objects.board import (
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, columns
+from collaborative_gym.tasks.task import (
+    Blocks,
+    Task,
+    TaskConfig,
+    Terms,
+    columns,
+    face_to_face,
+)
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
 REST_HEIGHT = THICKNESS / 2 + RADIUS
-_ROLLING_SLOPE = 0.075  # slope on which the ball just rolls on: 0.003 m / radius
-
-# The expert's way with the ball.
-_APPROACH = 1.0  # 1/s, wanted speed over distance
-_FASTEST = 0.35  # m/s
-_CALM = 0.05  # m/s; when less is wanted, the ball is left to stop by itself
-_GAIN = 0.35  # s/m, slope over missing speed
-_PULL = 7 / 5 / 9.81  # s2/m, slope over acceleration of a full ball that rolls
-_STEEPEST = 0.16
-_LONGEST_MOVE = 0.03  # m, missing at a time
-_LARGEST_TURN = 0.08  # rad, missing at a time; with more, the ball lifts off
 
 
 @dataclass(frozen=True)
@@ -88,29 +85,24 @@ class BalanceConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class BalanceFacts:
-    """What Balance looks at.
+    """What Balance looks at; a pose is a position and a quaternion."""
 
-    Attributes:
-      joints: arm joint angles by agent, (num_envs, joints), in rad.
-      ball: position and quaternion of the ball.
-      ball_velocity: its linear and angular velocity.
-      board: position and quaternion of the board's centre.
-      offset: (num_envs, 3) from the board's to the ball's centre, in the board's frame.
-      distance: (num_envs,) length of `offset`, in m.
-      fell: (num_envs,) whether the ball has ever left the board.
-    """
-
-    joints: dict[str, Array]
-    ball: tuple[Array, Array]
-    ball_velocity: tuple[Array, Array]
-    board: tuple[Array, Array]
-    offset: Array
-    distance: Array
-    fell: Array
+    joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
+    ball: tuple[Array, Array]  # pose
+    ball_velocity: tuple[Array, Array]  # linear and angular
+    board: tuple[Array, Array]  # pose of its centre
+    offset: Array  # (num_envs, 3) from board to ball in the board's frame, in m
+    distance: Array  # (num_envs,) length of `offset`, in m
+    fell: Array  # (num_envs,) whether the ball has ever left the board
 
 
 class Balance(Task[BalanceConfig, BalanceFacts]):
-    """Keep a ball on the middle of a board that two arms hold."""
+    """Keep a ball on the middle of a board that two arms hold.
+
+    Attributes:
+      centre: nominal place of the board's centre, (3,).
+      postures: of each arm, in the middle of what it needs to do, in rad.
+    """
 
     config_class = BalanceConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
@@ -125,16 +117,13 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     }
     success_after = 5
     performance_from_start = True
+    expert = player.expert
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.7 of each reach behind the handles, facing each other."""
-        return tuple(
-            Placement(
-                (0.0, side * (HANDLE + 0.7 * robot.reach), robot.base_height),
-                -side * np.pi / 2,
-            )
-            for side, robot in zip((-1.0, 1.0), self.robots.values(), strict=True)
-        )
+        robots = self.robots.values()
+        far = [HANDLE + 0.7 * robot.reach for robot in robots]
+        return face_to_face(far, [robot.base_height for robot in robots])
 
     @property
     def marked_radius(self) -> float:
@@ -171,16 +160,13 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
         self.centre = np.array([0.0, 0.0, self.config.board_height])
-        self._handle = {}
-        self._posture = {}
-        for agent, name in zip(self.agents, HANDLES, strict=True):
+        self._handles, self.postures = {}, {}
+        for (agent, arm), name in zip(scene.arms.items(), HANDLES, strict=True):
             site = model.site(f"{prefix}/{name}")
-            self._handle[agent] = site.pos.copy(), site.quat.copy()
-            poses = [self._grasp(agent, *pose) for pose in self.poses()]
-            self._posture[agent] = motion.central_pose(
-                model, scene.arms[agent], poses=poses
-            )
-        scene.postures |= self._posture
+            self._handles[agent] = site.pos.copy(), site.quat.copy()
+            poses = [self.grasp(agent, *pose) for pose in self.poses()]
+            self.postures[agent] = motion.central_pose(model, arm, poses=poses)
+        scene.postures |= self.postures
 
     def poses(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the board's nominal pose and those that an arm should have at hand."""
@@ -189,9 +175,17 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             moved = self.centre + 0.05 * np.array([x, y, x * y * turn])
             poses.append((moved, math.from_yaw(np.array(np.radians(15) * turn))))
         for x, y in product((-1.0, 1.0), repeat=2):
-            tilt = _STEEPEST * np.array([x, y, 0.0])
+            tilt = player.STEEPEST * np.array([x, y, 0.0])
             poses.append((self.centre, math.from_rotation_vector(tilt)))
         return poses
+
+    def grasp(
+        self, agent: str, place: np.ndarray, quat: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose of a tcp at its handle of a board that is there."""
+        handle_place, handle_quat = self._handles[agent]
+        grasp_place = place + math.rotate(quat, handle_place)
+        return grasp_place, math.multiply(quat, handle_quat)
 
     def remember(self, num_envs: int) -> dict[str, Array]:
         memory: dict[str, Array] = {"fell": self.xp.zeros(num_envs, dtype=bool)}
@@ -203,72 +197,37 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        moves = np.array([bounds.object_position] * 3 + [bounds.object_yaw])
-        moved = rng.within(moves, 4)
-        noise = {
-            agent: rng.within(bounds.joint_noise, len(posture))
-            for agent, posture in self._posture.items()
-        }
+        moved = rng.within(bounds.moves, 4)
+        near = [
+            posture + rng.within(bounds.joint_noise, len(posture))
+            for posture in self.postures.values()
+        ]
         rolled = rng.within(_BALL_START, 2)
-        near = {agent: self._posture[agent] + noise[agent] for agent in noise}
-        place, quat = self._take_hold(sim, env_ids, moved, near)
+
+        def board_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return self.centre + moved[:, :3], math.from_yaw(moved[:, 3])
+
+        def grasps(moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+            return [self.grasp(agent, *board_at(moved)) for agent in self.agents]
+
+        angles, moved = motion.hold_moved(self._chains, grasps, moved=moved, near=near)
+        for agent, found in zip(self.agents, angles, strict=True):
+            self.scene.bend(sim, env_ids, agent=agent, angles=found)
+        place, quat = board_at(moved)
         resting = np.full((len(rolled), 1), REST_HEIGHT)
-        on_board = math.rotate(quat, np.concatenate([rolled, resting], axis=1))
-        place = place + on_board
+        place = place + math.rotate(quat, np.concatenate([rolled, resting], axis=1))
         self.scene.place(sim, env_ids, name="ball", position=place, quat=quat)
         if self.config.push > 0:
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
             sim.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
 
-    def _take_hold(
-        self,
-        sim: Sim,
-        env_ids: np.ndarray,
-        moved: np.ndarray,
-        near: dict[str, np.ndarray],
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Let the arms hold a level board in these worlds, and return its poses.
-
-        Args:
-          sim: the worlds.
-          env_ids: which of them.
-          moved: (worlds, 4) how far the board is from its nominal place along x, y, z
-            and about z; halved until all arms reach it.
-          near: by agent, angles (worlds, joints) near which to hold it.
-        """
-        angles, moved = motion.hold_moved(
-            self._chains,
-            lambda moved: [
-                self._grasp(agent, *self._board_at(moved)) for agent in near
-            ],
-            moved=moved,
-            near=list(near.values()),
-        )
-        for agent, found in zip(near, angles, strict=True):
-            arm = self.scene.arms[agent]
-            sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(found)
-        return self._board_at(moved)
-
-    def _board_at(self, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses of a level board, moved so far from its nominal place."""
-        return self.centre + moved[:, :3], math.from_yaw(moved[:, 3])
-
-    def _grasp(
-        self, agent: str, place: np.ndarray, quat: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the tcp's pose at its handle of a board there."""
-        handle_place, handle_quat = self._handle[agent]
-        grasp_place = place + math.rotate(quat, handle_place)
-        return grasp_place, math.multiply(quat, handle_quat)
-
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         if self.config.push > 0:
             push = sim.memory["pushes"][sim.xp.arange(sim.num_envs), steps]
             force = push[:, 0]
             along = [push[:, 1], push[:, 2], sim.xp.zeros_like(force)]
-            point = sim.xp.stack(along, axis=1)
-            lever = math.rotate(sim.pose("board")[1], point)
+            lever = math.rotate(sim.pose("board")[1], sim.xp.stack(along, axis=1))
             sim.xfrc_applied[:, self._board, 2] = force
             sim.xfrc_applied[:, self._board, 3] = lever[:, 1] * force
             sim.xfrc_applied[:, self._board, 4] = -lever[:, 0] * force
@@ -283,8 +242,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             | (xp.abs(offset[:, 1]) > LENGTH / 2)
             | (offset[:, 2] < THICKNESS / 2)
         )
-        fell = sim.memory["fell"] | off
-        sim.memory["fell"] = fell
+        fell = sim.memory["fell"] = sim.memory["fell"] | off
         return BalanceFacts(
             joints=self.joints(sim),
             ball=ball_pose,
@@ -308,11 +266,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def reward(
         self, facts: BalanceFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
-        xp = array_namespace(facts.distance)
-        terms = {
-            "distance": -facts.distance,
-            "fell": xp.where(facts.fell, -1.0, 0.0),
-        }
+        fell = array_namespace(facts.distance).where(facts.fell, -1.0, 0.0)
+        terms = {"distance": -facts.distance, "fell": fell}
         return dict.fromkeys(self.agents, terms)
 
     def success(self, facts: BalanceFacts) -> Array:
@@ -326,48 +281,6 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def performing(self, facts: BalanceFacts) -> Array:
         return ~facts.fell
 
-    def expert(self, sim: Sim, facts: BalanceFacts) -> dict[str, Motion]:
-        """Bring the board to its place, tilted so that the ball rolls on its course.
-
-        Both arms do their part of the board's motion, at the pace of the slower one.
-        """
-        place, quat = facts.board
-        missing = np.clip(self.place(facts) - place, -_LONGEST_MOVE, _LONGEST_MOVE)
-        turn = motion.rotation_error(quat, _orientation(facts, self.course(facts)))
-        turn = np.clip(turn, -_LARGEST_TURN, _LARGEST_TURN)
-        next_quat = math.multiply(math.from_rotation_vector(turn), quat)
-        motions = {}
-        for agent in self.agents:
-            grasp = self._grasp(agent, place + missing, next_quat)
-            motions[agent] = Motion(self._change(sim, agent, grasp), in_step=True)
-        return motions
-
-    def place(self, facts: BalanceFacts) -> Array:
-        """Return where the expert brings the board's centre, (3,) or by world, in m."""
-        return self.centre
-
-    def course(self, facts: BalanceFacts) -> tuple[Array, Array, Array]:
-        """Return the way the ball is to go, and its velocity and acceleration then.
-
-        They are (num_envs, 3) each, in the board's frame.
-        """
-        still = np.zeros_like(facts.offset)
-        return -facts.offset, still, still
-
-    def _change(self, sim: Sim, agent: str, grasp: tuple[Array, Array]) -> np.ndarray:
-        """Return the joint changes that put a tcp at a grasp."""
-        arm = self.scene.arms[agent]
-        place, quat = sim.pose(f"{agent}/tcp")
-        turn = motion.rotation_error(quat, grasp[1])
-        error = np.concatenate([grasp[0] - place, turn], axis=1)
-        jacobian = np.concatenate(sim.jacobian(arm.hand, place), axis=1)[:, :, arm.dof]
-        angle = np.asarray(sim.qpos[:, arm.qpos])
-        low, high = arm.joint_range
-        lean = 0.3 * (self._posture[agent] - angle)
-        room = low - angle, high - angle
-        change = motion.joint_change(jacobian, error, lean=lean, room=room)
-        return motion.settling(sim, arm, change=change)
-
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Place a board in the frame of the tcp that holds its first handle."""
@@ -378,48 +291,10 @@ def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _orientation(facts: BalanceFacts, course: tuple[Array, Array, Array]) -> np.ndarray:
-    """Return the orientation of the board that rolls the ball on its course."""
-    way, velocity, acceleration = (vector[:, :2] for vector in course)
-    into_board = math.conjugate(facts.board[1])
-    speed = math.rotate(into_board, facts.ball_velocity[0])[:, :2]
-    wanted = motion.shortened(velocity + _APPROACH * way, _FASTEST)
-    # Rolling on takes a slope of its own besides that of the acceleration.
-    ahead = motion.shortened(wanted / _CALM, 1.0)
-    slope = _GAIN * (wanted - speed) + _ROLLING_SLOPE * ahead
-    slope = motion.shortened(slope + _PULL * acceleration, _STEEPEST)
-    # The ball rolls to where the board's normal leans.
-    zero = np.zeros(len(slope))
-    return math.from_rotation_vector(
-        np.stack([-slope[:, 1], slope[:, 0], zero], axis=1)
-    )
-
-
+_SAWYERS = {"push": 10.0, "placements": face_to_face((1.8, 1.8), (1.0, 1.0))}
+_WITH_JACO = {"placements": face_to_face((1.4, 1.8), (0.65, 1.0))}
 register_task("Balance", Balance)
+register_env(EnvSpec("BalanceTaskSawyers-v0", Balance, ("sawyer", "sawyer"), _SAWYERS))
 register_env(
-    EnvSpec(
-        "BalanceTaskSawyers-v0",
-        Balance,
-        ("sawyer", "sawyer"),
-        {
-            "push": 10.0,
-            "placements": (
-                Placement((0.0, -1.8, 1.0), np.pi / 2),
-                Placement((0.0, 1.8, 1.0), -np.pi / 2),
-            ),
-        },
-    )
-)
-register_env(
-    EnvSpec(
-        "BalanceTaskJacoSawyer-v0",
-        Balance,
-        ("jaco", "sawyer"),
-        {
-            "placements": (
-                Placement((0.0, -1.4, 0.65), np.pi / 2),
-                Placement((0.0, 1.8, 1.0), -np.pi / 2),
-            )
-        },
-    )
+    EnvSpec("BalanceTaskJacoSawyer-v0", Balance, ("jaco", "sawyer"), _WITH_JACO)
 )

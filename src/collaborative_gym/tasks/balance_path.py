@@ -39,6 +39,7 @@ from collaborative_gym.tasks.balance import (
     BalanceConfig,
     BalanceFacts,
 )
+from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.registry import get_env, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks
@@ -46,8 +47,6 @@ from collaborative_gym.timing import CONTROL_DT, SIM_DT
 
 _SMALLEST = 0.9  # share of the path's size
 _ROUNDS = (2.0, 1.0, 1.0)  # in a lap, along x, y and z
-_LONGEST_RISE = 0.027  # m, missing at a time; more leaves slow arms no speed to tilt
-_LAG = 0.15  # s by which a board that rises comes later than a control step
 _START = (0.0, 0.0, np.pi / 2)  # rad, so that the target turns highest at y = 0
 
 
@@ -72,21 +71,12 @@ class BalancePathConfig(BalanceConfig):
 
 @dataclass(frozen=True)
 class BalancePathFacts(BalanceFacts):
-    """What BalancePath looks at.
+    """What BalancePath looks at; `distance` is from the ball to the target."""
 
-    Attributes:
-      distance: (num_envs,) between the centres of ball and target, in m.
-      target: (num_envs, 3) its place, in m.
-      target_velocity: (num_envs, 3) in m/s.
-      coming: its place, velocity and acceleration a control step later.
-      followed: (num_envs,) how long the ball has been near the target, in s; 0 where it
-        is not.
-    """
-
-    target: Array
-    target_velocity: Array
-    coming: tuple[Array, Array, Array]
-    followed: Array
+    target: Array  # (num_envs, 3) its place, in m
+    target_velocity: Array  # (num_envs, 3) in m/s
+    coming: tuple[Array, Array, Array]  # place, velocity, acceleration a step later
+    followed: Array  # (num_envs,) how long the ball has been near it, in s, else 0
 
 
 class BalancePath(Balance):
@@ -96,6 +86,7 @@ class BalancePath(Balance):
     config: BalancePathConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m", "followed": "s"}
     performance_from_start = False
+    expert = player.path_expert
 
     @property
     def marked_radius(self) -> float:
@@ -140,12 +131,7 @@ class BalancePath(Balance):
         self.scene.place(sim, slice(None), name="target", position=coming)
 
     def _at(self, sim: Sim, time: Array) -> tuple[Array, Array, Array]:
-        """Return the target's place, velocity and acceleration, (num_envs, 3) each.
-
-        Args:
-          sim: the worlds.
-          time: (num_envs,) since the episode's start, in s.
-        """
+        """Return the target's place, velocity and acceleration at times in s."""
         xp, path = sim.xp, sim.memory["path"]
         rate = (2 * np.pi / self.config.lap) * path[:, 4:5] * self._rounds
         angle = path[:, 3:4] * self._rounds + rate * time[:, None] + self._start
@@ -186,31 +172,8 @@ class BalancePath(Balance):
         missing = facts.distance + 1.0 - facts.followed / self.config.lap
         return xp.where(self.success(facts), 0.0, missing)
 
-    def place(self, facts: BalancePathFacts) -> Array:
-        # A ball on the floor cannot be led.
-        coming = facts.coming[0] + _LAG * facts.coming[1]
-        missing = np.where(facts.fell, 0.0, (coming - facts.ball[0])[:, 2])
-        missing = np.clip(missing, -_LONGEST_RISE, _LONGEST_RISE)
-        place = np.tile(self.centre, (len(missing), 1))
-        place[:, 2] = facts.board[0][:, 2] + missing
-        return place
-
-    def course(self, facts: BalancePathFacts) -> tuple[Array, Array, Array]:
-        into_board = math.conjugate(facts.board[1])
-        place, velocity, acceleration = facts.coming
-        way = place - facts.ball[0] - CONTROL_DT * facts.ball_velocity[0]
-        way, velocity, acceleration = (
-            math.rotate(into_board, vector) for vector in (way, velocity, acceleration)
-        )
-        return way, velocity, acceleration
-
 
 register_task("BalancePath", BalancePath)
 for _arms in ("Sawyers", "JacoSawyer"):
-    register_env(
-        replace(
-            get_env(f"BalanceTask{_arms}-v0"),
-            env_id=f"BalancePath{_arms}-v0",
-            task=BalancePath,
-        )
-    )
+    _spec = get_env(f"BalanceTask{_arms}-v0")
+    register_env(replace(_spec, env_id=f"BalancePath{_arms}-v0", task=BalancePath))

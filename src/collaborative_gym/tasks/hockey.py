@@ -70,9 +70,9 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import Chains, Chart, hold, shortened
+from collaborative_gym.motion import Chains, Chart, hold
 from collaborative_gym.objects.mallet import GRIP, mallet
 from collaborative_gym.objects.mallet import HEIGHT as MALLET_HEIGHT
 from collaborative_gym.objects.mallet import RADIUS as MALLET
@@ -82,7 +82,8 @@ from collaborative_gym.objects.rink import HALF_LENGTH, HEIGHT, MOUNT, rink
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.hockey_player import Field, play
+from collaborative_gym.tasks.experts import hockey as player
+from collaborative_gym.tasks.experts.hockey import AREA_MIDDLE, AREA_SIZE, HOVER
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
@@ -91,13 +92,7 @@ from collaborative_gym.timing import SIM_DT
 _LANE = 0.64  # m, width of the table for each arm of a side
 _HALF_GOAL = 0.2  # m, likewise
 _BEHIND_GOAL = 0.2  # m, from a goal's line to the arms
-_HOVER = 0.015  # m, from the ice to a mallet at rest
-_AREA_MIDDLE = np.array([-0.29, 0.0])  # m, of what a mallet uses of its lane, and
-_AREA_SIZE = np.array([0.19, 0.27])  # m, how far that reaches to either end
 _START = np.array([-0.38, 0.0])  # m, where a mallet starts in its lane
-_FIRMNESS = 0.5  # share of its way that the player's mallet goes at once
-_SOFT = 1e-5  # m2, damping of a swing near singular poses
-_STRIDE = 0.12  # m, longest way of a mallet that is planned at a time
 _SERVES = 64  # drawn for an episode; then they begin anew
 _SLOWEST, _QUICKEST, _ACROSS = 0.3, 0.7, 0.3  # m/s
 _PLACES = 3  # on the centre line, from which a serve takes the first that is free
@@ -123,37 +118,30 @@ class HockeyConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class HockeyFacts:
-    """What Hockey looks at, in the frame of the table, whose origin is on the ice.
+    """What Hockey looks at, in the frame of the table, whose origin is on the ice."""
 
-    Attributes:
-      joints: arm joint angles by agent, (num_envs, joints), in rad.
-      joint_speeds: likewise, in rad/s.
-      mallet: by agent, place of its lower face, (num_envs, 3), and its quaternion.
-      puck: (num_envs, 2) in m.
-      puck_velocity: (num_envs, 2) in m/s.
-      goal: (num_envs,) 1 where side_1 has just scored, -1 where side_2 has, else 0.
-      half: (num_envs,) -1 where the puck is on the half of side_1, else 1.
-      clock: (num_envs,) how long it has been there, in s.
-      lead: (num_envs,) goals of side_1 less those of side_2.
-    """
-
-    joints: dict[str, Array]
-    joint_speeds: dict[str, Array]
-    mallet: dict[str, tuple[Array, Array]]
-    puck: Array
-    puck_velocity: Array
-    goal: Array
-    half: Array
-    clock: Array
-    lead: Array
+    joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
+    joint_speeds: dict[str, Array]  # likewise, in rad/s
+    mallet: dict[str, tuple[Array, Array]]  # place of its lower face, and quaternion
+    puck: Array  # (num_envs, 2) in m
+    puck_velocity: Array  # (num_envs, 2) in m/s
+    goal: Array  # (num_envs,) 1 where side_1 has just scored, -1 where side_2 has
+    half: Array  # (num_envs,) -1 where the puck is on the half of side_1, else 1
+    clock: Array  # (num_envs,) how long it has been there, in s
+    lead: Array  # (num_envs,) goals of side_1 less those of side_2
 
 
 class Hockey(Task[HockeyConfig, HockeyFacts]):
-    """Score more goals than the other side."""
+    """Score more goals than the other side.
+
+    Attributes:
+      charts: by agent, joint angles with which the mallet hovers over its lane.
+    """
 
     robot_counts = (2, 4)
     config_class = HockeyConfig
     performance_from_start = True
+    expert = player.expert
     units: ClassVar[Mapping[str, str]] = {"clock": "s"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
@@ -169,42 +157,43 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         return self.agents[:half], self.agents[half:]
 
     @property
-    def _turns(self) -> dict[str, float]:
+    def turns(self) -> dict[str, float]:
         """1 where an agent's frame is the table's, -1 where it is turned round."""
-        ways = zip((1.0, -1.0), self.sides, strict=True)
-        return {agent: way for way, side in ways for agent in side}
+        half = len(self.agents) // 2
+        return dict(zip(self.agents, [1.0] * half + [-1.0] * half, strict=True))
 
     @property
-    def _lanes(self) -> np.ndarray:
-        """The y of each place of a side, in its own frame, in m."""
+    def lanes(self) -> dict[str, float]:
+        """The y of each agent's lane, in its own frame, in m."""
         count = len(self.sides[0])
-        return _LANE * (np.arange(count) - (count - 1) / 2)
+        lanes = _LANE * (np.arange(count) - (count - 1) / 2)
+        return dict(zip(self.agents, np.tile(lanes, 2), strict=True))
 
     @property
-    def field(self) -> Field:
-        """The table, as a player knows it."""
+    def half_sizes(self) -> tuple[float, float]:
+        """Half of the table's width and half of a goal's, in m."""
         count = len(self.sides[0])
-        half_width, half_goal = count * _LANE / 2, count * _HALF_GOAL
-        return Field(half_width, half_goal, self.config.restitution)
+        return count * _LANE / 2, count * _HALF_GOAL
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return blocks behind the goals, facing each other."""
-        x, z, placements = HALF_LENGTH + _BEHIND_GOAL, HEIGHT + MOUNT, []
-        for way, yaw in ((1.0, 0.0), (-1.0, np.pi)):
-            places = [(-way * x, way * lane, z) for lane in self._lanes]
-            placements += [Placement(place, yaw) for place in places]
-        return tuple(placements)
+        x, z = HALF_LENGTH + _BEHIND_GOAL, HEIGHT + MOUNT
+        lanes = self.lanes
+        return tuple(
+            Placement((-way * x, way * lanes[agent], z), 0.0 if way > 0 else np.pi)
+            for agent, way in self.turns.items()
+        )
 
     def build(self, scene: Scene) -> None:
         for agent, placement in self.placements.items():
             robot = self.robots[agent]
             scene.add_robot(agent, robot, placement=placement, holds=GRIP, stand=False)
-            colour = _COLOURS[self._turns[agent] < 0]
+            colour = _COLOURS[self.turns[agent] < 0]
             scene.add_tool(agent, "mallet", child=mallet(colour))
             scene.add_pose_sensor(f"{agent} mallet", f"{agent}/mallet/mallet")
-        ice, field = (0.0, 0.0, HEIGHT), self.field
+        ice, (half_width, half_goal) = (0.0, 0.0, HEIGHT), self.half_sizes
         blocks = [placement.position[:2] for placement in self.placements.values()]
-        table = rink(field.half_width, field.half_goal, mounts=blocks)
+        table = rink(half_width, half_goal, mounts=blocks)
         scene.add("rink", table, position=ice)
         scene.add("puck", puck(self.config.restitution), position=ice)
         scene.spec.add_exclude(bodyname1="puck/puck", bodyname2="rink/lintels")
@@ -213,23 +202,20 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         # Its contacts turn the puck round within a step; `discrete` would stop it.
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
-        far = 1.25 + 0.65 * field.half_width
+        far = 1.25 + 0.65 * half_width
         scene.add_camera((0, -far, HEIGHT + 1.1 * far), (1, 0, 0, 0, 0.74, 0.67))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._lane = dict(zip(self.agents, np.tile(self._lanes, 2), strict=True))
         self._chains = Chains(model, list(scene.arms.values()))
-        # Arms may differ in their number of joints.
-        self._alone = {a: Chains(model, [arm]) for a, arm in scene.arms.items()}
-        self._charts = {}
+        self.charts = {}
         for agent, arm in scene.arms.items():
-            edges = np.diag(self._turns[agent] * _AREA_SIZE)
-            self._charts[agent] = Chart(
+            edges = np.diag(self.turns[agent] * AREA_SIZE)
+            self.charts[agent] = Chart(
                 model,
                 arm,
-                middle=self._hand(agent, _AREA_MIDDLE),
+                middle=self._hand(agent, AREA_MIDDLE),
                 along=np.pad(edges, ((0, 0), (0, 1))),
                 approach=_DOWN,
             )
@@ -239,8 +225,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
 
     def _hand(self, agent: str, place: np.ndarray) -> np.ndarray:
         """Return where a tcp is if its mallet hovers at places (..., 2) of its lane."""
-        flat = self._turns[agent] * (place + np.array([0.0, self._lane[agent]]))
-        height = np.full((*flat.shape[:-1], 1), HEIGHT + _HOVER + MALLET_HEIGHT)
+        flat = self.turns[agent] * (place + np.array([0.0, self.lanes[agent]]))
+        height = np.full((*flat.shape[:-1], 1), HEIGHT + HOVER + MALLET_HEIGHT)
         return np.concatenate([flat, height], axis=-1)
 
     def remember(self, num_envs: int) -> dict[str, Array]:
@@ -258,13 +244,13 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         goals, near = [], []
         for agent, arm in self.scene.arms.items():
             place = _START + rng.within(bounds.object_position, 2)
-            angles = self._charts[agent].at((place - _AREA_MIDDLE) / _AREA_SIZE)
+            angles = self.charts[agent].at((place - AREA_MIDDLE) / AREA_SIZE)
             near.append(angles + rng.within(bounds.joint_noise, arm.num_joints))
             goals.append((self._hand(agent, place), _DOWN))
         found, _ = hold(self._chains, goals, near=near)
         for agent, angles in zip(self.agents, found, strict=True):
             self.scene.bend(sim, env_ids, agent=agent, angles=angles)
-        wide = self.field.half_width - 2 * PUCK
+        wide = self.half_sizes[0] - 2 * PUCK
         low = [-wide] * _PLACES + [_SLOWEST, -_ACROSS]
         high = [wide] * _PLACES + [_QUICKEST, _ACROSS]
         serves = rng.uniform(low, high, (_SERVES, _PLACES + 2))
@@ -296,9 +282,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         sim.qpos[:, x] = xp.where(is_called, 0.0, sim.qpos[:, x])
         sim.qpos[:, y] = xp.where(is_called, places[worlds, chosen], sim.qpos[:, y])
         for column, speed in zip((_PLACES, _PLACES + 1), self._speed, strict=True):
-            sim.qvel[:, speed] = xp.where(
-                is_called, serve[:, column], sim.qvel[:, speed]
-            )
+            before = sim.qvel[:, speed]
+            sim.qvel[:, speed] = xp.where(is_called, serve[:, column], before)
         memory["served"] = memory["served"] + is_called
         memory["half"] = xp.where(is_called, to, memory["half"])
         memory["since"] = xp.where(is_called, sim.time, memory["since"])
@@ -335,7 +320,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
 
     def observe(self, facts: HockeyFacts) -> dict[str, Blocks]:
         xp, seen = array_namespace(facts.puck), {}
-        for agent, way in self._turns.items():
+        for agent, way in self.turns.items():
             turn = xp.asarray([way, way, 1.0])
             place, quat = facts.mallet[agent]
             others = {a: way * facts.mallet[a][0][:, :2] for a in self._others(agent)}
@@ -355,22 +340,22 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
 
     def _others(self, agent: str) -> tuple[str, ...]:
         """Return the other agents, those of the agent's own side first."""
-        own, other = self.sides if self._turns[agent] > 0 else self.sides[::-1]
+        own, other = self.sides if self.turns[agent] > 0 else self.sides[::-1]
         return tuple(each for each in (*own, *other) if each != agent)
 
     def reward(
         self, facts: HockeyFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.puck), {}
-        for agent, way in self._turns.items():
+        for agent, way in self.turns.items():
             place, quat = facts.mallet[agent]
             far = math.distance(place[:, :2], facts.puck)
             speed = way * facts.puck_velocity[:, 0]
-            height = xp.abs(place[:, 2] - _HOVER)
+            height = xp.abs(place[:, 2] - HOVER)
+            speed = xp.minimum(xp.maximum(speed, -2.0 + 0 * speed), 2.0 + 0 * speed)
             terms[agent] = {
                 "goal": 10.0 * way * facts.goal,
-                "drive": 0.2
-                * xp.minimum(xp.maximum(speed, -2.0 + 0 * speed), 2.0 + 0 * speed),
+                "drive": 0.2 * speed,
                 "near": xp.where(way * facts.half < 0.0, -0.3 * far, 0.0),
                 "height": -2.0 * xp.where(height < 0.3, height, 0.3),
                 "upright": -0.3 * (1.0 + math.axis_z(quat)[:, 2]),
@@ -388,69 +373,9 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     def performing(self, facts: HockeyFacts) -> tuple[Array, ...]:
         return facts.lead > 0.0, facts.lead < 0.0
 
-    def expert(self, sim: Sim, facts: HockeyFacts) -> dict[str, Motion]:
-        """Play both sides as `hockey_player` says, along the charts of the arms."""
-        motions, sides = {}, self.sides
-        for side, other in (sides, sides[::-1]):
-            way = self._turns[side[0]]
-            own, others = (
-                np.stack([way * facts.mallet[a][0][:, :2] for a in each], axis=1)
-                for each in (side, other)
-            )
-            puck = way * facts.puck, way * facts.puck_velocity
-            goals, hits = play(self.field, own, self._lanes, others, puck)
-            for i, agent in enumerate(side):
-                lane = np.array([0.0, self._lane[agent]])
-                low, high = _AREA_MIDDLE - _AREA_SIZE, _AREA_MIDDLE + _AREA_SIZE
-                goal = np.clip(goals[:, i] - lane, low, high)
-                here = own[:, i] - lane
-                step = _FIRMNESS * shortened(goal - here, _STRIDE)
-                share = (here + step - _AREA_MIDDLE) / _AREA_SIZE
-                change = self._charts[agent].at(share) - facts.joints[agent]
-                rows = np.flatnonzero(hits[:, i])
-                way_there = way * (goals[rows, i] - own[rows, i])
-                change[rows] = self._swing(agent, facts.joints[agent][rows], way_there)
-                motions[agent] = Motion(change)
-        return motions
-
-    def _swing(self, agent: str, angles: Array, way: Array) -> np.ndarray:
-        """Return joint changes that swing a mallet as far along a way as a step allows.
-
-        The mallet may tilt: an arm that keeps it upright is half as fast.
-
-        Args:
-          agent: whose mallet.
-          angles: (n, joints) of its arm, in rad.
-          way: (n, 2) in the table's frame, in m.
-        """
-        arm = self.scene.arms[agent]
-        kinematics = self._alone[agent].of(np.zeros(len(way), int))
-        rows, goal, there = np.arange(len(way)), np.zeros((len(way), 3)), angles.copy()
-        goal[:, 2] = HEIGHT + _HOVER
-        for i in range(4):
-            place, rotation, jacobian = kinematics(there, rows)
-            lever = MALLET_HEIGHT * rotation[:, :, 2]
-            turned = math.cross(jacobian[:, 3:].transpose(0, 2, 1), lever[:, None])
-            moves = (jacobian[:, :3] + turned.transpose(0, 2, 1)) * arm.stride
-            if i == 0:
-                goal[:, :2] = (place + lever)[:, :2] + way
-            square = moves @ moves.transpose(0, 2, 1) + _SOFT * np.eye(3)
-            error = (goal - place - lever)[..., None]
-            share = (moves.transpose(0, 2, 1) @ np.linalg.solve(square, error))[..., 0]
-            if i == 0:
-                # No farther than the slowest joint comes in a step.
-                most = np.maximum(np.abs(share).max(axis=1), 1.0)[:, None]
-                goal[:, :2] += (1.0 / most - 1.0) * way
-                share = share / most
-            there = there + arm.stride * share
-        return there - angles
-
 
 register_task("Hockey", Hockey)
-for _name, _robots in (
-    ("HockeyPandas", ("panda", "panda")),
-    ("HockeySawyers", ("sawyer", "sawyer")),
-    ("HockeyPandaSawyer", ("panda", "sawyer")),
-    ("HockeyDoubles", ("panda",) * 4),
-):
-    register_env(EnvSpec(f"{_name}-v0", Hockey, _robots))
+register_env(EnvSpec("HockeyPandas-v0", Hockey, ("panda", "panda")))
+register_env(EnvSpec("HockeySawyers-v0", Hockey, ("sawyer", "sawyer")))
+register_env(EnvSpec("HockeyPandaSawyer-v0", Hockey, ("panda", "sawyer")))
+register_env(EnvSpec("HockeyDoubles-v0", Hockey, ("panda",) * 4))

@@ -137,14 +137,8 @@ class Identity:
         if self.robot_names != other.robot_names:
             # Other arms stand elsewhere, which tells nothing more.
             ignore = {*ignore, "placements"}
-        own, others = (
-            {
-                name: value
-                for name, value in {**each.config, "action": each.action}.items()
-                if name not in ignore
-            }
-            for each in (self, other)
-        )
+        own, others = ({**each.config, "action": each.action} for each in (self, other))
+        own = {name: value for name, value in own.items() if name not in ignore}
         found += _differing("", own, others)
         if "versions" not in ignore:
             found += _differing("version of", self.versions, other.versions, " ")
@@ -164,9 +158,9 @@ def _differing(
 
 
 def _short(value: Any) -> str:
-    return (
-        value if isinstance(value, str) else json.dumps(value).replace("null", "None")
-    )
+    if isinstance(value, str):
+        return value
+    return json.dumps(value).replace("null", "None")
 
 
 def _plain(value: Any) -> Any:
@@ -188,10 +182,9 @@ def _plain(value: Any) -> Any:
 def _digest(robot: Robot, changed: int) -> str:
     """Return a short digest that tells apart arms of one name.
 
-    It is worked out once for as long as the model file was last `changed` at that time.
-
-    Fields that are left at their defaults do not count, so that a new field changes
-    nothing. What only people read in the model file does not count either.
+    It stays for as long as the model file was last `changed` at that time. Fields that
+    are left at their defaults do not count, so that a new field changes nothing. What
+    only people read in the model file does not count either.
     """
     content = {
         each.name: _plain(getattr(robot, each.name))

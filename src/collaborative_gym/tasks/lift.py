@@ -37,46 +37,33 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import (
-    carry,
-    greatest_load,
-    shortened,
-    solve_pose,
-    standoff,
-    turn_fingers,
-)
+from collaborative_gym.motion import greatest_load, solve_pose, turn_fingers
 from collaborative_gym.motion.lift_mass import weigh
 from collaborative_gym.objects.pot import HANDLE_WIDTH, pot
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import lift as player
+from collaborative_gym.tasks.experts.lift import GRIP_OFFSETS, START, WAY_OFFSETS
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms, columns
+from collaborative_gym.tasks.task import (
+    LEVEL,
+    Blocks,
+    Task,
+    TaskConfig,
+    Terms,
+    columns,
+    face_to_face,
+)
 
-_TABLE_HEIGHT = 0.64
-_START = np.array([0.0, 0.0, 0.7])
-_GRIP_OFFSETS = np.array([[0.0, -0.14, 0.05], [0.0, 0.14, 0.05]])
-_STANDOFF = 0.12
-"""Distance from the handle, against the approach, at which an arm starts, in m."""
-
-_NEAREST, _FARTHEST = 0.36, 0.85
-"""Bounds of the distance from an arm to its handle, as a share of its reach."""
-
-_WAY_OFFSETS = np.array([[0.0, -0.11, 0.05], [0.0, 0.11, 0.05]])
-"""Where the arms' ways pass the pot. They pass farther from the arm than its handle, so
-that the arm also reaches pots that do not stand in the middle."""
-
-_LIFT_STEP = 0.067
-"""How far ahead of the pot its goal is in the expert's lift, in m; the pot moves by 0.4
-of this in a step."""
-
-_CLOSE = 0.018
-"""Distance from the handle at which the expert grips, in m."""
+_TABLE_HEIGHT = 0.64  # m
+_STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
+_NEAREST, _FARTHEST = 0.36, 0.85  # from an arm to its handle, as shares of its reach
 
 
 @dataclass(frozen=True)
@@ -108,31 +95,18 @@ class LiftConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class LiftFacts:
-    """What Lift looks at; (num_envs, ...) arrays, poses as position and quaternion.
+    """What Lift looks at, (num_envs, ...) each; poses as in `Sim`."""
 
-    Attributes:
-      joints: arm joint angles by agent, in rad.
-      gripping: whether the agent's grip holds.
-      handles: pose of each agent's own handle.
-      tcps: pose of each agent's tcp.
-      pot: pose of the pot.
-      target: position of the target.
-      to_handle: distance of each agent's tcp to its handle, in m.
-      to_target: distance of the pot to the target, in m.
-      tilt: |roll| + |pitch| of the pot, in rad.
-      speed: of the pot's middle, in m/s.
-    """
-
-    joints: dict[str, Array]
-    gripping: dict[str, Array]
-    handles: dict[str, tuple[Array, Array]]
-    tcps: dict[str, tuple[Array, Array]]
-    pot: tuple[Array, Array]
-    target: Array
-    to_handle: dict[str, Array]
-    to_target: Array
-    tilt: Array
-    speed: Array
+    joints: dict[str, Array]  # angles by agent, in rad
+    gripping: dict[str, Array]  # whether the agent's grip holds
+    handles: dict[str, tuple[Array, Array]]  # pose of the agent's own handle
+    tcps: dict[str, tuple[Array, Array]]  # poses
+    pot: tuple[Array, Array]  # pose of its middle
+    target: Array  # its position
+    to_handle: dict[str, Array]  # distance of the agent's tcp to its handle, in m
+    to_target: Array  # distance of the pot to the target, in m
+    tilt: Array  # |roll| + |pitch| of the pot, in rad
+    speed: Array  # of the pot's middle, in m/s
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
@@ -142,6 +116,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
       target: nominal place of the target, (3,).
       pot_mass: in kg.
       weighing: what the arms can carry, alone and together.
+      ways: by agent, how the arm lifts its handle to the target.
     """
 
     gripping = True
@@ -158,10 +133,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         "pot": POSE,
         "target": "m",
     }
-    styles: ClassVar[Mapping[str, str]] = {
-        "first-leads": "robot_1 lifts, and robot_2 only keeps the pot level",
-        "second-leads": "robot_2 lifts, and robot_1 only keeps the pot level",
-    }
+    styles = player.STYLES
+    expert, styled = player.expert, player.styled
     config_class = LiftConfig
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -176,13 +149,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         }
         least, most = min(strength.values()), max(strength.values())
         far = min(_FARTHEST, 0.8 * (most / least) ** 0.5)
-        placements = []
-        for side, (agent, robot) in zip((-1, 1), self.robots.items(), strict=True):
+        distances, heights = [], []
+        for agent, robot in self.robots.items():
             share = max(_NEAREST, far * strength[agent] / most)
-            y = side * (share * robot.reach - _GRIP_OFFSETS[0, 1])
-            z = robot.base_height if robot.stand == "pedestal" else _TABLE_HEIGHT
-            placements.append(Placement((0.0, float(y), z), -side * np.pi / 2))
-        return tuple(placements)
+            distances.append(float(share * robot.reach + GRIP_OFFSETS[1, 1]))
+            at_floor = robot.stand == "pedestal"
+            heights.append(robot.base_height if at_floor else _TABLE_HEIGHT)
+        return face_to_face(distances, heights)
 
     def build(self, scene: Scene) -> None:
         self._weigh()
@@ -197,8 +170,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
                 turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
                 scene.add(f"{agent}_stand", table(height=z), position=place, quat=turn)
         scene.add("table", table())
-        balance = float(np.dot(self.weighing.shares, _GRIP_OFFSETS[:, 1]))
-        scene.add("pot", pot(self.pot_mass, balance), position=_START)
+        balance = float(np.dot(self.weighing.shares, GRIP_OFFSETS[:, 1]))
+        scene.add("pot", pot(self.pot_mass, balance), position=START)
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
@@ -217,37 +190,38 @@ class Lift(Task[LiftConfig, LiftFacts]):
         placements = tuple(self.placements.values())
         lowest = min(placement.position[2] for placement in placements)
         self.target = np.array(self.config.target or (0.0, 0.0, lowest + 0.45))
-        ends = [(_START + offset, self.target + offset) for offset in _WAY_OFFSETS]
-        radius = self.config.success_radius
-        robots = tuple(self.robots.values())
         self.weighing = weigh(
-            robots, placements, ends=ends, target=self.target, radius=radius
+            tuple(self.robots.values()),
+            placements,
+            ends=[(START + offset, self.target + offset) for offset in WAY_OFFSETS],
+            target=self.target,
+            radius=self.config.success_radius,
         )
         given = self.config.pot_mass
         self.pot_mass = self.weighing.pot_mass if given is None else given
-        self._ways = dict(zip(self.agents, self.weighing.ways, strict=True))
+        self.ways = dict(zip(self.agents, self.weighing.ways, strict=True))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
         self._start: dict[str, np.ndarray] = {}
         for i, agent in enumerate(self.agents):
-            arm, way = scene.arms[agent], self._ways[agent]
+            arm, way = scene.arms[agent], self.ways[agent]
             angles = turn_fingers(
                 model, arm, angles=way.angles, bar=np.array([1.0, 0.0, 0.0])
             )
-            self._ways[agent] = replace(way, angles=angles)
-            place = _START + _GRIP_OFFSETS[i] - _STANDOFF * way.approach
+            self.ways[agent] = replace(way, angles=angles)
+            place = START + GRIP_OFFSETS[i] - _STANDOFF * way.approach
             self._start[agent] = solve_pose(
                 model, arm, goal=(place, way.approach), start=angles[0]
             )
-            scene.postures[agent] = self._ways[agent].at(np.array([0.5]))[0]
+            scene.postures[agent] = self.ways[agent].at(np.array([0.5]))[0]
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
         self.start_arms(sim, env_ids, rng=rng, angles=self._start)
         quat = math.from_yaw(rng.within(bounds.object_yaw))
-        place = _START + rng.within(bounds.object_position * LEVEL, 3)
+        place = START + rng.within(bounds.object_position * LEVEL, 3)
         self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
         shift = rng.within(bounds.target_position, 3)
         self.scene.place(sim, env_ids, name="target", position=self.target + shift)
@@ -324,108 +298,20 @@ class Lift(Task[LiftConfig, LiftFacts]):
             missing = missing + xp.where(held, 0.0, facts.to_handle[agent])
         return xp.where(self.success(facts), 0.0, missing)
 
-    def expert(self, sim: Sim, facts: LiftFacts) -> dict[str, Motion]:
-        """Return motions of arms that grip, wait for each other and lift together.
 
-        If one arm loses its grip on the way, both let go and begin again.
-        """
-        return self._lift(sim, facts, self._lifted_handles(facts))
-
-    def styled(
-        self, sim: Sim, facts: LiftFacts, *, style: str, draws: np.ndarray
-    ) -> dict[str, Motion]:
-        """Return motions with which one arm only keeps the pot level."""
-        goals = self._lifted_handles(facts)
-        leads = list(self.styles).index(style)
-        leader, follower = self.agents[leads], self.agents[1 - leads]
-        across = (_GRIP_OFFSETS[1 - leads] - _GRIP_OFFSETS[leads]) * (0.0, 1.0, 0.0)
-        straight = math.from_yaw(_straightened(facts.pot[1]))
-        level = facts.handles[leader][0] + math.rotate(straight, across)
-        return self._lift(sim, facts, goals | {follower: level})
-
-    def _lift(
-        self, sim: Sim, facts: LiftFacts, goals: dict[str, np.ndarray]
-    ) -> dict[str, Motion]:
-        """Return motions of arms that grip, and bring handles to these goals."""
-        holds = facts.gripping
-        lifting = reduce(and_, holds.values())
-        # A pot that hangs from one arm tips over. If both let go of it, it lands
-        # upright.
-        stands = facts.pot[0][:, 2] < _START[2] + 0.03
-        motions = {}
-        for i, (agent, arm) in enumerate(self.scene.arms.items()):
-            handle, tcp = facts.handles[agent][0], facts.tcps[agent][0]
-            way = self._ways[agent]
-            height = self.target[2] - _START[2]
-            progress = (handle[:, 2] - _START[2] - _GRIP_OFFSETS[0, 2]) / height
-            gap = standoff(tcp - handle, way.approach, slack=0.004, least=0.0, most=0.1)
-            aligned = handle - gap * way.approach
-            # An arm that holds and waits draws the pot to where the other surely
-            # reaches it.
-            aside = (_START + _GRIP_OFFSETS[i] - handle) * (1.0, 1.0, 0.0)
-            drawn = handle + np.clip(aside, -0.02, 0.02)
-            goal = np.where(holds[agent][:, None], drawn, aligned)
-            goal = np.where(lifting[:, None], goals[agent], goal)
-            mass = np.where(lifting, self.pot_mass * self.weighing.shares[i], 0.0)
-            change = carry(
-                sim,
-                arm,
-                tcp=tcp,
-                goal=goal,
-                posture=way.at(progress),
-                is_loaded=mass > 0.0,
-            )
-            near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
-            motions[agent] = Motion(change, near & (lifting | stands), mass=mass)
-        return motions
-
-    def _lifted_handles(self, facts: LiftFacts) -> dict[str, np.ndarray]:
-        """Return where each handle goes next on the pot's way to the target."""
-        first, second = (facts.handles[agent][0] for agent in self.agents)
-        middle = (first + second) / 2
-        missing = facts.target + _WAY_OFFSETS[0] * (0.0, 0.0, 1.0) - middle
-        step = shortened(missing, _LIFT_STEP)
-        straight = math.from_yaw(_straightened(facts.pot[1]))
-        return {
-            agent: middle + step + math.rotate(straight, offset * (0.0, 1.0, 0.0))
-            for agent, offset in zip(self.agents, _GRIP_OFFSETS, strict=True)
-        }
-
-
-def _straightened(quat: Array) -> np.ndarray:
-    """Return the turn of a nearly level body about the vertical, but 0.1 rad less."""
-    yaw = 2.0 * np.arctan2(quat[:, 3].copy(), quat[:, 0].copy())
-    return yaw - np.clip(yaw, -0.1, 0.1)
-
-
+_SAWYERS = {
+    "placements": (
+        Placement((0.22, -1.2, 1.0), np.pi / 2),
+        Placement((-0.22, 1.2, 1.0), -np.pi / 2),
+    ),
+    "target": (0.0, 0.0, 1.5),
+    "picking_threshold": 0.02,
+}
+_JACOS = {
+    "placements": face_to_face((0.9, 0.9), (0.65, 0.6)),
+    "target": (0.0, 0.0, 1.2),
+    "picking_threshold": 0.04,
+}
 register_task("Lift", Lift)
-register_env(
-    EnvSpec(
-        "LiftTaskSawyers-v0",
-        Lift,
-        ("sawyer", "sawyer"),
-        {
-            "placements": (
-                Placement((0.22, -1.2, 1.0), np.pi / 2),
-                Placement((-0.22, 1.2, 1.0), -np.pi / 2),
-            ),
-            "target": (0.0, 0.0, 1.5),
-            "picking_threshold": 0.02,
-        },
-    )
-)
-register_env(
-    EnvSpec(
-        "LiftTaskJacos-v0",
-        Lift,
-        ("jaco", "jaco"),
-        {
-            "placements": (
-                Placement((0.0, -0.9, 0.65), np.pi / 2),
-                Placement((0.0, 0.9, 0.6), -np.pi / 2),
-            ),
-            "target": (0.0, 0.0, 1.2),
-            "picking_threshold": 0.04,
-        },
-    )
-)
+register_env(EnvSpec("LiftTaskSawyers-v0", Lift, ("sawyer", "sawyer"), _SAWYERS))
+register_env(EnvSpec("LiftTaskJacos-v0", Lift, ("jaco", "jaco"), _JACOS))

@@ -35,34 +35,33 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import reach, settling, solve_pose
+from collaborative_gym.motion import solve_pose
 from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
 from collaborative_gym.objects.stick import LENGTH, stick
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import poke as player
+from collaborative_gym.tasks.experts.poke import (
+    DONUT,
+    DONUT_AHEAD,
+    STICK,
+    STICK_AHEAD,
+    WAIT,
+)
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
-_STICK, _DONUT = "robot_1", "robot_2"
 _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
-
-_FAR = 0.5
-"""The expert goes straight where stick and ring are nearer than this, in m."""
-
-_WAIT = 0.2
-"""How far before the ring's place the stick waits for it, in m."""
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
 
-# How the objects sit in their grippers, which are both open by the same 2 cm.
-_STICK_AHEAD = 0.08  # m from tcp to middle: the rear 2 cm lie behind the tcp
-_DONUT_AHEAD = 0.11  # m from tcp to centre: held by the rear bar
+# How the ring sits in its gripper, which is as wide open as the stick's.
 _DONUT_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)  # normal along the tcp's y
 
 Pose = tuple[np.ndarray, np.ndarray]
@@ -71,44 +70,36 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class PokeFacts:
-    """What Poke looks at.
+    """What Poke looks at; a pose is a position and a quaternion."""
 
-    Attributes:
-      joints: arm joint angles by agent, (num_envs, joints), in rad.
-      stick: position and quaternion of the stick's middle.
-      donut: position and quaternion of the ring's centre, its z along the normal.
-      offset: (num_envs, 3) from the ring's centre to the stick's middle, in the ring's
-        frame, in m.
-      axis: (num_envs, 3) direction of the stick in the ring's frame.
-      distance: (num_envs,) length of `offset`, in m.
-      cosine: (num_envs,) |cos| of the angle between the stick and the ring's plane.
-      is_threaded: (num_envs,) whether the stick's axis crosses the ring's plane within
-        the hole.
-    """
-
-    joints: dict[str, Array]
-    stick: tuple[Array, Array]
-    donut: tuple[Array, Array]
-    offset: Array
-    axis: Array
-    distance: Array
-    cosine: Array
-    is_threaded: Array
+    joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
+    stick: tuple[Array, Array]  # pose of its middle
+    donut: tuple[Array, Array]  # pose of the ring's centre, its z along the normal
+    offset: Array  # (num_envs, 3) from ring to stick in the ring's frame, in m
+    axis: Array  # (num_envs, 3) direction of the stick in the ring's frame
+    distance: Array  # (num_envs,) length of `offset`, in m
+    cosine: Array  # (num_envs,) |cos| of the angle between stick and ring's plane
+    is_threaded: Array  # (num_envs,) whether the stick's axis passes through the hole
 
 
 class Poke(Task[TaskConfig, PokeFacts]):
-    """Put the stick of one arm through the ring of the other."""
+    """Put the stick of one arm through the ring of the other.
 
-    config_class = TaskConfig
+    Attributes:
+      goal: by agent, where the tcp is when stick and ring meet: its position, and its
+        direction or quaternion.
+      postures: by agent, joint angles there; of the stick's arm, those in which it
+        waits before the hole, in rad.
+    """
+
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         "stick": POSE,
         "donut": POSE,
     }
-    styles: ClassVar[Mapping[str, str]] = {
-        "ring-moves": "the stick holds still, and the ring comes over it"
-    }
+    styles = player.STYLES
+    expert, styled = player.expert, player.styled
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.8 of both reaches apart, turned 60 degrees to each other."""
@@ -121,43 +112,40 @@ class Poke(Task[TaskConfig, PokeFacts]):
         for agent, place in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=place, holds=THICKNESS)
         stick_spec, donut_spec = stick(), donut()
-        stick_spec.body("stick").pos = (0, 0, _STICK_AHEAD)
-        donut_spec.body("donut").pos = (0, 0, _DONUT_AHEAD)
+        stick_spec.body("stick").pos = (0, 0, STICK_AHEAD)
+        donut_spec.body("donut").pos = (0, 0, DONUT_AHEAD)
         donut_spec.body("donut").quat = _DONUT_QUAT
-        scene.add_tool(_STICK, "stick", child=stick_spec)
-        scene.add_tool(_DONUT, "donut", child=donut_spec)
-        scene.add_pose_sensor("stick", f"{_STICK}/stick/stick")
-        scene.add_pose_sensor("donut", f"{_DONUT}/donut/donut")
+        scene.add_tool(STICK, "stick", child=stick_spec)
+        scene.add_tool(DONUT, "donut", child=donut_spec)
+        scene.add_pose_sensor("stick", f"{STICK}/stick/stick")
+        scene.add_pose_sensor("donut", f"{DONUT}/donut/donut")
         *_, (eye, axes) = _lay_out(self.placements, self.robots)
         scene.add_camera(eye, axes)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        start, self._goal, _ = _lay_out(self.placements, self.robots)
-        self._start: dict[str, np.ndarray] = {}
-        self._spread: dict[str, np.ndarray] = {}
-        self._posture: dict[str, np.ndarray] = {}
+        start, self.goal, _ = _lay_out(self.placements, self.robots)
+        self._start, self._spread, self.postures = {}, {}, {}
         for agent, arm in scene.arms.items():
             angles = solve_pose(sim.model, arm, goal=start[agent], start=arm.robot.home)
             self._start[agent] = angles
             self._spread[agent] = _spread(sim.model, arm, angles)
-            goal = self._goal[agent]
-            self._posture[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
+            goal = self.goal[agent]
+            self.postures[agent] = solve_pose(sim.model, arm, goal=goal, start=angles)
         # The stick waits before the hole, in a posture from which it can go in.
-        place, into = self._goal[_STICK]
-        self._posture[_STICK] = solve_pose(
+        place, into = self.goal[STICK]
+        self.postures[STICK] = solve_pose(
             sim.model,
-            scene.arms[_STICK],
-            goal=(place - _WAIT * into, into),
-            start=self._posture[_STICK],
+            scene.arms[STICK],
+            goal=(place - WAIT * into, into),
+            start=self.postures[STICK],
         )
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        moves = [bounds.object_position] * 3 + [bounds.object_yaw]
         for agent, arm in self.scene.arms.items():
             # To first order, which will do for a start drawn at random.
-            moved = rng.within(moves, len(moves))
+            moved = rng.within(bounds.moves, 4)
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
             angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
             self.scene.bend(sim, env_ids, agent=agent, angles=angles)
@@ -179,22 +167,16 @@ class Poke(Task[TaskConfig, PokeFacts]):
         )
 
     def observe(self, facts: PokeFacts) -> dict[str, Blocks]:
-        return {
-            agent: {
-                "joints": facts.joints[agent],
-                "stick": math.pose(*facts.stick),
-                "donut": math.pose(*facts.donut),
-            }
-            for agent in self.agents
-        }
+        stick, donut = math.pose(*facts.stick), math.pose(*facts.donut)
+        joints = facts.joints.items()
+        return {a: {"joints": own, "stick": stick, "donut": donut} for a, own in joints}
 
     def reward(
         self, facts: PokeFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
         xp = array_namespace(facts.distance)
-        is_inside = (facts.distance < _INSIDE_DISTANCE) & (
-            facts.cosine < _INSIDE_COSINE
-        )
+        is_lined_up = facts.cosine < _INSIDE_COSINE
+        is_inside = is_lined_up & (facts.distance < _INSIDE_DISTANCE)
         return {
             agent: {
                 "distance": -facts.distance,
@@ -211,52 +193,6 @@ class Poke(Task[TaskConfig, PokeFacts]):
     def shortfall(self, facts: PokeFacts) -> Array:
         xp = array_namespace(facts.distance)
         return xp.where(self.success(facts), 0.0, facts.distance)
-
-    def expert(self, sim: Sim, facts: PokeFacts) -> dict[str, Motion]:
-        """Present the ring, wait behind the hole until lined up with it, then go in."""
-        normal = math.axis_z(facts.donut[1])
-        behind = self._behind(facts)
-        position = facts.donut[0] - (behind + _STICK_AHEAD)[:, None] * normal
-        return self._steer(sim, facts, {_STICK: (position, normal)})
-
-    def styled(
-        self, sim: Sim, facts: PokeFacts, *, style: str, draws: np.ndarray
-    ) -> dict[str, Motion]:
-        """Present the stick, wait before its tip until lined up, then come over it."""
-        axis = math.axis_z(facts.stick[1])
-        _, turned = self._goal[_DONUT]
-        ahead = _DONUT_AHEAD * math.axis_z(turned[None])
-        position = facts.stick[0] + self._behind(facts)[:, None] * axis - ahead
-        turned = np.tile(turned, (sim.num_envs, 1))
-        return self._steer(sim, facts, {_DONUT: (position, turned)})
-
-    def _behind(self, facts: PokeFacts) -> np.ndarray:
-        """Return how far behind the hole the stick's middle is to be, (num_envs,)."""
-        beside = math.norm(facts.offset[:, :2])
-        is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
-        # The stick's middle keeps its tip clear of the ring, the more the farther it is
-        # from the hole, and goes in so slowly that it stays in line.
-        return np.where(
-            is_lined_up | facts.is_threaded,
-            np.maximum(-facts.offset[:, 2] - 0.12, 0.0),
-            0.16 + np.minimum(beside, 0.15),
-        )
-
-    def _steer(
-        self, sim: Sim, facts: PokeFacts, moving: dict[str, tuple[Array, Array]]
-    ) -> dict[str, Motion]:
-        """Return motions to these poses, and for others to where both meet."""
-        motions, is_far = {}, facts.distance[:, None] > _FAR
-        for agent, arm in self.scene.arms.items():
-            tcp, posture = sim.pose(f"{agent}/tcp"), self._posture[agent]
-            place, turn = (np.tile(x, (sim.num_envs, 1)) for x in self._goal[agent])
-            goal = moving.get(agent, (place, turn))
-            change = reach(sim, arm, tcp=tcp, goal=goal, posture=posture)
-            # From afar all joints go to the posture at once: a straight way may turn a
-            # wrist into the ends of its joints, where it would stay.
-            swing = settling(sim, arm, change=posture - sim.qpos[:, arm.qpos])
-            motions[agent] = Motion(np.where(is_far, swing, change))
-        return motions
 
 
 def is_threaded(offset: Array, axis: Array) -> Array:
@@ -283,8 +219,7 @@ def _lay_out(
     """Return where the tcps start, where they meet, and a camera that sees it all.
 
     Both start aside of the line between the bases. They meet near where it is divided
-    as their reaches, and at right angles, as stick and ring must. The camera is given
-    by its position and its x and y axes.
+    as their reaches, and at right angles. The camera has a position and x and y axes.
     """
     first, second = (np.array(placements[agent].position) for agent in robots)
     reaches = [robot.reach for robot in robots.values()]
@@ -295,24 +230,18 @@ def _lay_out(
     up = np.array([0.0, 0.0, 1.0])
     middle = (first + second) / 2
     outwards = _tilted(aside)
-    starts = [
-        base + 0.65 * length * aside + 0.4 * up
-        for base, length in zip((first, second), reaches, strict=True)
-    ]
+    bases = zip((first, second), reaches, strict=True)
+    starts = [base + 0.65 * reach * aside + 0.4 * up for base, reach in bases]
     share = reaches[0] / sum(reaches) - 0.5
     meeting = middle + share * line + 0.15 * span * aside + 0.2 * up
     into = _tilted((along + aside) / np.sqrt(2))
     level = (aside - along) / np.sqrt(2)
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
     eye = middle + 1.15 * span * aside + 0.45 * up
-    start: dict[str, Pose] = {
-        _STICK: (starts[0], outwards),
-        _DONUT: (starts[1], _tcp_quat(along, outwards)),
-    }
-    goal: dict[str, Pose] = {
-        _STICK: (meeting - _STICK_AHEAD * into, into),
-        _DONUT: (meeting - _DONUT_AHEAD * across, _tcp_quat(into, across)),
-    }
+    start = {STICK: (starts[0], outwards)}
+    start[DONUT] = starts[1], _tcp_quat(along, outwards)
+    goal = {STICK: (meeting - STICK_AHEAD * into, into)}
+    goal[DONUT] = meeting - DONUT_AHEAD * across, _tcp_quat(into, across)
     return start, goal, (eye, np.concatenate([along, up - 0.2 * aside]))
 
 
@@ -330,10 +259,7 @@ def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _spread(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """Return joint changes that move a tcp by 1 m along x, y, z and turn it about z.
-
-    To first order, (joints, 4) in rad per m and per rad.
-    """
+    """Return joint changes per m of a tcp along x, y, z and per rad of its turn about z."""
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = angles
     mujoco.mj_forward(model, data)

@@ -116,9 +116,8 @@ def find_env(task: Task) -> str | None:
         if spec.task is type(task) and spec.robots == here.robot_names
     }
     # Among those that are equally like it, the one by which it was made.
-    return min(
-        alike, key=lambda each: (len(alike[each]), each != task.name), default=None
-    )
+    cost = {env_id: (len(alike[env_id]), env_id != task.name) for env_id in alike}
+    return min(cost, key=lambda env_id: cost[env_id], default=None)
 
 
 def make_task(
@@ -179,14 +178,8 @@ def as_task(
 ) -> Task:
     """Return a task as it is, or the one of a name as `make_task` does.
 
-    Args:
-      env: an environment id, a task's name, or a task.
-      robots: as in `make_task`; only beside a name.
-      randomization: as in `make_task`; only beside a name.
-      **settings: likewise.
-
     Raises:
-      ValueError: if any of these is given beside a task.
+      ValueError: if robots, randomization or settings are given beside a task.
     """
     if not isinstance(env, Task):
         return make_task(env, robots, randomization=randomization, **settings)
@@ -230,7 +223,7 @@ def _configure(task: type[Task], settings: dict[str, Any]):
 def _randomization(given: str | Randomization | None) -> Randomization:
     if isinstance(given, Randomization):
         return given
-    preset = "default" if given is None else given
     a = "a preset's name, or a value such as Randomization(joint_noise=0.1)"
+    preset = "default" if given is None else given
     check_kind("randomization", preset, str, a)
     return look_up("randomization", preset, RANDOMIZATIONS)

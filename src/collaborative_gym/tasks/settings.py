@@ -9,18 +9,12 @@ from collaborative_gym.errors import check_count, check_flag, check_number
 
 
 def bounded(default: float | None, at_least: float, at_most: float) -> Any:
-    """Return a field for a dataclass of settings: a number within bounds.
-
-    Where the default is None, None is allowed too.
-    """
+    """Return a field of settings: a number within bounds, or None if that is its default."""
     return field(default=default, metadata={"at_least": at_least, "at_most": at_most})
 
 
 def check_settings(settings: Any) -> None:
-    """Check the fields of a dataclass whose defaults are numbers or booleans.
-
-    They become Python's own floats, integers and booleans, unless they are a kind of
-    these already.
+    """Check the fields whose defaults are numbers or booleans, and make them Python's.
 
     Raises:
       TypeError: if one is of another kind than its default.

@@ -67,6 +67,11 @@ class Randomization:
     def __post_init__(self) -> None:
         check_settings(self)
 
+    @property
+    def moves(self) -> np.ndarray:
+        """Bounds of an object's moves along x, y, z and of its turn about z, (4,)."""
+        return np.array([self.object_position] * 3 + [self.object_yaw])
+
 
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
@@ -121,16 +126,13 @@ class TaskConfig:
         check_kind("action", self.action, str, "the name of an action mode")
         get_mode(self.action)
         check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
-        check_kind(
-            "randomization", self.randomization, Randomization, "a Randomization"
-        )
-        if self.placements is not None:
-            check_kind(
-                "placements", self.placements, Sequence, "a Placement for each arm"
-            )
-            for placement in self.placements:
+        how, placements = self.randomization, self.placements
+        check_kind("randomization", how, Randomization, "a Randomization")
+        if placements is not None:
+            check_kind("placements", placements, Sequence, "a Placement for each arm")
+            for placement in placements:
                 check_kind("each of placements", placement, Placement, "a Placement")
-            object.__setattr__(self, "placements", tuple(self.placements))
+            object.__setattr__(self, "placements", tuple(placements))
 
 
 def name_agents(count: int) -> tuple[str, ...]:
@@ -144,13 +146,18 @@ def named_facts(facts: Any) -> Mapping[str, Any]:
 
 
 def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
-    """Return blocks that show what every agent has, such as "robot_1 joints".
-
-    Args:
-      what: what they show.
-      by_agent: (num_envs, k) each, or (num_envs,) booleans.
-    """
+    """Return what every agent has as blocks of one name, such as "robot_1 joints"."""
     return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
+
+
+def face_to_face(
+    distances: Sequence[float], heights: Sequence[float]
+) -> tuple[Placement, Placement]:
+    """Return bases, at these distances (m) along -y and +y, that face each other."""
+    return (
+        Placement((0.0, -distances[0], heights[0]), math.pi / 2),
+        Placement((0.0, distances[1], heights[1]), -math.pi / 2),
+    )
 
 
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)
@@ -161,8 +168,8 @@ class Task(Generic[ConfigT, FactsT]):
     """The base of all tasks.
 
     A task has no state; what it must remember between steps is in `Sim.memory`. The
-    methods after `measure` are pure functions of the facts.
-    Arrays have a leading num_envs axis and may be NumPy's or torch's.
+    methods after `measure` are pure functions of the facts. Arrays have a leading
+    num_envs axis and may be NumPy's or torch's.
 
     Attributes:
       name: the environment id or task's name by which `make` made it; else that of its
@@ -226,8 +233,8 @@ class Task(Generic[ConfigT, FactsT]):
     def sides(self) -> tuple[tuple[str, ...], ...]:
         """The agents that share one goal: all of them, unless a task divides them.
 
-        Every agent is on exactly one side. Where there are several, goal, return and
-        whatever else tells how well it went are told by side.
+        Every agent is on exactly one side. Where there are several, each side has a
+        goal, a return and metrics of its own.
         """
         return (self.agents,)
 
@@ -252,18 +259,16 @@ class Task(Generic[ConfigT, FactsT]):
         """Return where arms of this reach and base height are mounted.
 
         Unless a task says otherwise they stand in a row, facing +x and 1.4 m apart,
-        so that each is at ease with what is 0.8 m in front of the row.
+        so that each easily reaches what is 0.8 m in front of the row.
 
         Raises:
           ValueError: if no placement lets these arms do the task.
         """
-        last = len(self.agents) - 1
-        return tuple(
-            Placement(
-                (0.8 - 0.635 * robot.reach, 1.4 * i - 0.7 * last, robot.base_height)
-            )
-            for i, robot in enumerate(self.robots.values())
-        )
+        last, placements = len(self.agents) - 1, []
+        for i, robot in enumerate(self.robots.values()):
+            x, y = 0.8 - 0.635 * robot.reach, 1.4 * i - 0.7 * last
+            placements.append(Placement((x, y, robot.base_height)))
+        return tuple(placements)
 
     def build(self, scene: Scene) -> None:
         """Fill the scene with arms and objects."""
@@ -275,12 +280,10 @@ class Task(Generic[ConfigT, FactsT]):
         Args:
           scene: the compiled scene.
           sim: its worlds.
-          action_mode: what actions mean; its `torques` tell what arms exert.
+          action_mode: what actions mean; its `torques` are what arms exert.
         """
-        self.scene = scene
-        self.model = sim.model
-        self.xp = sim.xp
-        self.action_mode = action_mode
+        self.scene, self.action_mode = scene, action_mode
+        self.model, self.xp = sim.model, sim.xp
 
     def remember(self, num_envs: int) -> dict[str, Array]:
         """Return the `Sim.memory` of that many fresh worlds, arrays of `self.xp`."""
@@ -310,9 +313,9 @@ class Task(Generic[ConfigT, FactsT]):
         """Put the arms near these angles, as far away as the randomization says.
 
         Args:
-          sim: the worlds.
-          env_ids: which worlds start an episode.
-          rng: their generators.
+          sim: as in `reset`.
+          env_ids: as in `reset`.
+          rng: as in `reset`.
           angles: by agent, (joints,) or (worlds, joints), in rad; None for the arms'
             home poses.
         """
@@ -323,10 +326,8 @@ class Task(Generic[ConfigT, FactsT]):
 
     def joints(self, sim: Sim) -> dict[str, Array]:
         """Return copies of the arms' joint angles by agent, (num_envs, joints)."""
-        copied = {}
-        for agent, arm in self.scene.arms.items():
-            copied[agent] = sim.xp.asarray(sim.qpos[:, arm.qpos], copy=True)
-        return copied
+        arms, asarray = self.scene.arms.items(), sim.xp.asarray
+        return {a: asarray(sim.qpos[:, arm.qpos], copy=True) for a, arm in arms}
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         """Write what pushes the worlds during the coming control step.
@@ -414,8 +415,8 @@ class Task(Generic[ConfigT, FactsT]):
         """Return what the expert does in one of its `styles`.
 
         Args:
-          sim: as in `expert`.
-          facts: as in `expert`.
+          sim: the worlds.
+          facts: of their present state.
           style: the style's name.
           draws: (num_envs, `STYLE_DRAWS`) numbers from -1 to 1, drawn for each episode,
             for styles that differ from one episode to the next.

@@ -55,18 +55,19 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math, motion
-from collaborative_gym.control import ActionMode, Command, Motion
+from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion.loads import relief, strong_paths
+from collaborative_gym.motion.loads import strong_paths
 from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import tug as player
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, face_to_face
 
 _CENTRE = np.array([0.0, 0.0, 1.0])
 """Where the bar's middle starts, at the height of all arms' shoulders, in m."""
@@ -86,14 +87,7 @@ _HELP = 2.049
 a Panda wins 499 of 1,000 episodes against that of a Sawyer; 124 of 200 with 2.045, 59
 with 2.055. With 2.07 that of a Panda still wins 124 of 200 against that of a Jaco."""
 
-_HAUL = 0.1
-"""How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
-
-_LEAN = 0.3
-"""How far in a step the expert asks its joints to go to a stronger posture, in rad."""
-
-_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))
-"""Of the lines, by agent."""
+_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))  # of the lines, by agent
 
 
 @dataclass(frozen=True)
@@ -110,26 +104,15 @@ class TugConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class TugFacts:
-    """What Tug looks at, by agent but for the bar.
+    """What Tug looks at, by agent but for the bar; (num_envs, ...) each."""
 
-    Attributes:
-      joints: arm joint angles, (num_envs, joints), in rad.
-      speeds: arm joint speeds, in rad/s.
-      loads: torques of the joints' servos, as shares of their limits.
-      tcps: (num_envs, 3) positions of the tcps.
-      bar: (num_envs, 3) position of its middle.
-      velocity: (num_envs, 3) of its middle, in m/s.
-      missing: (num_envs,) how far the middle is from the agent's line, in m; less than
-        0 past it.
-    """
-
-    joints: dict[str, Array]
-    speeds: dict[str, Array]
-    loads: dict[str, Array]
-    tcps: dict[str, Array]
-    bar: Array
-    velocity: Array
-    missing: dict[str, Array]
+    joints: dict[str, Array]  # angles, in rad
+    speeds: dict[str, Array]  # of the joints, in rad/s
+    loads: dict[str, Array]  # torques of the joints' servos, as shares of their limits
+    tcps: dict[str, Array]  # positions
+    bar: Array  # position of its middle
+    velocity: Array  # of its middle, in m/s
+    missing: dict[str, Array]  # from the middle to the agent's line, < 0 past it, in m
 
 
 class Tug(Task[TugConfig, TugFacts]):
@@ -142,6 +125,7 @@ class Tug(Task[TugConfig, TugFacts]):
 
     config_class = TugConfig
     performance_from_start = True
+    expert = player.expert
     units: ClassVar[Mapping[str, str]] = {"missing": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("joints", "other joints"), "rad"),
@@ -152,24 +136,21 @@ class Tug(Task[TugConfig, TugFacts]):
     }
 
     @property
+    def ways(self) -> dict[str, float]:
+        """The direction along y in which each agent pulls, -1 or 1."""
+        return dict(zip(self.agents, (-1.0, 1.0), strict=True))
+
+    @property
     def sides(self) -> tuple[tuple[str, ...], ...]:
         return tuple((agent,) for agent in self.agents)
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return arms face to face, their shoulders at the height of the bar."""
-        z = float(_CENTRE[2] - SHOULDER[2])
-        return tuple(
-            Placement(
-                (0.0, side * (LENGTH / 2 + _FAR * robot.reach), z), -side * np.pi / 2
-            )
-            for side, robot in zip((-1.0, 1.0), self.robots.values(), strict=True)
-        )
+        far = [LENGTH / 2 + _FAR * robot.reach for robot in self.robots.values()]
+        return face_to_face(far, [float(_CENTRE[2] - SHOULDER[2])] * 2)
 
     def build(self, scene: Scene) -> None:
-        # The direction along y in which each agent pulls.
-        self._way = {
-            a: float(np.sign(p.position[1])) for a, p in self._placed().items()
-        }
+        self._check_placements()
         self.lines, self.help = self._handicap()
         for agent, placement in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=placement, holds=KNOB)
@@ -177,25 +158,19 @@ class Tug(Task[TugConfig, TugFacts]):
         for agent, knob, colour in zip(self.agents, KNOBS, _COLOURS, strict=True):
             tcp = f"{agent}/{self.robots[agent].tcp}"
             scene.add_weld(tcp, f"bar/{knob}", turns=True)
-            place = _CENTRE + np.array([0.0, self._way[agent] * self.lines[agent], 0.0])
+            place = _CENTRE + np.array([0.0, self.ways[agent] * self.lines[agent], 0.0])
             scene.add(f"{agent}_line", line(colour), position=place)
         scene.add_pose_sensor("bar", "bar/bar")
         scene.add_velocity_sensor("bar", "bar/bar")
         scene.add_camera((2.0, 0.0, 1.5), (0, 1, 0, -0.24, 0, 1))
 
-    def _placed(self) -> Mapping[str, Placement]:
-        """Return the placements, robot_1's at -y and robot_2's at +y.
-
-        Raises:
-          ValueError: if they are elsewhere.
-        """
+    def _check_placements(self) -> None:
         first, second = self.placements.values()
         if not first.position[1] < 0.0 < second.position[1]:
             raise ValueError(
                 "Tug needs robot_1 at negative y and robot_2 at positive y, got"
                 f" {first.position} and {second.position}"
             )
-        return self.placements
 
     def _handicap(self) -> tuple[dict[str, float], float]:
         """Return the distances of the lines, and the help, by the arms' strengths."""
@@ -209,7 +184,7 @@ class Tug(Task[TugConfig, TugFacts]):
         shares = np.array(pulls) / np.mean(pulls)
         lines = dict(zip(self.agents, (mean * shares).tolist(), strict=True))
         # What helps one arm is against the other.
-        return lines, -_HELP * float(np.dot(pulls, list(self._way.values())))
+        return lines, -_HELP * float(np.dot(pulls, list(self.ways.values())))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
@@ -218,7 +193,7 @@ class Tug(Task[TugConfig, TugFacts]):
         self._knob, self._approach, self._posture = {}, {}, {}
         for agent, knob in zip(self.agents, KNOBS, strict=True):
             arm, robot = scene.arms[agent], self.robots[agent]
-            inwards = 0.0, -self._way[agent] * np.cos(_SLOPE), -np.sin(_SLOPE)
+            inwards = 0.0, -self.ways[agent] * np.cos(_SLOPE), -np.sin(_SLOPE)
             self._knob[agent] = sim.model.site(f"bar/{knob}").pos.copy()
             self._approach[agent] = np.array(inwards)
             goal = _CENTRE + self._knob[agent], self._approach[agent]
@@ -228,8 +203,7 @@ class Tug(Task[TugConfig, TugFacts]):
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
-        moves = np.array([bounds.object_position] * 3 + [bounds.object_yaw])
-        moved = rng.within(moves, 4)
+        moved = rng.within(bounds.moves, 4)
         near = [
             posture + rng.within(bounds.joint_noise, len(posture))
             for posture in self._posture.values()
@@ -237,21 +211,17 @@ class Tug(Task[TugConfig, TugFacts]):
         angles, moved = motion.hold_moved(
             self._chains, self._grasps, moved=moved, near=near
         )
-        for arm, found in zip(self.scene.arms.values(), angles, strict=True):
-            sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(found)
+        for agent, found in zip(self.agents, angles, strict=True):
+            self.scene.bend(sim, env_ids, agent=agent, angles=found)
         place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
         self.scene.place(sim, env_ids, name="bar", position=place, quat=quat)
 
     def _grasps(self, moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return where and how the arms hold a bar moved along x, y, z and about z."""
         place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
-        return [
-            (
-                place + math.rotate(quat, self._knob[agent]),
-                math.rotate(quat, self._approach[agent]),
-            )
-            for agent in self.agents
-        ]
+        knobs = [place + math.rotate(quat, self._knob[agent]) for agent in self.agents]
+        ways = [math.rotate(quat, self._approach[agent]) for agent in self.agents]
+        return list(zip(knobs, ways, strict=True))
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         sim.xfrc_applied[:, self._bar, 1] = self.help
@@ -264,7 +234,7 @@ class Tug(Task[TugConfig, TugFacts]):
             asked = self.action_mode.torques(sim, agent)
             share = asked / xp.asarray(arm.robot.torque_limits)
             loads[agent] = xp.minimum(xp.maximum(share, -1.0), 1.0)
-            missing[agent] = self.lines[agent] - self._way[agent] * place[:, 1]
+            missing[agent] = self.lines[agent] - self.ways[agent] * place[:, 1]
         return TugFacts(
             joints=self.joints(sim),
             speeds=speeds,
@@ -297,7 +267,7 @@ class Tug(Task[TugConfig, TugFacts]):
 
     def _own(self, agent: str, vector: Array) -> Array:
         """Return vectors (num_envs, 3) ahead of an agent, to its left and upwards."""
-        way, (x, y, z) = self._way[agent], (vector[:, i] for i in range(3))
+        way, (x, y, z) = self.ways[agent], (vector[:, i] for i in range(3))
         return array_namespace(vector).stack([-way * y, way * x, z], axis=1)
 
     def reward(self, facts: TugFacts, commands: dict[str, Command]) -> dict[str, Terms]:
@@ -308,7 +278,7 @@ class Tug(Task[TugConfig, TugFacts]):
             lost = xp.where(facts.missing[other] < 0.0, 10.0, 0.0)
             terms[agent] = {
                 "win": won - lost,
-                "way": 2.0 * self._way[agent] * facts.velocity[:, 1],
+                "way": 2.0 * self.ways[agent] * facts.velocity[:, 1],
                 "effort": -0.01 * math.norm(commands[agent].moves),
             }
         return terms
@@ -317,30 +287,10 @@ class Tug(Task[TugConfig, TugFacts]):
         return tuple(facts.missing[agent] < 0.0 for agent in self.agents)
 
     def performing(self, facts: TugFacts) -> tuple[Array, ...]:
-        return tuple(self._way[a] * facts.bar[:, 1] > 0.0 for a in self.agents)
+        return tuple(self.ways[a] * facts.bar[:, 1] > 0.0 for a in self.agents)
 
     def over(self, facts: TugFacts) -> Array:
         return reduce(or_, self.success(facts))
-
-    def expert(self, sim: Sim, facts: TugFacts) -> dict[str, Motion]:
-        """Pull, and lean to postures in which the arm pulls harder.
-
-        Across the pull, the hand goes wherever the other arm lets it go.
-        """
-        motions = {}
-        for agent, arm in self.scene.arms.items():
-            pull = np.array([0.0, self._way[agent], 0.0])
-            jacobian = sim.jacobian(arm.hand, facts.tcps[agent])
-            jacobian = np.concatenate(jacobian, axis=1)[:, :, arm.dof]
-            angle, (low, high) = facts.joints[agent], arm.joint_range
-            change = motion.joint_change(
-                jacobian[:, :3],
-                np.tile(_HAUL * pull, (sim.num_envs, 1)),
-                lean=_LEAN * relief(arm.robot, jacobian, pull),
-                room=(low - angle, high - angle),
-            )
-            motions[agent] = Motion(change)
-        return motions
 
 
 @lru_cache(maxsize=64)
@@ -364,9 +314,6 @@ def strength(robot: Robot) -> float:
 
 
 register_task("Tug", Tug)
-for _arms, _robots in (
-    ("Pandas", ("panda", "panda")),
-    ("Sawyers", ("sawyer", "sawyer")),
-    ("PandaSawyer", ("panda", "sawyer")),
-):
-    register_env(EnvSpec(f"Tug{_arms}-v0", Tug, _robots))
+register_env(EnvSpec("TugPandas-v0", Tug, ("panda", "panda")))
+register_env(EnvSpec("TugSawyers-v0", Tug, ("sawyer", "sawyer")))
+register_env(EnvSpec("TugPandaSawyer-v0", Tug, ("panda", "sawyer")))

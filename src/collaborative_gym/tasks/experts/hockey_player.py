@@ -35,17 +35,11 @@ _SHOT = 2.2  # m/s, what a hit puck does about
 
 @dataclass(frozen=True)
 class Field:
-    """What a player knows of the table.
-
-    Attributes:
-      half_width: in m.
-      half_goal: half of a goal's width, in m.
-      restitution: of a bounce.
-    """
+    """What a player knows of the table; lengths are in m."""
 
     half_width: float
-    half_goal: float
-    restitution: float
+    half_goal: float  # half of a goal's width
+    restitution: float  # of a bounce
 
 
 def play(
@@ -174,11 +168,7 @@ def _aim(field: Field, place: Array, others: Array) -> np.ndarray:
 def _freedom(field: Field, place: Array, slopes: Array, others: Array) -> np.ndarray:
     """Return how far ways stay from the others' mallets, in m, at most `_FREE`.
 
-    Args:
-      field: the table.
-      place: (num_envs, 2) where they begin.
-      slopes: (ways, num_envs) with which they begin.
-      others: (num_envs, others, 2) mallets.
+    They begin at places (num_envs, 2), with slopes (ways, num_envs).
     """
     side, e = field.half_width - PUCK, field.restitution
     ahead = np.linspace(0.1, 1.0, 10)[:, None, None] * (HALF_LENGTH - place[:, 0])
