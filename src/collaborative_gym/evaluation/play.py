@@ -26,10 +26,13 @@ from collaborative_gym.tasks.registry import as_task, disturbed
 from collaborative_gym.tasks.task import Task
 
 _MOST_DELAY = 100
-"""Control steps, ten seconds."""
+"""Greatest delay, in control steps: ten seconds."""
 
 _MOST_ENVS = 64
 """Worlds that play at the same time by default; more are hardly faster on a CPU."""
+
+OnProgress = Callable[[float], object] | None
+"""Called with the share that is done, 0 to 1."""
 
 _MEASURES = ("return", "completion", "performance", "time_to_success", "score")
 """The metrics that make a `Score`, in its order; a single side has no score."""
@@ -45,7 +48,7 @@ def evaluate(
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Report:
     """Play the first episodes of a seed, each once, and report how they went.
 
@@ -94,24 +97,14 @@ def evaluate(
         "episodes": episodes,
         "seed": seed,
     }
-    return _report(vector_env, rows, rate=rate, settings=settings)
-
-
-def _report(
-    env: VectorEnv,
-    rows: list[dict[str, Any]],
-    *,
-    rate: float,
-    settings: dict[str, Any],
-) -> Report:
-    """Return what episodes amount to."""
     # Episodes that start alike are one episode, from which nothing can be inferred.
     different = rows[:1] if are_one_episode(rows) else rows
+    agents, sides = vector_env.agents, vector_env.sides
     return Report(
-        environment=env.task.name,
+        environment=task.name,
         settings=settings,
-        sides={side: _score(different, side, env) for side in env.sides},
-        returns={a: _statistic(different, f"{a}/return") for a in env.agents},
+        sides={side: _score(different, side, len(sides) > 1) for side in sides},
+        returns={agent: _statistic(different, f"{agent}/return") for agent in agents},
         episodes=tuple(rows),
         steps_per_second=rate,
         strain={name: Worst.of(name, rows) for name in (*STRAIN, ACTION_CHANGE)},
@@ -119,7 +112,7 @@ def _report(
 
 
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
-    """Return in how many worlds to play these episodes, if nobody says."""
+    """Return `num_envs`, or the number of worlds that suits so many episodes."""
     if num_envs is not None:
         return num_envs
     return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
@@ -130,16 +123,12 @@ def play_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Return the rows of the first episodes, in order, and how many steps it took.
+    """Return the `episode_row`s of a seed's first episodes, in order, and the steps.
 
-    Args:
-      env: where to play; each row is as `episode_row` returns it.
-      policy: who plays.
-      episodes: how many.
-      seed: which.
-      on_progress: called after each step with the share that is done, 0 to 1.
+    The steps are those of the whole batch. `on_progress` is called after each of them
+    with the share that is done, 0 to 1.
     """
     rows: dict[int, dict[str, Any]] = {}
     steps = math.ceil(episodes / env.num_envs) * env.task.config.max_episode_steps
@@ -177,30 +166,21 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     """Return the `Report`'s row of the episode that world i has ended.
 
     Args:
-      infos: what the step that ended it gave, from `VectorEnv.step`.
+      infos: of the step that ended it, from `VectorEnv.step`.
       i: the world, one of those in `infos["ended"]`.
     """
     metrics = infos["metrics"]
-    row: dict[str, Any] = {
-        "episode": int(metrics["episode"][i]),
-        "seed": int(metrics["seed"][i]),
-    }
+    row: dict[str, Any] = {name: int(metrics[name][i]) for name in ("episode", "seed")}
     for name in _MEASURES:
-        # By side where there are several.
         given = metrics.get(name, {})
-        if not isinstance(given, Mapping):
-            given = {"": given}
-        for side, values in given.items():
+        by_side = given if isinstance(given, Mapping) else {"": given}
+        for side, values in by_side.items():
             value = float(values[i])
             # Control steps of 0.1 s add up to 0.30000000000000004 and the like.
-            is_time = name == "time_to_success"
-            row[f"{side}/{name}" if side else name] = (
-                round(value, 6) if is_time else value
-            )
-    row |= {
-        "length": int(metrics["length"][i]),
-        "diverged": bool(infos["diverged"][i]),
-    }
+            value = round(value, 6) if name == "time_to_success" else value
+            row[f"{side}/{name}" if side else name] = value
+    row["length"] = int(metrics["length"][i])
+    row["diverged"] = bool(infos["diverged"][i])
     for agent, total in metrics["returns"].items():
         row[f"{agent}/return"] = float(total[i])
         for name, term in metrics["reward_terms"][agent].items():
@@ -210,9 +190,8 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     return row
 
 
-def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Score:
-    prefix = f"{side}/" if len(env.sides) > 1 else ""
-    columns = (f"{prefix}{name}" for name in _MEASURES)
+def _score(rows: Sequence[Mapping[str, Any]], side: str, is_divided: bool) -> Score:
+    columns = (f"{side}/{name}" if is_divided else name for name in _MEASURES)
     return Score(*(_statistic(rows, name) for name in columns if name in rows[0]))
 
 
@@ -221,16 +200,13 @@ def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
     return Statistic.of([row[column] for row in rows], is_share=is_share)
 
 
-def part_of(
-    on_progress: Callable[[float], object] | None, i: int, count: int
-) -> Callable[[float], object] | None:
-    """Return a callback for the progress of one of `count` equal parts.
-
-    Args:
-      on_progress: called with the share of all that is done; None for nothing.
-      i: which part, from 0.
-      count: how many there are.
-    """
+def parts_of(on_progress: OnProgress, sizes: Sequence[float]) -> list[OnProgress]:
+    """Return callbacks for the progress of parts of these sizes within the whole."""
     if on_progress is None:
-        return None
-    return lambda share: on_progress((i + share) / count)
+        return [None] * len(sizes)
+
+    def part(i: int) -> OnProgress:
+        done = sum(sizes[:i])
+        return lambda share: on_progress((done + share * sizes[i]) / sum(sizes))
+
+    return [part(i) for i in range(len(sizes))]

@@ -1,9 +1,9 @@
 """How well a policy does under disturbances, one at a time and all together."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
-from collaborative_gym.evaluation.play import evaluate, part_of
+from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
 from collaborative_gym.evaluation.report import Report
 from collaborative_gym.policies import AnyPolicy
 from collaborative_gym.tasks.registry import as_task, disturbed
@@ -21,8 +21,8 @@ DISTURBANCES: Mapping[str, Sequence[str]] = {
     "noise": ("position_noise", "angle_noise"),
     "all": tuple(field.name for field in fields(RANDOMIZATIONS["hard"])),
 }
-"""The fields that each disturbance takes from `hard`, by its name; the others are those
-of `default`."""
+"""Fields of the randomization `hard` by the name of a disturbance, which leaves the
+others as in `default`."""
 
 
 def measure_robustness(
@@ -34,38 +34,28 @@ def measure_robustness(
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> dict[str, Report]:
-    """Return what evaluations with each of `DISTURBANCES` found, by its name.
+    """Return the report of an evaluation with each of `DISTURBANCES`, by its name.
 
-    What disturbs an episode is the same alone and among all.
-
-    Args:
-      env: an environment id, a task's name, or a task, of which the `default` of the
-        randomization is taken.
-      policy: as `evaluate` takes it.
-      episodes: how many with each disturbance.
-      seed: which.
-      num_envs: as in `evaluate`.
-      num_threads: as in `evaluate`.
-      any_env: as in `evaluate`.
-      on_progress: called after each step with the share that is done, 0 to 1.
+    All arguments are those of `evaluate`; `episodes` are played with each disturbance.
+    Each of them disturbs an episode in the same way alone and together with the others.
 
     Raises:
       Exception: as `evaluate` does.
     """
     task, hard = as_task(env), RANDOMIZATIONS["hard"]
+    parts = parts_of(on_progress, [1] * len(DISTURBANCES))
     reports = {}
-    for i, (name, own) in enumerate(DISTURBANCES.items()):
-        changes = {field: getattr(hard, field) for field in own}
+    for (name, changed), part in zip(DISTURBANCES.items(), parts, strict=True):
         reports[name] = evaluate(
-            disturbed(task, **changes),
+            disturbed(task, **{field: getattr(hard, field) for field in changed}),
             policy,
             episodes=episodes,
             seed=seed,
             num_envs=num_envs,
             num_threads=num_threads,
             any_env=any_env,
-            on_progress=part_of(on_progress, i, len(DISTURBANCES)),
+            on_progress=part,
         )
     return reports

@@ -1,11 +1,9 @@
 """How fast the environments are, beside the bare physics they run on."""
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -17,6 +15,7 @@ from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
+from collaborative_gym.evaluation.table import to_json
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Task
@@ -24,7 +23,7 @@ from collaborative_gym.tasks.task import Task
 Actions = dict[str, np.ndarray]
 
 _ROUNDS = 11
-"""Alternations of bare physics and environment, whose median counts."""
+"""Rounds in which bare physics and environment take turns; their median counts."""
 
 _STEPS = 8
 """Control steps of one round."""
@@ -90,7 +89,7 @@ class Benchmark:
 
     def to_json(self) -> str:
         """Return everything as JSON."""
-        return json.dumps(asdict(self), indent=2) + "\n"
+        return to_json(self)
 
 
 def benchmark(
@@ -132,7 +131,7 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     return Speed(
         environment=env_id,
         expert=_compare(env, num_threads, lambda _: usual()),
-        random=_compare(env, num_threads, lambda rng: _random(env, rng)),
+        random=_compare(env, num_threads, lambda rng: _random(env, rng, num_envs)),
         single_rate=_single_rate(single),
         reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
         make_s=_in_fresh_process(_time_to_make, env_id),
@@ -165,7 +164,7 @@ def _compare(
             env.sim.set_state(before)
             env.step(actions[-1])
         env.set_state(start)
-        env_times.append(_time(partial(_play, env, actions)))
+        env_times.append(_time(lambda own=actions: [env.step(each) for each in own]))
         bare_times.append(sum(_roll(bare, *each) for each in rounds))
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
@@ -176,14 +175,9 @@ def _compare(
     )
 
 
-def _play(env: VectorEnv, actions: Sequence[Actions]) -> None:
-    for each in actions:
-        env.step(each)
-
-
-def _random(env: VectorEnv, rng: np.random.Generator) -> Actions:
+def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions:
     return {
-        agent: rng.uniform(-1, 1, (env.num_envs, *space.shape))
+        agent: rng.uniform(-1, 1, (*num_envs, *space.shape))
         for agent, space in env.single_action_spaces.items()
     }
 
@@ -198,13 +192,7 @@ def _single_rate(env: PettingZooEnv) -> float:
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     count = min(100, env.vector_env.task.config.max_episode_steps)
-    actions = [
-        {
-            agent: rng.uniform(-1, 1, space.shape).astype(np.float32)
-            for agent, space in env.action_spaces.items()
-        }
-        for _ in range(count)
-    ]
+    actions = [_random(env.vector_env, rng) for _ in range(count)]
 
     def step() -> None:
         for action in actions:
@@ -231,12 +219,7 @@ def _memory_per_env(env_id: str) -> float:
     before = _resident_kb()
     env = VectorEnv(make_task(env_id), _MEMORY_ENVS, num_threads=1)
     env.reset(seed=0)
-    env.step(
-        {
-            agent: np.zeros((_MEMORY_ENVS, *space.shape))
-            for agent, space in env.single_action_spaces.items()
-        }
-    )
+    env.step(env.idle())
     return (_resident_kb() - before) / _MEMORY_ENVS
 
 

@@ -119,10 +119,29 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
     any_env = check_flag("any_env", any_env)
     if not isinstance(policy, Mapping):
         return commanding(env.agents, policy, env, any_env)
+    leaders = [
+        (commanding(agents, given, env, any_env), agents)
+        for given, agents in group_agents(policy, env)
+    ]
+    return lambda observations: {
+        agent: actions
+        for leader, agents in leaders
+        for agent, actions in _of(agents, leader(observations)).items()
+    }
+
+
+def group_agents(policy: AnyPolicy, env: VectorEnv) -> list[tuple[Any, list[str]]]:
+    """Return each policy once, with the agents that it commands.
+
+    Raises:
+      KeyError: if there is no such agent.
+      ValueError: if an agent has no policy.
+    """
+    if not isinstance(policy, Mapping):
+        return [(policy, list(env.agents))]
     for agent in policy:
-        if agent not in env.agents:
-            raise UnknownName(unknown("agent", agent, env.agents))
-    groups: dict[object, list[str]] = {}
+        look_up("agent", agent, dict.fromkeys(env.agents))
+    groups: dict[object, tuple[Any, list[str]]] = {}
     for agent in env.agents:
         if agent not in policy:
             raise ValueError(
@@ -131,16 +150,8 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
             )
         given = policy[agent]
         same = Path(given) if isinstance(given, str | Path) else id(given)
-        groups.setdefault(same, []).append(agent)
-    leaders = [
-        (commanding(agents, policy[agents[0]], env, any_env), agents)
-        for agents in groups.values()
-    ]
-    return lambda observations: {
-        agent: actions
-        for leader, agents in leaders
-        for agent, actions in _of(agents, leader(observations)).items()
-    }
+        groups.setdefault(same, (given, []))[1].append(agent)
+    return list(groups.values())
 
 
 def name_policy(policy: AnyPolicy) -> str:

@@ -27,15 +27,11 @@ _CELL = 0.62
 """Size of a matrix's cell, in inches."""
 
 _MOST_NUMBERS = 16
-"""Players up to whom numbers are readable in the cells."""
+"""Number of players up to which numbers in the cells are readable."""
 
 
 def draw_tournament(tournament: Tournament, path: str | Path) -> None:
-    """Draw a tournament's matrices into a PNG or SVG file, whole or not at all.
-
-    Args:
-      tournament: what came of it.
-      path: the file.
+    """Draw `tournament_figure` into a PNG or SVG file, whole or not at all.
 
     Raises:
       ImportError: if the extra `train` is not installed.

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,13 @@ from collaborative_gym.errors import (
     look_up,
     shown,
 )
-from collaborative_gym.evaluation.play import part_of, play_episodes, worlds_for
-from collaborative_gym.evaluation.report import without_nan
+from collaborative_gym.evaluation.play import (
+    OnProgress,
+    parts_of,
+    play_episodes,
+    worlds_for,
+)
+from collaborative_gym.evaluation.table import without_nan
 from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
 from collaborative_gym.policies import AnyPolicy, as_policy
 from collaborative_gym.policies.policy import POLICY_FILE
@@ -54,7 +60,7 @@ def tournament(
     any_env: bool = False,
     output: str | Path | None = None,
     on_pairing: Callable[[Pairing], object] | None = None,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Tournament:
     """Let every policy play in every seat with every other, and with itself.
 
@@ -116,27 +122,24 @@ def tournament(
             "episodes": episodes,
             "seed": seed,
         }
-        kept = _Kept(None if output is None else output, settings)
-        kept.check(casts)
-        pairings = []
-        for i, cast in enumerate(casts):
-            pairing = kept.read(cast)
-            if pairing is None:
-                part = part_of(on_progress, i, len(casts))
-                pairing = _play(world, cast, all_seats, settings, part)
-                kept.write(cast, pairing)
+        kept = _Kept(output, settings)
+        pairings = [kept.read(cast) for cast in casts]
+        parts = parts_of(on_progress, [1] * len(casts))
+        for i, (cast, part) in enumerate(zip(casts, parts, strict=True)):
+            if pairings[i] is None:
+                pairings[i] = played = _play(world, cast, all_seats, settings, part)
+                kept.write(cast, played)
                 if on_pairing is not None:
-                    on_pairing(pairing)
-            pairings.append(pairing)
-            if on_progress is not None:
-                on_progress((i + 1) / len(casts))
+                    on_pairing(played)
+            if part is not None:
+                part(1.0)
     return Tournament(
         world.task.name,
         settings,
         all_seats,
         turns,
         names,
-        tuple(pairings),
+        tuple(filter(None, pairings)),
         kinds,
         left_out,
     )
@@ -201,20 +204,15 @@ def _casts(
     """Return all that can be played, and why the others cannot, by their titles."""
     casts: dict[tuple[str, ...], _Cast] = {}
     left_out: dict[str, str] = {}
-    playing: set[str] = set()
-    for turn in turns:
-        for one in players:
-            for other in players:
-                cast = {seat: one if seat == turn else other for seat in seats}
-                key = tuple(player.name for player in cast.values())
-                reasons = _misfits(cast, seats)
-                if reasons:
-                    left_out[" + ".join(key)] = "; ".join(reasons.values())
-                else:
-                    casts[key] = cast
-                    playing |= set(key)
+    for turn, one, other in product(turns, players, players):
+        cast = {seat: one if seat == turn else other for seat in seats}
+        key = tuple(player.name for player in cast.values())
+        if reason := _misfits(cast, seats):
+            left_out[" + ".join(key)] = reason
+        else:
+            casts[key] = cast
     for player in players:
-        if player.name not in playing:
+        if not any(player.name in key for key in casts):
             agents = [agent for own in seats.values() for agent in own]
             raise ValueError(
                 f"player {player.name!r} cannot play any of the pairings:"
@@ -223,14 +221,14 @@ def _casts(
     return list(casts.values()), left_out
 
 
-def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
-    """Return why players of a cast cannot command the robots of their seats."""
+def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> str:
+    """Return why players of a cast cannot command the robots of their seats, if so."""
     agents: dict[str, list[str]] = {}
     for seat, player in cast.items():
         agents.setdefault(player.name, []).extend(seats[seat])
     by_name = {player.name: player for player in cast.values()}
     found = {name: by_name[name].misfit(own) for name, own in agents.items()}
-    return {name: f"{name!r}: {reason}" for name, reason in found.items() if reason}
+    return "; ".join(f"{name!r}: {why}" for name, why in found.items() if why)
 
 
 def _play(
@@ -238,20 +236,16 @@ def _play(
     cast: _Cast,
     seats: Mapping[str, tuple[str, ...]],
     settings: Mapping[str, Any],
-    on_progress: Callable[[float], object] | None,
+    on_progress: OnProgress,
 ) -> Pairing:
     team = {
         agent: player.policies[agent]
         for seat, player in cast.items()
         for agent in seats[seat]
     }
-    rows, _ = play_episodes(
-        env,
-        as_policy(team, env, any_env=True),  # The players have been checked.
-        settings["episodes"],
-        settings["seed"],
-        on_progress=on_progress,
-    )
+    policy = as_policy(team, env, any_env=True)  # The players have been checked.
+    episodes, seed = settings["episodes"], settings["seed"]
+    rows, _ = play_episodes(env, policy, episodes, seed, on_progress)
     columns = {
         name: tuple(float(row[name]) for row in rows)
         for name in rows[0]
@@ -268,20 +262,19 @@ class _Kept:
       settings: of what is to be played.
     """
 
-    def __init__(self, folder: Any, settings: Mapping[str, Any]):
+    def __init__(self, folder: str | Path | None, settings: Mapping[str, Any]):
         self._folder, self._settings = None, settings
         if folder is not None:
             check_kind("output", folder, (str, Path), "a folder's name")
             self._folder = Path(folder) / PAIRINGS
             check_writable(self._folder / "any.json")
 
-    def check(self, casts: Sequence[_Cast]) -> None:
-        """Raise ValueError if the folder's results of these are of something else."""
-        for cast in casts:
-            self.read(cast)
-
     def read(self, cast: _Cast) -> Pairing | None:
-        """Return what the folder has of a pairing, if anything."""
+        """Return the pairing of a cast, if the folder has it.
+
+        Raises:
+          ValueError: if its file is damaged, or of something else.
+        """
         if self._folder is None or None in _marks(cast).values():
             return None
         path = self._folder / _file_name(cast)
@@ -323,7 +316,7 @@ class _Kept:
         """Keep a pairing, whole or not at all."""
         if self._folder is not None:
             content = {"format": _FORMAT, **self._settings, "players": _marks(cast)}
-            content |= {"columns": without_nan(dict(pairing.columns))}
+            content["columns"] = without_nan(pairing.columns)
             write_text(self._folder / _file_name(cast), sealed(content, indent=None))
 
 
@@ -332,7 +325,7 @@ def _marks(cast: _Cast) -> dict[str, str | None]:
 
 
 def _file_name(cast: _Cast) -> str:
-    """Return a name that tells people who played, and that no other pairing has."""
+    """Return a name that says who played, and that no other pairing has."""
     names = [player.name for player in cast.values()]
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
     digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]

@@ -7,14 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, check_flag, naming, shown, unknown
+from collaborative_gym.errors import naming, shown
 from collaborative_gym.policies import AnyPolicy, Policy, name_policy
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX
-from collaborative_gym.policies.policy import commanding, read_policy
+from collaborative_gym.policies.policy import (
+    commanding,
+    group_agents,
+    read_policy,
+)
 
 _LONGEST_NAME = 200
-"""More letters than a column of a table has room for; files are named by fewer, too."""
+"""Letters of a player's name: more than a column of a table has room for."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +28,9 @@ class Player:
     Attributes:
       name: of the player.
       policies: what commands each agent.
-      mark: what tells its policies apart from others of the name: names of scripted
-        ones, digests of trained ones. None where there is a function, since nobody can
-        tell whether it is the same one.
+      mark: names of scripted policies and digests of trained ones, which differ from
+        those of other policies under the same name. None where there is a function,
+        since nobody can say whether it is the same one.
     """
 
     name: str
@@ -63,7 +67,6 @@ def enter(
       TypeError: if they are neither a list nor a dictionary.
       ValueError: if there are fewer than two, or two of one name.
     """
-    any_env = check_flag("any_env", any_env)
     if not isinstance(policies, Mapping):
         if isinstance(policies, str | Path) or not isinstance(policies, Sequence):
             raise TypeError(
@@ -95,34 +98,19 @@ def enter(
 
 
 def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
-    by_agent: Mapping[str, Any] = (
-        policy if isinstance(policy, Mapping) else dict.fromkeys(env.agents, policy)
-    )
-    found: dict[Any, Policy] = {}
+    policies: dict[str, Policy] = {}
+    marks: dict[str, str | None] = {}
     with naming(f"player {name!r}"):
-        for agent in by_agent:
-            if agent not in env.agents:
-                raise UnknownName(unknown("agent", agent, env.agents))
-        for agent in env.agents:
-            if agent not in by_agent:
-                raise ValueError(f"there is no policy for the agent {agent}")
-            key = _key(by_agent[agent])
-            if key not in found:
-                own = read_policy(by_agent[agent], env)
-                if isinstance(own, NetworkPolicy):
-                    own.check(env, any_env=any_env)
-                else:
-                    agents = [a for a in by_agent if _key(by_agent[a]) == key]
-                    own = commanding(agents, own, env, any_env)
-                found[key] = own
-    policies = {agent: found[_key(by_agent[agent])] for agent in env.agents}
-    marks = {agent: _mark(by_agent[agent], policies[agent]) for agent in env.agents}
-    mark = "; ".join(f"{agent} {own}" for agent, own in marks.items())
+        for given, agents in group_agents(policy, env):
+            own = read_policy(given, env)
+            if isinstance(own, NetworkPolicy):
+                own.check(env, any_env=any_env)
+            else:
+                own = commanding(agents, own, env, any_env)
+            policies |= dict.fromkeys(agents, own)
+            marks |= dict.fromkeys(agents, _mark(given, own))
+    mark = "; ".join(f"{agent} {marks[agent]}" for agent in env.agents)
     return Player(name, policies, None if None in marks.values() else mark)
-
-
-def _key(policy: Any) -> Any:
-    return Path(policy) if isinstance(policy, str | Path) else id(policy)
 
 
 def _mark(given: Any, found: Policy) -> str | None:

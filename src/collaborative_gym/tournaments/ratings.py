@@ -6,32 +6,30 @@ from itertools import permutations
 import numpy as np
 
 _MEAN = 1500.0
-"""The mean of all players' ratings; only differences say anything."""
+"""Mean of all players' ratings; only differences say anything."""
 
 _SCALE = 400.0 / np.log(10.0)
 """Elo's scale: 400 points more are ten times the chances (Elo, 1978)."""
 
 _PRIOR = 1.0
-"""Games that each player is imagined to have drawn with an average one, our choice. So
-a player that won all of its games has a finite rating, which grows with their number.
-"""
+"""Games that each player has drawn, as we assume, with an average one; our choice. So a
+player that won all of its games has a finite rating, which grows with their number."""
 
 _NEAR = 1e-10
-"""Newton's method ends where no strength changes by more."""
+"""Change of the strengths at which Newton's method ends."""
 
 
 def bradley_terry(points: np.ndarray) -> np.ndarray:
     """Return the ratings on Elo's scale, (..., players), with a mean of 1500.
 
-    They are those of the model of Bradley and Terry (1952) under which these results
-    are likeliest: player i beats player j with the probability
-    1 / (1 + 10^((r_j - r_i) / 400)). A draw is half a win. Unlike Elo's own updates,
-    they do not depend on the order of games. One drawn game with an average player
-    is added for each player, so that the likeliest ratings are always finite.
+    They are the likeliest ones in the model of Bradley and Terry (1952), in which
+    player i beats player j with the probability 1 / (1 + 10^((r_j - r_i) / 400)).
+    Unlike Elo's own updates, they do not depend on the order of games. One drawn game
+    with an average player is added for each player, so that all ratings are finite.
 
     Args:
-      points: what each player, a row, took from each other, a column, in all games: a
-        win is 1, a draw 0.5; (..., players, players). The diagonal does not count.
+      points: of each player, a row, against each other, a column, in all games: 1 for
+        a win, 0.5 for a draw; (..., players, players). The diagonal does not count.
     """
     return _fit(points)[0]
 
@@ -80,7 +78,7 @@ def cyclic_triples(
     """Return triples of players in which each beats the next, and the last the first.
 
     Args:
-      names: the players'.
+      names: of the players.
       beats: whether a player, a row, beats another, a column.
     """
     return [

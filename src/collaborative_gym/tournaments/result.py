@@ -1,22 +1,16 @@
 """What came of a tournament: matrices, standings, ratings; JSON and CSV."""
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.evaluation.intervals import jackknifed
-from collaborative_gym.evaluation.report import (
-    Statistic,
-    format_number,
-    without_nan,
-)
+from collaborative_gym.evaluation.report import Statistic, format_number
+from collaborative_gym.evaluation.table import to_csv, to_json
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tournaments.ratings import cyclic_triples, rated
 
@@ -24,10 +18,10 @@ SHARES = ("points", "completion", "performance")
 """Measures from 0 to 1."""
 
 _Z = 1.96
-"""Standard errors on either side of a rating that hold 95 %."""
+"""Standard errors on either side of a rating's 95 % interval."""
 
 SERVED = 0.9
-"""Performance from which on one partner's answer serves another; our choice."""
+"""Least performance of an answer to one partner that serves another; our choice."""
 
 
 @dataclass(frozen=True)
@@ -217,11 +211,10 @@ class Tournament:
     def conventions(self) -> dict[str, list[list[str]]]:
         """Partners that need the same answer, by the seat that answers.
 
-        The answer that is known of a partner is its own policy in that seat. Each list
-        begins with a player whose answer reaches a performance of `SERVED` with all
-        that follow. So the players that come first in their lists need answers of
-        their own. One that was not served by itself either is alone. The order is that
-        of the players. Empty if they are opponents.
+        The answer to a partner is its own policy in that seat. Each list begins with a
+        player whose answer reaches a performance of `SERVED` with all that follow. So
+        the first players of the lists need answers of their own. One that is not served
+        by itself either is alone. Empty if the players are opponents.
         """
         if self.is_divided:
             return {}
@@ -237,9 +230,9 @@ class Tournament:
 
     @cached_property
     def group_means(self) -> dict[str, dict[str, Statistic]]:
-        """What training runs of one kind come to, by the kind and what is told of them.
+        """Means of training runs of one kind, by the kind and the name of the mean.
 
-        Of opponents it is their mean `rating`. Else, of each measure, such as
+        For opponents it is their `rating`. Else, for each measure, such as
         `completion`: `completion of self-play`, `completion of cross-play` with one
         another, and their difference, `completion lost`. The intervals are over runs.
         """
@@ -249,26 +242,24 @@ class Tournament:
         }
 
     def _shown(self, measure: str) -> np.ndarray:
-        """Return the values that a matrix shows."""
+        """Return the values in a matrix: of two seats, the first player's turns."""
         values = self.values[measure]
         return values[:1] if len(self.seats) == 2 else values
 
     def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
-        """Return that of a pairing, whose rows are seats and columns episodes."""
-        means = list(_mean(values))
-        if self.is_one_episode:
-            means = means[:1]
-        return Statistic.of(means, is_share=measure in SHARES)
+        """Return the statistic of a pairing over its episodes, (seats, episodes)."""
+        means = _mean(values)[: 1 if self.is_one_episode else None]
+        return Statistic.of(list(means), is_share=measure in SHARES)
 
     def _over_others(
         self, measure: str, values: np.ndarray, own: np.ndarray | None = None
     ) -> Statistic:
-        """Return that of a mean over other players.
+        """Return the statistic of a player's mean over other players.
 
         Args:
-          measure: what it is of.
+          measure: of the values.
           values: with each of the others, (seats, others, episodes).
-          own: with itself, (1, episodes), from which the others' are taken away.
+          own: with itself, (1, episodes), from which the others' are subtracted.
         """
         means = _mean(values)
         if len(means) == 1:  # Nothing is known of others, so it is over episodes.
@@ -292,25 +283,18 @@ class Tournament:
         standing = Standing(
             self_play={name: self._statistic(name, rows) for name, rows in own.items()},
             cross_play={n: self._over_others(n, rows) for n, rows in cross.items()},
-            gap={
-                name: self._over_others(name, rows, own[name])
-                for name, rows in cross.items()
-                if not self.is_divided
-            },
+            gap={},
             by_seat={
-                turn: {
-                    name: self._over_others(name, rows[s : s + 1])
-                    for name, rows in cross.items()
-                }
+                turn: {n: self._over_others(n, rows[[s]]) for n, rows in cross.items()}
                 for s, turn in enumerate(self.turns)
             },
             worst=None if worst is None else self.players[worst],
         )
         if not self.is_divided:
-            return standing
+            less = {n: self._over_others(n, r, own[n]) for n, r in cross.items()}
+            return replace(standing, gap=less)
         points = cross["points"]
-        counts = (int((points == point).sum()) for point in (1.0, 0.5, 0.0))
-        wins, draws, losses = counts
+        wins, draws, losses = (int((points == each).sum()) for each in (1.0, 0.5, 0.0))
         rating = self.ratings[self.players[i]]
         return replace(standing, wins=wins, draws=draws, losses=losses, rating=rating)
 
@@ -325,7 +309,7 @@ class Tournament:
         if self.is_divided:
             ratings = [self.ratings[self.players[i]].mean for i in runs]
             return {"rating": Statistic.of(ratings)}
-        told = {}
+        means = {}
         for measure, values in self.values.items():
             cells = _mean(_mean(np.moveaxis(values[:, runs][:, :, runs], -1, 0)))
             whole = _selves_and_others(cells)
@@ -335,49 +319,39 @@ class Tournament:
             ]
             for i, name in enumerate(("of self-play", "of cross-play", "lost")):
                 is_share = measure in SHARES and name != "lost"
-                found = jackknifed(
-                    [each[i] for each in left], whole[i], is_share=is_share
-                )
+                own = [each[i] for each in left]
+                found = jackknifed(own, whole[i], is_share=is_share)
                 ends = found.low, found.high
-                told[f"{measure} {name}"] = Statistic(
-                    whole[i], *ends, whole[i], whole[i]
-                )
-        return told
+                mean = Statistic(whole[i], *ends, whole[i], whole[i])
+                means[f"{measure} {name}"] = mean
+        return means
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN."""
-        content = {each: getattr(self, each) for each in self.__dataclass_fields__}
-        derived = ["measures", "matrices", "standings", "group_means"]
-        derived.append("cycles" if self.is_divided else "conventions")
-        content |= {each: getattr(self, each) for each in derived}
-        return json.dumps(without_nan(_plain(content)), indent=1) + "\n"
+        names = [each.name for each in fields(self)]
+        names += ["measures", "matrices", "standings", "group_means"]
+        names.append("cycles" if self.is_divided else "conventions")
+        return to_json({name: getattr(self, name) for name in names}, indent=1)
 
     def to_csv(self) -> str:
         """Return the matrices as rows: seat, its player, the others', and measures."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
         ends = ("", "_low", "_high")
         names = [f"{measure}{end}" for measure in self.measures for end in ends]
-        writer.writerow(["seat", "player", "others", "episodes", *names])
-        turns = self.turns[: len(self._shown(self.measures[0]))]
-        for s, i, j in np.ndindex(len(turns), len(self.players), len(self.players)):
-            cells: list[Any] = []
+        rows = []
+        for s, i, j in np.ndindex(self._shown(self.measures[0]).shape[:3]):
+            start = self.turns[s], self.players[i], self.players[j]
+            row: list[Any] = [*start, self.settings["episodes"]]
             for measure in self.measures:
-                one = self._statistic(measure, self.values[measure][s : s + 1, i, j])
-                cells += [one.mean, one.low, one.high]
-            cells = ["" if math.isnan(cell) else cell for cell in cells]
-            start = turns[s], self.players[i], self.players[j]
-            writer.writerow([*start, self.settings["episodes"], *cells])
-        return text.getvalue()
+                one = self._statistic(measure, self.values[measure][[s], i, j])
+                row += [one.mean, one.low, one.high]
+            rows.append(row)
+        return to_csv(["seat", "player", "others", "episodes", *names], rows)
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return what to call players in tables, if that still tells them apart.
+    """Return short names of players for tables, by their names.
 
-    It is the last part of a path, and the style of an expert.
-
-    Args:
-      names: the players'.
+    They are the last parts of paths, and the styles of experts, where these differ.
     """
     bare = {
         name: name.removesuffix("/policy.safetensors").removesuffix(".safetensors")
@@ -415,22 +389,7 @@ def _mean(values: np.ndarray) -> np.ndarray:
 
 
 def _selves_and_others(cells: np.ndarray) -> tuple[float, float, float]:
-    """Return the means with oneself, with others, and their difference.
-
-    Args:
-      cells: of rows with columns, (runs, runs).
-    """
+    """Return the means of self-play and of cross-play in (runs, runs), and the gap."""
     is_self = np.eye(len(cells), dtype=bool)
     own, others = (float(_mean(cells[which])) for which in (is_self, ~is_self))
     return own, others, own - others
-
-
-def _plain(value: Any) -> Any:
-    """Return values as plain dictionaries and lists."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value

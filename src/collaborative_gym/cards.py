@@ -1,32 +1,39 @@
 """The report card of policies: how they do, how gently, disturbed and with others."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from collaborative_gym.errors import check_callback, check_count, check_kind
-from collaborative_gym.evaluation.play import evaluate
+from collaborative_gym.evaluation.figure import make_figure, open_axes, save_figure
+from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
 from collaborative_gym.evaluation.report import (
     Report,
     format_statistic,
     markdown_tables,
-    plain_to_json,
 )
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
-from collaborative_gym.evaluation.table import escaped, markdown_table
+from collaborative_gym.evaluation.table import escaped, markdown_table, to_json
 from collaborative_gym.policies import AnyPolicy, name_policy
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.tournaments.play import tournament
 from collaborative_gym.tournaments.result import Tournament, format_estimate
 
-_PERCENT = ("completion", "performance")
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_PLOT = 4.2, 3.2
+"""Width and height of a panel, in inches."""
 
 
 @dataclass(frozen=True)
 class ReportCard:
-    """What there is to say about some policies in one environment.
+    """How some policies do in one environment.
 
     Attributes:
       environment: the environment's id or the task's name.
@@ -44,7 +51,7 @@ class ReportCard:
 
     def to_json(self) -> str:
         """Return all numbers as JSON, with null for NaN."""
-        return plain_to_json(self.plain())
+        return to_json(self.plain())
 
     def plain(self) -> dict[str, Any]:
         """Return all numbers, but those of single episodes, as plain dictionaries."""
@@ -62,60 +69,56 @@ class ReportCard:
         """Return the card as a page of Markdown.
 
         Args:
-          pictures: files to show on it, as they are called from the page.
+          pictures: files to show on it, by their paths from the page.
         """
-        reports = list(self.reports.values())
-        parts = [f"# {escaped(reports[0].title)}"]
+        first = next(iter(self.reports.values()))
+        parts = [f"# {escaped(first.title)}"]
         parts += [f"![{name}]({name})" for name in pictures]
         for name, report in self.reports.items():
             settings = report.settings
-            parts.append(f"## {escaped(name)}")
-            parts.append(
+            parts += [
+                f"## {escaped(name)}",
                 f"{settings['episodes']} episodes of seed {settings['seed']}, in which"
-                " nothing is trained. Intervals are of 95 %."
-            )
-            parts.append(markdown_tables(report).strip())
+                " nothing is trained. Intervals are of 95 %.",
+                markdown_tables(report).strip(),
+            ]
         if self.robustness:
-            parts += ["## Robustness", self._robustness()]
+            parts += ["## Robustness", *self._robustness()]
         if self.cross_play:
-            parts += ["## Cross-play", *self._matrices(self.cross_play)]
-        versions = reports[0].settings["identity"]["versions"]
-        told = ", ".join(f"{name} {version}" for name, version in versions.items())
-        parts.append(f"Versions: {told}.")
-        return "\n\n".join(parts) + "\n"
+            parts += ["## Cross-play", *_matrices(self.cross_play)]
+        versions = first.settings["identity"]["versions"].items()
+        listed = ", ".join(f"{name} {version}" for name, version in versions)
+        return "\n\n".join([*parts, f"Versions: {listed}."]) + "\n"
 
-    def _robustness(self) -> str:
+    def _robustness(self) -> list[str]:
         heads, lines = ["disturbance"], {name: [name] for name in DISTURBANCES}
         count = 0
         for policy, own in self.robustness.items():
-            for measure in _PERCENT:
+            for measure in ("completion", "performance"):
                 heads.append(f"{measure} of {policy}")
                 for name, report in own.items():
                     count = len(report.episodes)
-                    told = [
-                        format_statistic(getattr(score, measure), percent=True)
-                        for score in report.sides.values()
-                    ]
-                    lines[name].append(", ".join(told))
-        text = markdown_table(heads, lines.values())
-        return f"{text}\n\n{count} episodes with each, drawn as `hard` draws them."
+                    of_sides = (getattr(s, measure) for s in report.sides.values())
+                    texts = (format_statistic(each, percent=True) for each in of_sides)
+                    lines[name].append(", ".join(texts))
+        note = f"{count} episodes with each, drawn as `hard` draws them."
+        return [markdown_table(heads, lines.values()), note]
 
-    def _matrices(self, played: Tournament) -> list[str]:
-        parts = []
-        for measure in played.measures:
-            first, *others = played.seats
-            head = f"{first} / {others[0]}" if len(others) == 1 else "one / all others"
-            lines = [
-                [row, *(format_estimate(measure, each) for each in cells.values())]
-                for row, cells in played.matrices[measure].items()
-            ]
-            table = markdown_table([head, *played.players], lines)
-            parts.append(f"**{measure}**\n\n{table}")
-        count = played.settings["episodes"]
-        parts.append(f"{count} episodes of each pairing, of the same starts.")
-        left_out = played.left_out.items()
-        parts += [escaped(f"{title} left out: {why}") for title, why in left_out]
-        return parts
+
+def _matrices(played: Tournament) -> list[str]:
+    parts = []
+    first, *others = played.seats
+    head = f"{first} / {others[0]}" if len(others) == 1 else "one / all others"
+    for measure in played.measures:
+        lines = [
+            [row, *(format_estimate(measure, each) for each in cells.values())]
+            for row, cells in played.matrices[measure].items()
+        ]
+        parts += [f"**{measure}**", markdown_table([head, *played.players], lines)]
+    count = played.settings["episodes"]
+    parts.append(f"{count} episodes of each pairing, of the same starts.")
+    left_out = played.left_out.items()
+    return parts + [escaped(f"{title} left out: {why}") for title, why in left_out]
 
 
 def report_card(
@@ -129,7 +132,7 @@ def report_card(
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> ReportCard:
     """Return a report card of policies in an environment.
 
@@ -142,7 +145,7 @@ def report_card(
         0 for no table of robustness.
       paired: how many of each pairing of the policies and the expert; 0 for none.
       seed: which episodes.
-      num_envs: worlds to play in beside one another; None for at most 64.
+      num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.
       on_progress: called after each step with the share that is done, 0 to 1.
@@ -161,25 +164,22 @@ def report_card(
         players.setdefault("expert", "expert")
     is_paired = paired > 0 and len(players) > 1 and len(task.agents) > 1
     sizes = [episodes, disturbed * len(DISTURBANCES)] * len(named)
-    parts = iter(_parts(on_progress, [*sizes, is_paired * paired * len(players) ** 2]))
+    sizes.append(is_paired * paired * len(players) ** 2)
+    parts = iter(parts_of(on_progress, sizes))
     how: dict[str, Any] = dict(
         seed=seed, num_envs=num_envs, num_threads=num_threads, any_env=any_env
     )
-    reports, robustness = {}, {}
+    reports, robustness, played = {}, {}, None
     for name, policy in named.items():
-        reports[name] = evaluate(
-            task, policy, episodes=episodes, on_progress=next(parts), **how
-        )
-        part = next(parts)
+        part, later = next(parts), next(parts)
+        how |= {"episodes": episodes, "on_progress": part}
+        reports[name] = evaluate(task, policy, **how)
         if disturbed:
-            robustness[name] = measure_robustness(
-                task, policy, episodes=disturbed, on_progress=part, **how
-            )
-    played = None
+            how |= {"episodes": disturbed, "on_progress": later}
+            robustness[name] = measure_robustness(task, policy, **how)
     if is_paired:
-        played = tournament(
-            task, players, episodes=paired, on_progress=next(parts), **how
-        )
+        how |= {"episodes": paired, "on_progress": next(parts)}
+        played = tournament(task, players, **how)
     return ReportCard(task.name, reports, robustness, played)
 
 
@@ -205,15 +205,54 @@ def _named(
     return named
 
 
-def _parts(
-    on_progress: Callable[[float], object] | None, sizes: Sequence[int]
-) -> list[Callable[[float], object] | None]:
-    """Return callbacks for the progress of the parts, which tell that of all."""
-    if on_progress is None:
-        return [None] * len(sizes)
+def draw_card(card: ReportCard, path: str | Path) -> None:
+    """Draw when episodes succeed, and how many of them disturbed, into a PNG or SVG.
 
-    def part(i: int) -> Callable[[float], object]:
-        done = sum(sizes[:i])
-        return lambda share: on_progress((done + share * sizes[i]) / sum(sizes))
+    Args:
+      card: what to draw.
+      path: the file.
 
-    return [part(i) for i in range(len(sizes))]
+    Raises:
+      ImportError: if the extra `train` is not installed.
+      OSError: if the file cannot be written.
+    """
+    panels = [_draw_times, _draw_robustness] if card.robustness else [_draw_times]
+    size = _PLOT[0] * len(panels), _PLOT[1]
+    figure, all_axes = make_figure(1, len(panels), size)
+    for axes, draw in zip(all_axes, panels, strict=True):
+        draw(axes, card)
+        open_axes(axes)
+    save_figure(figure, path)
+
+
+def _draw_times(axes: "Axes", card: ReportCard) -> None:
+    """Draw which share of the episodes has succeeded by which time."""
+    for name, report in card.reports.items():
+        for side in report.sides:
+            column, label = "time_to_success", name
+            if len(report.sides) > 1:
+                column, label = f"{side}/{column}", f"{name}, {side}"
+            times = np.array([row[column] for row in report.episodes])
+            reached = np.sort(times[~np.isnan(times)])
+            shares = 100 * np.arange(len(reached) + 1) / len(times)
+            axes.step([0.0, *reached], shares, where="post", label=label)
+    axes.set_xlabel("time in s")
+    axes.set_ylabel("episodes that have succeeded, in %")
+    axes.set_ylim(0, 103)
+    axes.set_xlim(left=0)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_robustness(axes: "Axes", card: ReportCard) -> None:
+    """Draw the completion with each disturbance, and its interval."""
+    height = 0.8 / len(card.robustness)
+    for i, (policy, own) in enumerate(card.robustness.items()):
+        scores = [next(iter(report.sides.values())) for report in own.values()]
+        means = 100 * np.array([score.completion.mean for score in scores])
+        ends = [(each.completion.low, each.completion.high) for each in scores]
+        reach = np.abs(100 * np.array(ends).T - means)
+        places = np.arange(len(own)) + height * (i - (len(card.robustness) - 1) / 2)
+        axes.barh(places, means, height, xerr=np.nan_to_num(reach), label=policy)
+    axes.set_yticks(range(len(DISTURBANCES)), list(DISTURBANCES))
+    axes.invert_yaxis()
+    axes.set_xlabel("completion in %, by what disturbs")
