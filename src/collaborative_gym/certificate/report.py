@@ -1,4 +1,4 @@
-"""What came of trying a task with one arm still, as values, JSON and Markdown."""
+"""Results of trying a task with one arm still, as values, JSON and Markdown."""
 
 import math
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ PLAYERS = {
     "search": "a motion for each",
     "ppo": "trained",
 }
-"""Who plays against a still arm, and what the table calls it."""
+"""Who plays against a still arm, and the name of this player in the table."""
 
 _FORMAT = 1
-"""Number of the file format; a file of another one is refused."""
+"""Number of the file format; others are refused."""
 
 _CONFIDENCE = 0.95
 
@@ -66,7 +66,7 @@ class Trial:
 
     @property
     def title(self) -> str:
-        """What came of it, in words."""
+        """The result in words."""
         return f"{self.still}, {PLAYERS[self.player]}: {self.count}"
 
     @property
@@ -81,9 +81,9 @@ class Trial:
 
 
 def upper_bound(completed: int, episodes: int) -> float:
-    """Return the share that so many completions exceed in 95 % of all samples.
+    """Return the exact one-sided bound of Clopper and Pearson, with 95 % confidence.
 
-    The exact one-sided bound of Clopper and Pearson; for none of n it is nearly 3 / n.
+    For no completion in n episodes it is nearly 3 / n.
     """
     if completed >= episodes:
         return 1.0
@@ -96,7 +96,7 @@ def upper_bound(completed: int, episodes: int) -> float:
 
 
 def _binomial(most: int, episodes: int, share: float) -> float:
-    """Return how likely at most so many of the episodes are completed."""
+    """Return the probability that at most so many of the episodes are completed."""
     yes, no = math.log(share), math.log1p(-share)
     whole = math.lgamma(episodes + 1)
     return sum(
@@ -118,7 +118,7 @@ class Certificate:
     Attributes:
       environment: the environment's id or the task's name.
       settings: its `identity`, the `budget` and the `seed`.
-      trials: what was tried, in the order in which it was.
+      trials: in the order in which they were done.
     """
 
     environment: str
@@ -127,7 +127,7 @@ class Certificate:
 
     @property
     def title(self) -> str:
-        """What was tried: the environment and its arms."""
+        """The environment and its arms."""
         return Identity.from_dict(self.settings["identity"]).title
 
     @property
@@ -148,7 +148,7 @@ class Certificate:
 
     @property
     def statement(self) -> str:
-        """What the trials come to, in one sentence."""
+        """The results in one sentence."""
         by_fraction: dict[float, list[Trial]] = {}
         for trial in self.best.values():
             by_fraction.setdefault(trial.fraction, []).append(trial)
@@ -163,13 +163,8 @@ class Certificate:
 
     def to_json(self) -> str:
         """Return everything as JSON."""
-        content = {
-            "format": _FORMAT,
-            "environment": self.environment,
-            "settings": self.settings,
-            "trials": [asdict(trial) for trial in self.trials],
-        }
-        return sealed(content)
+        content = asdict(self)
+        return sealed({"format": _FORMAT, **content})
 
     @classmethod
     def load(cls, path: Path) -> "Certificate":
@@ -214,10 +209,10 @@ CERTIFICATE_NOTE = (
     " least median distance from the goal. A motion for each is searched for on the"
     " very start that it is played on."
 )
-"""What readers of the table must know."""
+"""Note below the table."""
 
 COLUMNS = ("environment", "still arm", *PLAYERS.values(), "up to", "nearest")
-"""What the table tells of each still arm."""
+"""Columns of the table, which has a line for each still arm."""
 
 
 def lines(certificate: Certificate) -> list[tuple[str, ...]]:

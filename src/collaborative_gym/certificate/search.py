@@ -13,13 +13,13 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
 
 _FIRST_STD, _LEAST_STD = 0.7, 0.05
-"""Spread of the first candidates, and the least spread later."""
+"""Standard deviation of the first candidates, and the least one later."""
 
 _ELITE = 0.1
-"""Share of the candidates that the next round is drawn around."""
+"""Share of the candidates around which the next ones are drawn."""
 
 _AFTER = 10
-"""Control steps for which a motion's end is looked at while searching."""
+"""Control steps of a try after the end of its motion."""
 
 
 class Motions:
@@ -54,15 +54,17 @@ class Motions:
 
     def cast(self, motions: np.ndarray) -> Cast:
         """Return who plays these motions, (tries, knots, columns)."""
-        return lambda tries: self._policy(motions[tries])
 
-    def _policy(self, motions: np.ndarray) -> Policy:
-        steps = count()
+        def policy(tries: np.ndarray) -> Policy:
+            own, steps = motions[tries], count()
 
-        def act(observations):
-            return self._actions(motions, next(steps))
+            def act(observations):
+                return self._actions(own, next(steps))
 
-        return as_policy(dict.fromkeys(self._sizes, act) | self._partners, self._env)
+            team = dict.fromkeys(self._sizes, act) | self._partners
+            return as_policy(team, self._env)
+
+        return policy
 
     def _actions(self, motions: np.ndarray, step: int) -> dict[str, np.ndarray]:
         last = self.shape[0] - 1
@@ -110,6 +112,7 @@ def search(
     # The share of starts from which the goal is reached counts before all distances.
     least = np.full(len(groups), np.inf)
     nearest = np.full(len(groups), np.inf)
+    steps = budget.motion_steps + _AFTER
     for _ in range(budget.rounds):
         left = np.flatnonzero(least > -1.0)
         if not len(left):
@@ -118,8 +121,14 @@ def search(
         tried = mean[left, None] + std[left, None] * rng.standard_normal(shape)
         tried[:, 0] = mean[left]
         tried = np.clip(tried, -1.0, 1.0)
-        outcome = _try(env, starts, groups[left], tried, motions, budget, on_step)
-        cost = (outcome.nearest - outcome.completed).mean(axis=2)
+        tries = *shape[:2], groups.shape[1]
+        which = np.broadcast_to(groups[left, None], tries).ravel()
+        flat = np.repeat(tried.reshape(-1, *motions.shape), tries[2], axis=0)
+        found = play(
+            env, starts, which, motions.cast(flat), steps=steps, on_step=on_step
+        )
+        completed, near = (each.reshape(tries) for each in found)
+        cost = (near - completed).mean(axis=2)
         order = np.argsort(cost, axis=1)[:, : max(2, round(_ELITE * shape[1]))]
         elite = np.take_along_axis(tried, order[..., None, None], axis=1)
         mean[left] = elite.mean(axis=1)
@@ -128,23 +137,5 @@ def search(
             first = order[row, 0]
             if cost[row, first] < least[group]:
                 least[group], best[group] = cost[row, first], tried[row, first]
-                nearest[group] = outcome.nearest[row, first].mean()
+                nearest[group] = near[row, first].mean()
     return best, Outcome(least <= -1.0, nearest)
-
-
-def _try(
-    env: VectorEnv,
-    starts: EnvState,
-    groups: np.ndarray,
-    tried: np.ndarray,
-    motions: Motions,
-    budget: Budget,
-    on_step: Callable[[int], object] | None,
-) -> Outcome:
-    """Return what came of each group's candidates, (groups, candidates, starts)."""
-    shape = *tried.shape[:2], groups.shape[1]
-    which = np.broadcast_to(groups[:, None], shape).ravel()
-    flat = np.repeat(tried.reshape(-1, *motions.shape), shape[2], axis=0)
-    steps = budget.motion_steps + _AFTER
-    found = play(env, starts, which, motions.cast(flat), steps=steps, on_step=on_step)
-    return Outcome(found.completed.reshape(shape), found.nearest.reshape(shape))

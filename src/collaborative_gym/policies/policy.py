@@ -7,12 +7,12 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.spaces import Box
 
+from collaborative_gym.envs.gymnasium import SingleAgent
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, check_flag, look_up, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
-from collaborative_gym.policies.predicting import predicting
 from collaborative_gym.policies.scripted import (
     RandomPolicy,
     expert_policy,
@@ -32,27 +32,27 @@ SHIPPED = {
     "baseline": Path(__file__).parents[1] / "baselines",
     "ego": Path(__file__).parents[1] / "egos",
 }
-"""Folders of each kind's policies: a baseline does its task with itself, and an ego
+"""Folders of shipped policies by kind: a baseline does its task with itself, and an ego
 with partners of many kinds."""
 
 POLICY_FILE = "policy.safetensors"
-"""Name of the policy in the folder of a training run."""
+"""Policy in the folder of a training run."""
 
 _FIRST = (
     "after its first validation: there is one every --validation-interval steps, and"
     " one at the end"
 )
-"""When a training run has a policy."""
+"""Moment from which on a training run has a policy, for errors."""
 
 _PLAYERS = "players"
-"""Where the folder of a run with several players has a policy for each."""
+"""Folder, in that of a run with several players, of a policy for each."""
 
 
 def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) -> Any:
     """Return a policy, ready to play.
 
-    A network of a file sees only the observations of the agents that it commands. If
-    several agents have the same file, it is loaded once.
+    A network of a file sees only the observations of its own agents. If several agents
+    have the same file, it is loaded once.
 
     Args:
       policy: one of these, or a dictionary with one for each agent, such as
@@ -172,7 +172,7 @@ def split_word(word: str) -> tuple[str, str]:
 def commanding(
     agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
 ) -> Policy:
-    """Return what commands these agents, and maybe others.
+    """Return the policy of these agents, and maybe of others.
 
     Raises:
       Exception: as `load_policy` does.
@@ -189,7 +189,7 @@ def commanding(
     if callable(policy):
         return cast(Policy, policy)
     if hasattr(policy, "predict"):
-        return predicting(policy, env)
+        return _predicting(policy, env)
     raise TypeError(
         f"policy must be one of {', '.join(map(repr, _NAMES))}, a path, a function from"
         " observations to actions, or one of these for each agent, got"
@@ -205,7 +205,11 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
     """
     if not isinstance(policy, str | Path) or policy in _BY_ENV or _style(policy):
         return policy
-    return _shipped(str(policy), env) if policy in SHIPPED else _load_file(policy)
+    if policy not in SHIPPED:
+        return _load_file(policy)
+    robots = ", ".join(robot.name for robot in env.task.robots.values())
+    title = f"{type(env.task).__name__} with {robots}"
+    return _load_shipped(str(policy), find_env(env.task), title)
 
 
 def _style(policy: object) -> str:
@@ -269,24 +273,43 @@ def shipped_kinds(env_id: str) -> list[str]:
     return [kind for kind in SHIPPED if is_shipped(kind, env_id)]
 
 
-def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:
-    env_id = find_env(env.task)
-    if env_id is None:
-        robots = ", ".join(robot.name for robot in env.task.robots.values())
-        raise _none_shipped(kind, f"{type(env.task).__name__} with {robots}")
-    return _load_shipped(kind, env_id)
-
-
-def _load_shipped(kind: str, env_id: str) -> NetworkPolicy:
-    if not is_shipped(kind, env_id):
-        raise _none_shipped(kind, env_id)
+def _load_shipped(kind: str, env_id: str | None, title: str = "") -> NetworkPolicy:
+    """Return an environment's policy of a kind; `title` names one without an id."""
+    if env_id is None or not is_shipped(kind, env_id):
+        raise FileNotFoundError(
+            f"no {kind} is shipped for {env_id or title}; give the path of a policy"
+            " that you trained"
+        )
     return NetworkPolicy.load(shipped_file(kind, env_id))
 
 
-def _none_shipped(kind: str, env: str) -> FileNotFoundError:
-    return FileNotFoundError(
-        f"no {kind} is shipped for {env}; give the path of a policy that you trained"
-    )
+def _predicting(model: Any, env: VectorEnv) -> Policy:
+    """Return the deterministic policy of a model of Stable-Baselines3, for all robots.
+
+    Observations go through the model's `VecNormalize`, if it has one, as it is then.
+    A model that was trained with it and loaded from a file needs it, as in
+    `PPO.load(path, VecNormalize.load(...))`.
+
+    Raises:
+      ValueError: if the model's spaces are not those of all robots side by side.
+    """
+    agents = SingleAgent(env)
+    for name in ("observation_space", "action_space"):
+        given, own = getattr(model, name).shape, getattr(agents, name).shape
+        if given != own:
+            raise ValueError(
+                f"the model's {name.replace('_', ' ')} has shape {given}; that of all"
+                f" robots of {env.task.name} side by side is {own}"
+            )
+    normalizer = model.get_vec_normalize_env()
+
+    def act(observations: Mapping[str, Array]) -> dict[str, Array]:
+        rows = agents.joined(observations)
+        if normalizer is not None:
+            rows = normalizer.normalize_obs(rows)
+        return agents.split(model.predict(rows, deterministic=True)[0])
+
+    return act
 
 
 def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -325,6 +348,6 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
 _STYLED = "expert:"
 
 SCRIPTED = tuple(_BY_ENV)
-"""Names of the policies that every task has."""
+"""Names of every task's policies."""
 
 _NAMES = (*SHIPPED, *SCRIPTED)

@@ -1,4 +1,4 @@
-"""Showing a policy at work, in real time."""
+"""The call that shows a policy at work, in real time."""
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -21,24 +21,23 @@ def view(
     any_env: bool = False,
     seed: int = 0,
     web: bool = False,
-    host: str = "127.0.0.1",
-    port: int = 8080,
+    address: tuple[str, int] = ("127.0.0.1", 8080),
 ) -> None:
-    """Let a policy play one episode after the other, until the viewer is closed.
+    """Show a policy in one episode after the other, until the viewer is closed.
 
-    It shows in a window, or else on a web page. The page's server has no password: who
-    reaches it may watch and control.
+    It shows in a window, or else on a web page. The page's server has no password:
+    whoever reaches it may watch and control.
 
     Args:
       env: an environment id, a task's name, or a task.
-      tell: takes what the user needs to know, such as where the page is.
-      warn: takes what should alarm the user, such as that the policy failed.
+      tell: called with news for the user, such as where the page is.
+      warn: called with what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
       seed: which episodes.
       web: whether to show a page even if a window can be opened.
-      host: address that the page's server listens on.
-      port: its port; the next free one is taken if it is in use.
+      address: host and port of the page's server; if the port is in use, the next free
+        one is taken.
 
     Raises:
       ImportError: if a page is needed and the extra `view` is not installed.
@@ -55,11 +54,12 @@ def view(
         session = Session(world, act, warn, policies=policies)
         face = None if web else _window(session, tell)
         if face is None:
-            face = _page(session, any_env, host, port)
+            face = _page(session, any_env, *address)
             if face.is_public:
                 warn(
-                    f"WARNING: the viewer listens on {host}. Everyone who reaches this"
-                    " machine can watch and control it; there is no password."
+                    f"WARNING: the viewer listens on {address[0]}. Everyone who"
+                    " reaches this machine can watch and control it; there is no"
+                    " password."
                 )
             tell(f"open {face.url} in a browser; Ctrl-C ends it")
         with closing(face):

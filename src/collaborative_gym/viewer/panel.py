@@ -1,4 +1,4 @@
-"""A page's panel: the controls, what may be chosen, and what is measured."""
+"""A page's panel: the controls, the choices, and the measures."""
 
 import html
 import json
@@ -33,9 +33,9 @@ const bar = parts.findLast(part => part.textContent == %s);
 if (!window.isKnown && matchMedia("(max-width: 36em)").matches && bar) bar.click();
 window.isKnown = true;
 """
-"""What a tab does once it has the panel: it takes its title, unticks the shadows if it
-draws without a graphics card, where a picture takes a second with them, and on a phone
-folds the panel, which would hide the arms."""
+"""Script of a tab that has the panel. It sets the title, unticks the shadows if there
+is no graphics card, where a picture takes a second with them, and on a phone folds the
+panel, which would hide the arms."""
 
 _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
@@ -43,7 +43,7 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
 .mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
 }</style>"""
-"""What a thumb can hit: buttons, tabs, boxes and sliders; some have other sizes."""
+"""Sizes of buttons, tabs, boxes and sliders that a thumb can hit."""
 
 
 class Panel:
@@ -51,9 +51,9 @@ class Panel:
 
     Args:
       server: the page's server.
-      session: what it controls.
-      menu: what may be chosen.
-      on_view: takes the camera that is chosen.
+      session: controlled by it.
+      menu: the choices.
+      on_view: called with the chosen camera.
     """
 
     def __init__(
@@ -85,12 +85,12 @@ class Panel:
 
     @property
     def view(self) -> str:
-        """The camera that is chosen."""
+        """The chosen camera."""
         return self._view.value
 
     @property
     def looks(self) -> dict[str, bool]:
-        """What is to be drawn besides the shapes, as `Stage.refresh` takes it."""
+        """The arguments of `Stage.refresh`."""
         return {name: box.value for name, box in self._looks.items()}
 
     def refresh(self) -> None:
@@ -117,7 +117,7 @@ class Panel:
         self._view.options = views
 
     def play(self, choice: Choice) -> None:
-        """Let the session play what is chosen."""
+        """Let the session play a choice."""
         self._session.change(
             lambda env: self._menu.load(choice, env), choice.seed, choice.episode
         )
@@ -169,7 +169,7 @@ class Panel:
         return self._menu.chosen(self._session.env, self._session.policies)
 
     def _offer(self) -> None:
-        """Offer what may be chosen beside what plays now."""
+        """Offer the choices beside the present one."""
         menu, choice, env = self._menu, self._choice, self._session.env
         self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
@@ -217,7 +217,7 @@ class Panel:
         value: str,
         change: Callable[[Choice, str], Choice],
     ) -> Any:
-        """Offer names; whoever chooses one changes what plays."""
+        """Offer names, of which a user can choose one to play."""
         box = self._gui.add_dropdown(
             label, list(dict.fromkeys([*options, value])), initial_value=value
         )
@@ -229,15 +229,14 @@ _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</
 
 
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:
-    """Do something when a user changes an input, but not when the program does."""
+    """Call a function when a user, but not the program, changes an input."""
     box.on_update(lambda event: event.client and do(event.target.value))
 
 
 def _led(choice: Choice, i: int, policy: str) -> Choice:
-    """Return the choice of another policy for one of the agents."""
-    policies = list(choice.policies)
-    policies[i] = policy
-    return replace(choice, policies=tuple(policies))
+    """Return the choice of another policy for the agent i."""
+    policies = *choice.policies[:i], policy, *choice.policies[i + 1 :]
+    return replace(choice, policies=policies)
 
 
 def _heading(task: Task, reading: Reading) -> str:

@@ -1,7 +1,9 @@
-"""Charts of an episode so far: the terms of the reward, and what is measured."""
+"""Charts of an episode so far: the terms of the reward, and the measures."""
 
 import time
 from collections.abc import Mapping, Sequence
+from itertools import cycle
+from typing import Any
 
 import numpy as np
 import viser
@@ -9,12 +11,12 @@ import viser
 from collaborative_gym.viewer.session import Frame
 
 _PAUSE = 0.5
-"""How long to wait between two pictures of a chart, in s of the user's time."""
+"""Time between two pictures of a chart, in s of the user's time."""
 
 _COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
 
 _HEIGHT = 200
-"""Of a chart, in pixels."""
+"""Height of a chart, in pixels."""
 
 _MEASURED = "measured"
 """Title of the chart of measures."""
@@ -24,8 +26,8 @@ class Plots:
     """Charts over an episode's time, one for each agent's reward and one of measures.
 
     Args:
-      gui: where the panel is.
-      tab: the part of it in which they are.
+      gui: of the page.
+      tab: the part of its panel with the charts.
     """
 
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle):
@@ -54,17 +56,14 @@ class Plots:
             self._charts[key].data = (times[first:], *np.ascontiguousarray(curves.T))
 
     def _add(self, title: str, *names: str) -> viser.GuiUplotHandle:
-        colors = [_COLORS[i % len(_COLORS)] for i in range(len(names))]
+        series: list[Any] = [
+            {"label": name, "stroke": color, "width": 2}
+            for name, color in zip(names, cycle(_COLORS), strict=False)
+        ]
         with self._tab:
             return self._gui.add_uplot(
                 (np.zeros(1),) * (1 + len(names)),
-                (
-                    {"label": "time, s"},
-                    *(
-                        {"label": name, "stroke": color, "width": 2}
-                        for name, color in zip(names, colors, strict=True)
-                    ),
-                ),
+                ({"label": "time, s"}, *series),
                 title=title,
                 scales={"x": {"time": False}},
                 height=_HEIGHT,
