@@ -45,6 +45,12 @@ def columns_of(blocks: Blocks, name: str) -> np.ndarray:
     return np.concatenate([np.full(b.size, b.name == name) for b in blocks.values()])
 
 
+def split_columns(rows: np.ndarray, sizes: Mapping[str, int]) -> dict[str, np.ndarray]:
+    """Return the columns of rows (n, k) by agent, side by side in these sizes."""
+    ends = np.cumsum(list(sizes.values()))[:-1]
+    return dict(zip(sizes, np.split(rows, ends, axis=1), strict=True))
+
+
 @dataclass(frozen=True)
 class Layout:
     """Blocks of the observations and parts of the actions, by agent.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from collaborative_gym.errors import check_callback, check_count, check_kind
+from collaborative_gym.errors import check_callback, check_count
 from collaborative_gym.evaluation.figure import make_figure, open_axes, save_figure
 from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
 from collaborative_gym.evaluation.report import (
@@ -18,7 +18,8 @@ from collaborative_gym.evaluation.report import (
 )
 from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import escaped, markdown_table, to_json
-from collaborative_gym.policies import AnyPolicy, name_policy
+from collaborative_gym.policies import AnyPolicy
+from collaborative_gym.policies.policy import named_policies
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.tournaments.play import tournament
@@ -158,7 +159,9 @@ def report_card(
     paired = check_count("paired", paired, at_least=0)
     check_callback("on_progress", on_progress)
     task = as_task(env)
-    named = _named(policies)
+    named = named_policies(policies)
+    if not named:
+        raise ValueError("got no policies; give one or more")
     players = dict(named)
     if type(task).expert is not Task.expert:
         players.setdefault("expert", "expert")
@@ -183,34 +186,8 @@ def report_card(
     return ReportCard(task.name, reports, robustness, played)
 
 
-def _named(
-    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
-) -> dict[str, AnyPolicy]:
-    """Return the policies by their names, at least one.
-
-    Raises:
-      TypeError: if they are neither a list nor a dictionary.
-      ValueError: if there is none, or there are two of one name.
-    """
-    if isinstance(policies, Mapping):
-        named = {str(name): policy for name, policy in policies.items()}
-    else:
-        check_kind("policies", policies, (list, tuple), "a list of policies")
-        named = {name_policy(policy): policy for policy in policies}
-    if not named or len(named) < len(policies):
-        raise ValueError(
-            f"got {len(policies)} policies of {len(named)} names; give one or more,"
-            " each once, or in Python a dictionary with a name for each"
-        )
-    return named
-
-
 def draw_card(card: ReportCard, path: str | Path) -> None:
     """Draw when episodes succeed, and how many of them disturbed, into a PNG or SVG.
-
-    Args:
-      card: what to draw.
-      path: the file.
 
     Raises:
       ImportError: if the extra `train` is not installed.

@@ -153,7 +153,7 @@ def shown(given: object) -> str:
 def check_count(
     name: str, given: Any, at_least: int = 0, at_most: float = 2**63 - 1
 ) -> int:
-    """Return a number as Python's `int`; it must be an integer within bounds.
+    """Return an integer within bounds as an `int`.
 
     Raises:
       TypeError: if it is not an integer; a bool is not one.

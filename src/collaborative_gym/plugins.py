@@ -104,7 +104,7 @@ def loaded_files() -> tuple[str, ...]:
 
 
 def location_of(error: BaseException) -> str:
-    """Return the innermost line of an error in files of `load_module`, if .
+    """Return the innermost line of an error in files of `load_module`.
 
     An example is "my_task.py, line 41, in measure".
     """

@@ -135,11 +135,9 @@ class TorchRLEnv(EnvBase):
         self._next_seed = seed
 
     def render(self) -> np.ndarray:
-        """Return a picture of the first world, (720, 1280, 3) uint8."""
         return self.vector_env.render()
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Close the worlds."""
         super().close(raise_if_closed=raise_if_closed)
         self.vector_env.close()
 

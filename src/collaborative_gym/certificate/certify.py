@@ -34,7 +34,7 @@ _WORLDS = 256
 """Number of worlds; more run hardly faster."""
 
 _TRAINING_STATES = 256
-"""States that a training begins its episodes in."""
+"""Number of states in which a training begins its episodes."""
 
 Row = tuple[str, str, float]
 """A still arm: its agent, its policy, and the fraction at which it froze."""

@@ -24,11 +24,10 @@ _MOST_TRIES = 4
 
 
 class Outcome(NamedTuple):
-    """Results of tries.
+    """Results of tries, (tries,) each.
 
-    Attributes:
-      completed: (tries,) whether the goal was reached, as `evaluate` counts it.
-      nearest: (tries,) least `Task.shortfall` on the way.
+    `completed` says whether the goal was reached, as `evaluate` counts it; `nearest` is
+    the least `Task.shortfall` on the way.
     """
 
     completed: np.ndarray
@@ -50,10 +49,10 @@ def play(
 
     Args:
       env: worlds that do not reset themselves.
-      starts: where tries begin.
+      starts: states in which tries begin.
       which: (tries,) rows of `starts`.
-      cast: who plays.
-      steps: how many control steps at most; None for the whole episode.
+      cast: gives the policy.
+      steps: most control steps; None for the whole episode.
       on_step: called after each control step with the steps of all worlds.
     """
     rounds = []
@@ -99,14 +98,9 @@ def find_starts(
     """Return states on the expert's way to the goal, up to `count` for each fraction.
 
     They are from the first episodes of a seed, in their order. An episode is left out
-    if the goal is met already at that moment, or if the expert does not meet it.
-
-    Args:
-      env: worlds that do not reset themselves.
-      seed: whose episodes.
-      count: how many states of each fraction.
-      fractions: of the time in which the expert reaches the goal; 0 for the very start,
-        where no episode is left out.
+    if the goal is met already at that moment, or if the expert does not meet it. The
+    worlds must not reset themselves. Fractions are of the time in which the expert
+    reaches the goal; 0 is the very start, where no episode is left out.
     """
     found: dict[float, EnvState] = {}
     for first in range(0, _MOST_TRIES * count, env.num_envs):

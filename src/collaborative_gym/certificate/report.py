@@ -27,26 +27,15 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Trial:
-    """One player against one still arm.
+    """One player against one still arm."""
 
-    Attributes:
-      passive: the agent whose arm is still.
-      partner: how: "idle", "gripping" or "frozen", a policy's name.
-      fraction: share of the expert's time to the goal at which it froze, 0 for the
-        start.
-      player: who commands the other arms, one of `PLAYERS`.
-      episodes: how many starts were tried.
-      completed: of how many the goal was reached.
-      nearest: median of the least `Task.shortfall` of each episode.
-    """
-
-    passive: str
-    partner: str
-    fraction: float
-    player: str
-    episodes: int
-    completed: int
-    nearest: float
+    passive: str  # agent whose arm is still
+    partner: str  # its policy: idle, gripping or frozen
+    fraction: float  # share of the expert's time to the goal at which it froze
+    player: str  # who commands the other arms, one of `PLAYERS`
+    episodes: int  # number of starts
+    completed: int  # number of starts from which the goal was reached
+    nearest: float  # median of the least `Task.shortfall` of each episode
 
     @property
     def row(self) -> tuple[str, str, float]:
@@ -55,13 +44,13 @@ class Trial:
 
     @property
     def still(self) -> str:
-        """Whose arm is still and how, such as "robot_1 frozen at 50 %"."""
+        """The still arm in words, such as "robot_1 frozen at 50 %"."""
         at = f" at {100 * self.fraction:.0f} %" if self.fraction else ""
         return f"{self.passive} {self.partner}{at}"
 
     @property
     def count(self) -> str:
-        """How often the goal was reached, such as "0 of 500"."""
+        """Number of completed episodes, such as "0 of 500"."""
         return f"{self.completed} of {self.episodes}"
 
     @property
@@ -76,7 +65,7 @@ class Trial:
 
     @property
     def bound(self) -> float:
-        """The completion is at most this, with 95 % confidence (Clopper-Pearson)."""
+        """Upper bound of the completion, with 95 % confidence (Clopper-Pearson)."""
         return upper_bound(self.completed, self.episodes)
 
 
@@ -113,12 +102,9 @@ def _binomial(most: int, episodes: int, share: float) -> float:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Whether a task can be done while one arm is still.
+    """Results of trials to do a task while one arm is still, in the order of the work.
 
-    Attributes:
-      environment: the environment's id or the task's name.
-      settings: its `identity`, the `budget` and the `seed`.
-      trials: in the order in which they were done.
+    `settings` has the `identity` of the task, the `budget` and the `seed`.
     """
 
     environment: str
@@ -140,7 +126,7 @@ class Certificate:
 
     @property
     def best(self) -> dict[tuple[str, str, float], Trial]:
-        """The trial that did best against each still arm; among equals, the surest."""
+        """The best trial against each still arm; among equals, the surest."""
         return {
             row: max(trials, key=lambda trial: (trial.completion, trial.episodes))
             for row, trials in self.rows.items()

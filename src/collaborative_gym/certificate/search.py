@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 
-from collaborative_gym.blocks import columns_of
+from collaborative_gym.blocks import columns_of, split_columns
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.play import Cast, Outcome, play
 from collaborative_gym.envs.state import EnvState
@@ -25,14 +25,10 @@ _AFTER = 10
 class Motions:
     """Open-loop motions of some agents, while others do as their policies say.
 
-    A motion is a row of knots, evenly spread over its time, with the actions of all
-    these agents side by side. Between two knots actions change evenly; after the last
-    one the arms hold still, with the grips that they have then.
-
-    Args:
-      env: worlds that do not reset themselves.
-      partners: policies of the other agents.
-      budget: how long a motion is, and how many knots it has.
+    A motion is a row of the budget's knots, evenly spread over its time, with the
+    actions of all these agents side by side. Between two knots actions change evenly;
+    after the last one the arms hold still, with the grips that they have then. The
+    worlds must not reset themselves.
 
     Attributes:
       is_grip: (columns,) which of a knot's columns grip.
@@ -43,11 +39,8 @@ class Motions:
         self._env = env
         self._partners = dict(partners)
         self._steps = budget.motion_steps
-        self._sizes = {
-            agent: space.shape[0]
-            for agent, space in env.single_action_spaces.items()
-            if agent not in partners
-        }
+        sizes = env.world.definition.layout.action_sizes
+        self._sizes = {a: n for a, n in sizes.items() if a not in partners}
         grips = [columns_of(env.action_parts[agent], "grip") for agent in self._sizes]
         self.is_grip = np.concatenate(grips)
         self.shape = budget.knots, len(self.is_grip)
@@ -73,8 +66,7 @@ class Motions:
         now = motions[:, i] + (at - i) * (motions[:, i + 1] - motions[:, i])
         if step >= self._steps:
             now = np.where(self.is_grip, now, 0.0)
-        ends = np.cumsum(list(self._sizes.values()))[:-1]
-        return dict(zip(self._sizes, np.split(now, ends, axis=1), strict=True))
+        return split_columns(now, self._sizes)
 
 
 def search(
@@ -89,18 +81,10 @@ def search(
 ) -> tuple[np.ndarray, Outcome]:
     """Search for a motion that reaches the goal from all starts of a group.
 
-    It uses the cross-entropy method, for each group by itself: candidates are drawn
-    around the best ones of the round before. A group whose motion reaches the goal from
-    each of its starts is done.
-
-    Args:
-      env: worlds that do not reset themselves.
-      starts: states.
-      groups: (groups, starts of a group) rows of `starts`.
-      motions: whose, and against whom.
-      budget: how many candidates and rounds.
-      rng: draws the candidates.
-      on_step: as for `play`.
+    It uses the cross-entropy method, for each group by itself: candidates are drawn by
+    `rng` around the best ones of the round before. A group whose motion reaches the
+    goal from each of its starts is done. Groups are (groups, starts of a group) rows of
+    `starts`; the worlds and `on_step` are as for `play`.
 
     Returns:
       The best motion of each group, (groups, knots, columns), and its outcome, where a

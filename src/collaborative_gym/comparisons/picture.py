@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from collaborative_gym.comparisons.result import Comparison, is_share
+from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.evaluation.figure import (
     COLOURS,
     GRID,
@@ -19,6 +19,7 @@ from collaborative_gym.evaluation.figure import (
     save_figure,
 )
 from collaborative_gym.evaluation.intervals import Estimate
+from collaborative_gym.evaluation.report import is_share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,16 +58,7 @@ _LOOK: Any = {
 
 
 def draw_comparison(comparison: Comparison, *paths: str | Path) -> None:
-    """Draw `comparison_figure` into files, each whole or not at all.
-
-    Args:
-      comparison: what to draw.
-      paths: the files, whose suffixes say the kind: .svg, .pdf or .png.
-
-    Raises:
-      ImportError: if the extra `train` is not installed.
-      OSError: if a file cannot be written.
-    """
+    """Draw `comparison_figure` into .svg, .pdf or .png, each whole or not at all."""
     figure = comparison_figure(comparison)
     for path in map(Path, paths):
         # The same comparison is the same file, whenever it is drawn.

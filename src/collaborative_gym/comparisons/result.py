@@ -29,7 +29,7 @@ from collaborative_gym.evaluation.intervals import (
     median_of,
     share_of,
 )
-from collaborative_gym.evaluation.report import format_interval
+from collaborative_gym.evaluation.report import format_interval, is_share
 from collaborative_gym.evaluation.table import (
     escaped,
     markdown_table,
@@ -40,9 +40,6 @@ from collaborative_gym.evaluation.table import (
 _GOAL = 0.9
 """Completion that counts as learned."""
 
-_SHARES = ("completion", "performance", "points")
-"""Measures from 0 to 1, which can be put together over environments."""
-
 _POINTS = 51
 """Number of scores at which a performance profile has a value."""
 
@@ -52,12 +49,10 @@ Table = tuple[str, list[str], list[list[str]]]
 
 @dataclass(frozen=True)
 class Entry:
-    """What is compared: a group, or a method over environments.
+    """A group, or a method over environments, with a group for each of these.
 
-    Attributes:
-      environment: its name, or how many there are.
-      method: how it differs from others there; empty if it does not.
-      groups: one for each environment.
+    The method is empty where there is only one; `environment` is the name of the only
+    environment, or the number of them.
     """
 
     environment: str
@@ -70,7 +65,7 @@ class Entry:
 
     @property
     def num_runs(self) -> int:
-        """How many runs it has."""
+        """Number of its runs."""
         return sum(len(group.runs) for group in self.groups)
 
 
@@ -85,24 +80,16 @@ class Aggregates:
 
 @dataclass(frozen=True)
 class Reached:
-    """When runs first completed 90 % of a validation's episodes.
+    """First validations of which a share of `_GOAL` was completed."""
 
-    Attributes:
-      runs: how many did so.
-      steps: the median of the environment steps that it took; infinite where half of
-        the runs never did.
-      core_seconds: the median of the CPU time that it took, in s; NaN where it is not
-        known.
-    """
-
-    runs: int
-    steps: Estimate
-    core_seconds: Estimate
+    runs: int  # number of runs with such a validation
+    steps: Estimate  # median until then; infinite if half of the runs have none
+    core_seconds: Estimate  # median of the CPU time; NaN where it is not known
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How groups of training runs did.
+    """Results of groups of training runs.
 
     The score of a run is the mean of its last validation, of those that all runs of its
     group have. Intervals are of 95 % and over runs, within each environment: Student's
@@ -111,10 +98,10 @@ class Comparison:
     runs. A group of one run has none, and a median none of fewer than five.
 
     Attributes:
-      grouping: the groups, and what they differ in.
-      measures: what all validations measured.
-      measure: the one of `profiles` and `improvements`.
-      notes: what readers must know of runs that have not come to their end.
+      grouping: the groups, and their differences.
+      measures: of all validations.
+      measure: of `profiles` and `improvements`.
+      notes: about runs that have not come to their end.
     """
 
     grouping: Grouping
@@ -417,7 +404,7 @@ def _measures(grouping: Grouping) -> tuple[str, ...]:
 
 
 def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
-    """Return what readers must know of runs that have not come to their end."""
+    """Return sentences about runs that have not come to their end."""
     notes = []
     for run in runs:
         last = int(run.rows[-1]["steps"]) if run.rows else 0
@@ -429,11 +416,6 @@ def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
                 f" {last:,} of {run.total_steps:,} steps."
             )
     return tuple(notes)
-
-
-def is_share(measure: str) -> bool:
-    """Return whether a measure is from 0 to 1."""
-    return measure.rpartition("/")[2] in _SHARES
 
 
 def _cell(number: Estimate, measure: str) -> str:

@@ -35,25 +35,16 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """A run as its folder has it, finished or not.
-
-    Attributes:
-      folder: where it is.
-      identity: of its environment, as plain dictionaries.
-      settings: its other settings but the seed, by dotted name, without those that mean
-        nothing to its algorithm.
-      seed: of the run.
-      total_steps: environment steps that it was to take.
-      rows: of the updates with a validation: `steps`, `core_seconds` where it is known,
-        and the validation's means, such as `validation/completion`.
-    """
+    """A run as its folder has it, finished or not."""
 
     folder: Path
-    identity: Mapping[str, Any]
-    settings: Mapping[str, Any]
+    identity: Mapping[str, Any]  # of its environment, as plain dictionaries
+    settings: Mapping[str, Any]  # all others that its algorithm uses, by dotted name
     seed: int
-    total_steps: int
+    total_steps: int  # environment steps that it was to take
     rows: tuple[Mapping[str, float], ...]
+    """Updates with a validation: `steps`, `core_seconds` where it is known, and the
+    validation's means, such as `validation/completion`."""
 
     @classmethod
     def read(cls, folder: Path) -> "TrainedRun":
@@ -99,13 +90,10 @@ class TrainedRun:
 def find_runs(paths: Sequence[str | Path]) -> list[TrainedRun]:
     """Return the runs in folders, at any depth, each once.
 
-    Args:
-      paths: folders of runs, or folders that have such in them.
-
     Raises:
-      FileNotFoundError: if there is no run in one of them.
+      FileNotFoundError: if there is no run in one of the folders.
       TypeError: if one is not a path.
-      ValueError: if a file is damaged, or there is no path.
+      ValueError: if a file is damaged, or there is no folder.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -209,14 +197,10 @@ class Group:
 
 @dataclass(frozen=True)
 class Grouping:
-    """Groups, and what tells them apart.
+    """Groups of runs, and the settings with their values that tell them apart.
 
-    Attributes:
-      groups: of all runs.
-      differences: settings that differ within an environment, which make the methods,
-        with their values.
-      of_environments: settings that differ from one environment to another alone, as
-        recipes do; they are not compared.
+    `differences` are within an environment, and make the methods. `of_environments` are
+    from one environment to another alone, as recipes have them; they are not compared.
     """
 
     groups: tuple[Group, ...]

@@ -18,6 +18,7 @@ from collaborative_gym.evaluation.report import (
     Statistic,
     Worst,
     are_one_episode,
+    is_share,
 )
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.rng import check_seed
@@ -29,7 +30,7 @@ _MOST_DELAY = 100
 """Greatest delay, in control steps: ten seconds."""
 
 _MOST_ENVS = 64
-"""Worlds that play at the same time by default; more are hardly faster on a CPU."""
+"""Default number of worlds; more are hardly faster on a CPU."""
 
 OnProgress = Callable[[float], object] | None
 """Called with the share that is done, 0 to 1."""
@@ -196,8 +197,7 @@ def _score(rows: Sequence[Mapping[str, Any]], side: str, is_divided: bool) -> Sc
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
-    is_share = column.endswith(("completion", "performance"))
-    return Statistic.of([row[column] for row in rows], is_share=is_share)
+    return Statistic.of([row[column] for row in rows], is_share=is_share(column))
 
 
 def parts_of(on_progress: OnProgress, sizes: Sequence[float]) -> list[OnProgress]:

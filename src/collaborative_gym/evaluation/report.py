@@ -16,6 +16,9 @@ from collaborative_gym.evaluation.table import (
 )
 from collaborative_gym.tasks.identity import Identity
 
+SHARES = ("completion", "performance", "points")
+"""Measures from 0 to 1."""
+
 ACTION_CHANGE = "action_change"
 """Mean change of an action's movements from one control step to the next, 0 to 2, over
 components and steps. It stands with the strain."""
@@ -66,10 +69,7 @@ class Statistic:
     def of(cls, values: Sequence[float], *, is_share: bool = False) -> "Statistic":
         """Return the statistic of the values that are not NaN.
 
-        Args:
-          values: of the episodes.
-          is_share: whether they are from 0 to 1. Where all are alike, the interval is
-            then Wilson's, too.
+        If they are shares from 0 to 1, an interval where all are alike is Wilson's.
         """
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
@@ -85,17 +85,11 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Worst:
-    """A measure of the strain over episodes.
-
-    Attributes:
-      mean: of the episodes.
-      worst: the greatest value of all episodes; for the clearance, the least.
-      episode: the episode that has it.
-    """
+    """A measure of the strain over episodes."""
 
     mean: float
-    worst: float
-    episode: int
+    worst: float  # greatest value; for the clearance, the least
+    episode: int  # episode with that value
 
     @classmethod
     def of(cls, name: str, rows: Sequence[Mapping[str, Any]]) -> "Worst":
@@ -107,14 +101,13 @@ class Worst:
 
 @dataclass(frozen=True)
 class Score:
-    """How one side did, over the episodes.
+    """Results of one side, over the episodes.
 
     Attributes:
       mean_reward: the return, which is the sum over all steps and the side's agents.
       completion: whether the goal was reached, 0 to 1.
       performance: the share of steps at the goal, 0 to 1, as the task counts it.
-      time_to_success: the time until the goal was reached in s, over the episodes in
-        which it was reached.
+      time_to_success: in s, over the episodes in which the goal was reached.
       score: the points if there are several sides, else None.
     """
 
@@ -127,7 +120,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Report:
-    """How a policy did.
+    """Results of a policy.
 
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
@@ -138,15 +131,13 @@ class Report:
 
     Attributes:
       environment: the environment's id or the task's name.
-      settings: what was evaluated: the environment's whole `identity`, the policy,
-        episodes and seed.
-      sides: how each side did, by its name; most tasks have one.
+      settings: the environment's whole `identity`, the policy, episodes and seed.
+      sides: score of each side, by its name; most tasks have one.
       returns: of each agent's own return, by agent.
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
-      strain: what arms did to one another, to things and to themselves, by the names in
-        `envs.strain`.
+      strain: of arms, by the names in `envs.strain`.
     """
 
     environment: str
@@ -159,7 +150,7 @@ class Report:
 
     @property
     def title(self) -> str:
-        """What was played: the environment and its arms."""
+        """The environment and its arms."""
         return self._identity.title
 
     @property
@@ -232,6 +223,11 @@ class Report:
     def _repr_markdown_(self) -> str:
         """Return what a notebook shows."""
         return self.to_markdown()
+
+
+def is_share(measure: str) -> bool:
+    """Return whether a measure, such as `side_1/completion`, is from 0 to 1."""
+    return measure.rpartition("/")[2] in SHARES
 
 
 def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -339,13 +335,7 @@ def format_interval(
     """Return a number and its interval for people, such as `98.0 % (95.0 to 100)`.
 
     An interval that is NaN or has no width is left out; a number that is NaN is a dash.
-
-    Args:
-      value: the number.
-      low: lower end.
-      high: upper end.
-      percent: whether they are shares from 0 to 1.
-      unit: what to put after the number.
+    The arguments are those of `format_number`.
     """
     ends = [value] if math.isnan(low) or low == high else [low, high]
     digits = 1 if percent or max(map(abs, ends)) < 1000 else 0
@@ -364,11 +354,8 @@ def format_number(
 ) -> str:
     """Return a number for people to read, such as `98.0 %`; a dash for NaN.
 
-    Args:
-      value: the number.
-      percent: whether it is a share from 0 to 1.
-      unit: what to put after it.
-      digits: how many after the point; a share of all is `100 %` in any case.
+    With `percent` it is a share from 0 to 1, else followed by `unit`; a share of all is
+    `100 %` with any number of digits after the point.
     """
     if math.isnan(value):
         return "-"

@@ -15,6 +15,7 @@ from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
+from collaborative_gym.evaluation.play import OnProgress
 from collaborative_gym.evaluation.table import to_json
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
@@ -26,7 +27,7 @@ _ROUNDS = 11
 """Rounds in which bare physics and environment take turns; their median counts."""
 
 _STEPS = 8
-"""Control steps of one round."""
+"""Control steps of a round."""
 
 _MEMORY_ENVS = 1024
 """Worlds whose memory is measured."""
@@ -34,57 +35,33 @@ _MEMORY_ENVS = 1024
 
 @dataclass(frozen=True)
 class Rates:
-    """Control steps of one world per second, with one kind of actions.
+    """Control steps of one world per second, with one kind of actions."""
 
-    Attributes:
-      bare: of `mujoco.batch` alone, from the same states with the same controls.
-      env: of `VectorEnv.step`, with its resets.
-      ratio: the median of the rounds' env / bare.
-    """
-
-    bare: float
-    env: float
-    ratio: float
+    bare: float  # of `mujoco.batch` alone, from the same states with the same controls
+    env: float  # of `VectorEnv.step`, with its resets
+    ratio: float  # median of the rounds' env / bare
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What was measured in one environment.
+    """Speed of one environment."""
 
-    Attributes:
-      environment: its id.
-      expert: with the scripted expert's actions; of robots that hold still where there
-        is no expert.
-      random: with random actions, under which arms crash.
-      single_rate: steps per second of one PettingZoo environment, with its resets.
-      reset_ms: time of one world's reset, in ms.
-      make_s: time to make the first PettingZoo environment of a process, in s.
-      kb_per_env: memory per world, in kB.
-    """
-
-    environment: str
-    expert: Rates
-    random: Rates
-    single_rate: float
-    reset_ms: float
-    make_s: float
-    kb_per_env: float
+    environment: str  # its id
+    expert: Rates  # with the expert; where there is none, with robots that hold still
+    random: Rates  # with random actions, under which arms crash
+    single_rate: float  # steps per second of a PettingZoo environment, with resets
+    reset_ms: float  # time of one world's reset
+    make_s: float  # time to make the first PettingZoo environment of a process
+    kb_per_env: float  # memory per world
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What was measured in one run.
+    """Speeds measured in one run."""
 
-    Attributes:
-      machine: what the numbers depend on besides the environments.
-      num_envs: worlds that were stepped together.
-      num_threads: physics threads.
-      environments: what was measured of each.
-    """
-
-    machine: dict[str, str | int]
-    num_envs: int
-    num_threads: int
+    machine: dict[str, str | int]  # processor and versions
+    num_envs: int  # worlds that were stepped together
+    num_threads: int  # physics threads
     environments: tuple[Speed, ...]
 
     def to_json(self) -> str:
@@ -97,7 +74,7 @@ def benchmark(
     num_envs: int = 256,
     *,
     num_threads: int = 0,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Benchmark:
     """Return how fast environments are here and now.
 

@@ -38,17 +38,11 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Thesis:
-    """A line of the thesis's table, over 200 trials.
+    """A line of the thesis's table, over 200 trials."""
 
-    Attributes:
-      mean_reward: sum over all steps and both robots.
-      completion: share of the trials that reached the goal, 0 to 1.
-      performance: share of the steps at the goal, 0 to 1.
-    """
-
-    mean_reward: float
-    completion: float
-    performance: float
+    mean_reward: float  # sum over all steps and both robots
+    completion: float  # share of the trials that reached the goal
+    performance: float  # share of the steps at the goal
 
 
 THESIS: Mapping[str, Thesis] = {
@@ -66,12 +60,9 @@ THESIS: Mapping[str, Thesis] = {
 
 @dataclass(frozen=True)
 class Line:
-    """An environment's line of the thesis, and what we measured.
+    """An environment's line of the thesis, and our reports by column of `COLUMNS`.
 
-    Attributes:
-      environment: its id.
-      thesis: the thesis's line.
-      reports: by column of `COLUMNS`, without a baseline that is not shipped.
+    A baseline that is not shipped has no report.
     """
 
     environment: str
@@ -101,7 +92,7 @@ class Table11:
     """The thesis's numbers beside those of the baselines, the experts and chance.
 
     Attributes:
-      episodes: how many were played for each number of ours.
+      episodes: number of episodes for each number of ours.
       seed: which episodes.
       comparisons: one line for each environment.
     """
@@ -131,11 +122,8 @@ class Table11:
     def lines(self, reward_digits: int = 2) -> list[list[str]]:
         """Return cells for people: environment, measure, thesis, then `COLUMNS`.
 
-        There is a line per environment and measure. A dash stands where there is no
-        baseline; PASS or FAIL follows what is judged.
-
-        Args:
-          reward_digits: digits of rewards after the point.
+        There is a line per environment and measure, with so many digits of rewards. A
+        dash stands where there is no baseline; PASS or FAIL follows what is judged.
         """
         lines = []
         for line in self.comparisons:

@@ -35,11 +35,8 @@ def standing(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
     """Return how an episode stands, such as "robot_1 expert 2 : 1 robot_2 main".
 
     Where there is one side, that is who plays, and whether the goal is met. At the end
-    of an episode of several sides a second line has the winner.
-
-    Args:
-      players: by side, from `name_players`.
-      infos: of the last step or reset of a batch of one world.
+    of an episode of several sides a second line has the winner. Players are those of
+    `name_players`, and infos of the last step or reset of a batch of one world.
     """
     if len(players) == 1:
         [player] = players.values()

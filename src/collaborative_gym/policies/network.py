@@ -14,7 +14,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from collaborative_gym.blocks import Layout
+from collaborative_gym.blocks import Layout, split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.files import check_regular, replacing
@@ -46,30 +46,19 @@ ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class Part:
-    """A network of a policy: from some agents' observations to their actions.
+    """A network of a policy: from some agents' observations to their actions."""
 
-    Attributes:
-      agents: whose observations it sees, one after the other, and whom it commands.
-      weights: name of its weights. Parts of one name share them.
-      index: its number among the parts that share its weights. It gets this number
-        after the observations, one-hot. None where it has weights of its own.
-      count: how many parts share its weights, where it has an index.
-    """
-
-    agents: tuple[str, ...]
-    weights: str
-    index: int | None = None
-    count: int = 0
+    agents: tuple[str, ...]  # in the order of their observations and actions
+    weights: str  # name of its weights; parts of one name share them
+    index: int | None = None  # among parts that share weights; a one-hot input
+    count: int = 0  # number of parts that share its weights, where it has an index
 
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights of a network, and the scale of its inputs.
+    """Weights of a network, and mean and standard deviation of its inputs; float32.
 
-    Attributes:
-      mean: of its inputs, (n,) float32.
-      std: of its inputs, (n,) float32.
-      layers: a weight (outputs, inputs) and a bias (outputs,) each, float32.
+    Each layer has a weight (outputs, inputs) and a bias (outputs,).
     """
 
     mean: np.ndarray
@@ -138,9 +127,7 @@ class NetworkPolicy:
             if part.index is not None:
                 rows = with_index(rows, part.index, part.count)
             out = np.clip(self._forward(rows, weights), -1.0, 1.0)
-            sizes = [self._outputs[agent] for agent in part.agents]
-            blocks = np.split(out, np.cumsum(sizes)[:-1], axis=1)
-            actions |= dict(zip(part.agents, blocks, strict=True))
+            actions |= split_columns(out, {a: self._outputs[a] for a in part.agents})
         return actions
 
     def _rows(self, agent: str, observation: Array) -> np.ndarray:
@@ -194,14 +181,9 @@ class NetworkPolicy:
         return served
 
     def check(self, env: VectorEnv, *, any_env: bool = False) -> None:
-        """Raise unless the policy is for this environment.
+        """Raise ValueError unless the policy is for this environment; say what differs.
 
-        Args:
-          env: what it is to play; starts and lengths of episodes may differ.
-          any_env: whether the environment may be another one with the same blocks.
-
-        Raises:
-          ValueError: says what differs.
+        Starts and lengths of episodes may differ; with `any_env` all but the blocks.
         """
         here = Identity.of(env.task)
         differences = here.differences(self.identity, ignore=ON_PLAYING)

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from collaborative_gym.blocks import split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.files import check_regular
@@ -41,9 +42,6 @@ class OnnxNetwork:
     Its first input has the observations in the order of the agents, (num_envs, n) of
     floats, and its first output the actions in the same order, (num_envs, k). Actions
     outside of -1 to 1 are clipped.
-
-    Args:
-      path: the file.
 
     Raises:
       ImportError: if ONNX Runtime is not installed.
@@ -87,17 +85,16 @@ class OnnxNetwork:
           ValueError: if the network does not take their observations, or gives more or
             fewer actions.
         """
-        spaces = env.single_observation_spaces, env.single_action_spaces
-        sees, does = (sum(own[agent].shape[0] for agent in agents) for own in spaces)
-        ends = np.cumsum([spaces[1][agent].shape[0] for agent in agents])[:-1]
-        who = " and ".join(agents)
+        layout = env.world.definition.layout
+        sizes = {agent: layout.action_sizes[agent] for agent in agents}
+        sees = sum(layout.observation_sizes[agent] for agent in agents)
+        shape, who = (env.num_envs, sum(sizes.values())), " and ".join(agents)
         dtype = self._check_input(env.num_envs, sees, who)
 
         def act(observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
             rows = [np.asarray(observations[agent], dtype) for agent in agents]
             actions = self._run(np.concatenate(rows, axis=1))
-            actions = np.clip(actions, -1.0, 1.0)
-            return dict(zip(agents, np.split(actions, ends, axis=1), strict=True))
+            return split_columns(np.clip(actions, -1.0, 1.0), sizes)
 
         try:
             given = self._run(np.zeros((env.num_envs, sees), dtype)).shape
@@ -108,19 +105,15 @@ class OnnxNetwork:
                 f"{self.path} does not take the {sees} numbers that {who} observe:"
                 f" {_last_line(error)}"
             ) from error
-        if given != (env.num_envs, does):
+        if given != shape:
             raise ValueError(
                 f"{self.path} returns an array of shape {given} for {env.num_envs}"
-                f" worlds; the actions of {who} have shape {(env.num_envs, does)}"
+                f" worlds; the actions of {who} have shape {shape}"
             )
         return act
 
     def _check_input(self, num_envs: int, sees: int, who: str) -> Any:
-        """Return the dtype of the first input.
-
-        Raises:
-          ValueError: if observations do not fit it.
-        """
+        """Return the dtype of the first input; raise ValueError if it does not fit."""
         first = self._session.get_inputs()[0]
         if first.type not in _DTYPES:
             raise ValueError(
@@ -155,16 +148,13 @@ class OnnxNetwork:
     def _in_time(
         self, work: Callable[[], _T], end: Callable[[], object] = lambda: None
     ) -> _T:
-        """Return the result of a function that may never end.
+        """Return the result of `work`, which may never end.
 
-        It runs in a thread of its own, so that Ctrl-C is heard meanwhile.
-
-        Args:
-          work: the function.
-          end: called when it takes too long; a thread that goes on is left behind.
+        It runs in a thread of its own, so that Ctrl-C is heard meanwhile. After
+        `MOST_SECONDS`, `end` is called, and a thread that goes on is left behind.
 
         Raises:
-          TimeoutError: if it takes more than `MOST_SECONDS`.
+          TimeoutError: if it takes that long.
         """
         answer: Future[_T] = Future()
 

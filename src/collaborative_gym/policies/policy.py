@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.spaces import Box
 
+from collaborative_gym.blocks import split_columns
 from collaborative_gym.envs.gymnasium import SingleAgent
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, check_flag, look_up, shown, unknown
@@ -90,9 +91,9 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     own = getattr(env, "unwrapped", env)
     vector_env = getattr(own, "vector_env", own)
     if vector_env is None:
-        found = None
-        if isinstance(policy, str | Path) and policy not in _NAMES:
-            found = None if _style(policy) else _load_file(policy)
+        found, is_name = None, policy in _NAMES or _style(policy)
+        if isinstance(policy, str | Path) and not is_name:
+            found = _load_file(policy)
         if not isinstance(found, NetworkPolicy):
             raise TypeError(f"{shown(policy)} needs an environment; pass env too")
         return found
@@ -154,8 +155,34 @@ def group_agents(policy: AnyPolicy, env: VectorEnv) -> list[tuple[Any, list[str]
     return list(groups.values())
 
 
+def named_policies(
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+) -> dict[str, AnyPolicy]:
+    """Return policies by the names of a dictionary, or else by their own.
+
+    Raises:
+      TypeError: if they are neither a list nor a dictionary.
+      ValueError: if two have one name.
+    """
+    if isinstance(policies, Mapping):
+        return {str(name): policy for name, policy in policies.items()}
+    if isinstance(policies, str) or not isinstance(policies, Sequence):
+        raise TypeError(
+            "policies must be a list of policies, or a dictionary with a name for each,"
+            f" got {shown(policies)}"
+        )
+    names = [name_policy(policy) for policy in policies]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(
+                f"{names.count(name)} policies are named {name!r}; give each once, or"
+                " in Python a dictionary with a name for each"
+            )
+    return dict(zip(names, policies, strict=True))
+
+
 def name_policy(policy: AnyPolicy) -> str:
-    """Return what to call a policy, as the command line takes it if it can."""
+    """Return the name of a policy, as the command line takes it if it can."""
     if isinstance(policy, Mapping):
         return " ".join(f"{agent}={name_policy(own)}" for agent, own in policy.items())
     if isinstance(policy, str | Path):
@@ -164,7 +191,7 @@ def name_policy(policy: AnyPolicy) -> str:
 
 
 def split_word(word: str) -> tuple[str, str]:
-    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
+    """Return the seat, if any, and the policy of "robot_2=FILE" or "FILE"."""
     seat, _, policy = word.partition("=")
     return (seat, policy) if policy and seat.isidentifier() else ("", word)
 
@@ -198,7 +225,7 @@ def commanding(
 
 
 def read_policy(policy: Any, env: VectorEnv) -> Any:
-    """Return the networks that a name or a path stands for, and anything else as it is.
+    """Return the networks of a name or a path, and anything else as it is.
 
     Raises:
       Exception: as `load_policy` does.
@@ -214,7 +241,8 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
 
 def _style(policy: object) -> str:
     """Return the style in an expert's name, such as "expert:late", or else nothing."""
-    return str(policy).removeprefix(_STYLED) if str(policy).startswith(_STYLED) else ""
+    kind, _, style = str(policy).partition(":")
+    return style if kind == "expert" else ""
 
 
 def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
@@ -254,12 +282,12 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
 
 
 def player_file(name: str) -> Path:
-    """Return where the policy of a player is in the folder of its run."""
+    """Return the path of a player's policy in the folder of its run."""
     return Path(_PLAYERS, f"{name}.safetensors")
 
 
 def shipped_file(kind: str, env_id: str) -> Path:
-    """Return where an environment's policy of a kind is, if it is shipped."""
+    """Return the path of an environment's policy of a kind, if it is shipped."""
     return SHIPPED[kind] / f"{env_id}.safetensors"
 
 
@@ -326,12 +354,10 @@ def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray]:
     """Return a policy over all agents' observations and actions, side by side."""
-    sizes = [space.shape[0] for space in env.single_observation_spaces.values()]
-    ends = np.cumsum(sizes)[:-1]
+    sizes = env.world.definition.layout.observation_sizes
 
     def act(observations: np.ndarray) -> np.ndarray:
-        blocks = np.split(np.asarray(observations), ends, axis=1)
-        actions = policy(dict(zip(env.agents, blocks, strict=True)))
+        actions = policy(split_columns(np.asarray(observations), sizes))
         return np.concatenate([actions[agent] for agent in env.agents], axis=1)
 
     return act
@@ -344,8 +370,6 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "gripping": gripping_policy,
     "frozen": frozen_policy,
 }
-
-_STYLED = "expert:"
 
 SCRIPTED = tuple(_BY_ENV)
 """Names of every task's policies."""

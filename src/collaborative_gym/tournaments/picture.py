@@ -11,9 +11,8 @@ from collaborative_gym.evaluation.figure import (
     open_axes,
     save_figure,
 )
-from collaborative_gym.evaluation.report import Statistic
+from collaborative_gym.evaluation.report import Statistic, is_share
 from collaborative_gym.tournaments.result import (
-    SHARES,
     Tournament,
     format_measure,
     short_names,
@@ -31,12 +30,7 @@ _MOST_NUMBERS = 16
 
 
 def draw_tournament(tournament: Tournament, path: str | Path) -> None:
-    """Draw `tournament_figure` into a PNG or SVG file, whole or not at all.
-
-    Raises:
-      ImportError: if the extra `train` is not installed.
-      OSError: if the file cannot be written.
-    """
+    """Draw `tournament_figure` into a PNG or SVG file, whole or not at all."""
     save_figure(tournament_figure(tournament), path)
 
 
@@ -74,8 +68,7 @@ def _draw_matrix(
 ) -> None:
     matrix = tournament.matrices[measure]
     means = np.array([[matrix[row][col].mean for col in players] for row in players])
-    is_share = measure in SHARES
-    ends = (0.0, 1.0) if is_share else (None, None)
+    ends = (0.0, 1.0) if is_share(measure) else (None, None)
     drawn = axes.imshow(means, cmap="cividis", vmin=ends[0], vmax=ends[1])
     labels = [short_names(tournament.players)[player] for player in players]
     axes.set_xticks(range(len(players)), labels, rotation=45, ha="right")
@@ -86,7 +79,7 @@ def _draw_matrix(
     axes.set_xlabel(columns[0])
     if is_first:
         axes.set_ylabel(rows)
-    axes.set_title(f"{measure} (%)" if is_share else measure)
+    axes.set_title(f"{measure} (%)" if is_share(measure) else measure)
     # White on what is dark: cividis grows lighter.
     is_dark = np.asarray(drawn.norm(means)) < 0.5
     for place, mean in np.ndenumerate(means):

@@ -1,11 +1,12 @@
-"""The tournament: which pairings there are, and how they are played and kept."""
+"""The tournament: its players and pairings, and how they are played and kept."""
 
 import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from collaborative_gym.errors import (
     check_flag,
     check_kind,
     look_up,
+    naming,
     shown,
 )
 from collaborative_gym.evaluation.play import (
@@ -27,24 +29,66 @@ from collaborative_gym.evaluation.play import (
 )
 from collaborative_gym.evaluation.table import without_nan
 from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
-from collaborative_gym.policies import AnyPolicy, as_policy
-from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.policies import AnyPolicy, Policy, as_policy
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.onnx import SUFFIX
+from collaborative_gym.policies.policy import (
+    POLICY_FILE,
+    commanding,
+    group_agents,
+    named_policies,
+    read_policy,
+)
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import ON_STATE, Identity
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.tournaments.players import Player, enter
 from collaborative_gym.tournaments.result import Pairing, Tournament
 
 PAIRINGS = "pairings"
-"""Name of the folder, in that of a tournament, with a file for each pairing."""
+"""Folder, in that of a tournament, of a file for each pairing."""
 
 _FORMAT = 1
-"""Number of the files' format; a file of another one is refused."""
+"""Number of the files' format; others are refused."""
+
+_LONGEST_NAME = 200
+"""Letters of a player's name: more than a column of a table has room for."""
 
 _KEPT = ("return", "completion", "performance", "time_to_success", "score")
 _KEPT += ("length", "diverged")
-"""What is kept of an episode, the first five by side where there are several."""
+"""Columns of a kept pairing, the first five by side where there are several."""
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy under a name of its own.
+
+    Attributes:
+      name: of the player.
+      policies: by agent.
+      mark: names of scripted policies and digests of trained ones, which differ from
+        those of other policies under the same name. None where there is a function,
+        since nobody can say whether it is the same one.
+    """
+
+    name: str
+    policies: Mapping[str, Policy]
+    mark: str | None
+
+    def misfit(self, agents: Collection[str]) -> str:
+        """Return why it cannot command these agents and no others; empty if it can."""
+        for policy in {id(own): own for own in self.policies.values()}.values():
+            asked = [agent for agent in agents if self.policies[agent] is policy]
+            if asked and isinstance(policy, NetworkPolicy):
+                try:
+                    policy.serving(asked)
+                except ValueError as error:
+                    return str(error)
+        return ""
+
+
+_Cast = Mapping[str, Player]
+"""The player of each seat."""
 
 
 def tournament(
@@ -71,9 +115,9 @@ def tournament(
     any `num_envs` and `num_threads`.
 
     A policy file can command the agents that it has networks for. Pairings in which it
-    would have to command others are left out, and the result says why. The same holds
-    for pairings that would divide the robots that one network commands together. All
-    files are read before the first game.
+    would have to command others, or only some of the robots that one network commands
+    together, are left out, and the result says why. All files are read before the first
+    game.
 
     Args:
       env: an environment id, a task's name, or a task.
@@ -143,10 +187,6 @@ def tournament(
         kinds,
         left_out,
     )
-
-
-_Cast = Mapping[str, Player]
-"""Who sits in each seat."""
 
 
 def _seats(env: VectorEnv) -> dict[str, tuple[str, ...]]:
@@ -255,12 +295,7 @@ def _play(
 
 
 class _Kept:
-    """The pairings that a folder has.
-
-    Args:
-      folder: of the tournament, or None to keep nothing.
-      settings: of what is to be played.
-    """
+    """The pairings in a tournament's folder, if there is one, with these settings."""
 
     def __init__(self, folder: str | Path | None, settings: Mapping[str, Any]):
         self._folder, self._settings = None, settings
@@ -330,3 +365,54 @@ def _file_name(cast: _Cast) -> str:
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
     digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]
     return f"{words}-{digest}.json"
+
+
+def enter(
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+    env: VectorEnv,
+    *,
+    any_env: bool = False,
+) -> list[Player]:
+    """Return the players, with all policies read from their files.
+
+    Raises:
+      Exception: as `load_policy` and `named_policies` do; names the player.
+      ValueError: if there are fewer than two.
+    """
+    named = named_policies(policies)
+    if len(named) < 2:
+        listed = ", ".join(named) or "none"
+        raise ValueError(
+            f"a tournament needs two policies or more, got {len(named)} ({listed})"
+        )
+    for name in named:
+        if not 0 < len(name) <= _LONGEST_NAME:
+            raise ValueError(
+                "a player's name, which its policy gives or you, must have 1 to"
+                f" {_LONGEST_NAME} letters, got {shown(name)}"
+            )
+    return [_enter(name, policy, env, any_env) for name, policy in named.items()]
+
+
+def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
+    policies: dict[str, Policy] = {}
+    marks: dict[str, str | None] = {}
+    with naming(f"player {name!r}"):
+        for given, agents in group_agents(policy, env):
+            own = read_policy(given, env)
+            if isinstance(own, NetworkPolicy):
+                own.check(env, any_env=any_env)
+            else:
+                own = commanding(agents, own, env, any_env)
+            policies |= dict.fromkeys(agents, own)
+            marks |= dict.fromkeys(agents, _mark(given, own))
+    mark = "; ".join(f"{agent} {marks[agent]}" for agent in env.agents)
+    return Player(name, policies, None if None in marks.values() else mark)
+
+
+def _mark(given: Any, found: Policy) -> str | None:
+    if isinstance(found, NetworkPolicy):
+        return found.digest
+    if isinstance(given, str | Path) and Path(given).suffix == SUFFIX:
+        return hashlib.sha256(Path(given).read_bytes()).hexdigest()
+    return str(given) if isinstance(given, str | Path) else None

@@ -38,10 +38,8 @@ def rated(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the ratings and their standard errors, (players,) each.
 
     The errors are those of the curvature of the likelihood, as if games did not depend
-    on one another. So a player that won all of its games has one, too.
-
-    Args:
-      points: as `bradley_terry` takes them, (players, players).
+    on one another. So a player that won all of its games has one, too. `points` are
+    those of `bradley_terry`, (players, players).
     """
     ratings, curvature = _fit(points)
     centred = np.eye(len(points)) - 1.0 / len(points)
@@ -77,9 +75,7 @@ def cyclic_triples(
 ) -> list[tuple[str, str, str]]:
     """Return triples of players in which each beats the next, and the last the first.
 
-    Args:
-      names: of the players.
-      beats: whether a player, a row, beats another, a column.
+    A row of `beats` says which players, in columns, a player beats.
     """
     return [
         (names[i], names[j], names[k])

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.evaluation.intervals import jackknifed
-from collaborative_gym.evaluation.report import Statistic, format_number
+from collaborative_gym.evaluation.report import Statistic, format_number, is_share
 from collaborative_gym.evaluation.table import to_csv, to_json
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tournaments.ratings import cyclic_triples, rated
-
-SHARES = ("points", "completion", "performance")
-"""Measures from 0 to 1."""
 
 _Z = 1.96
 """Standard errors on either side of a rating's 95 % interval."""
@@ -29,7 +26,7 @@ class Pairing:
     """Episodes of one player in one seat with another, or itself, in all other seats.
 
     Attributes:
-      players: who sat in each seat, by its name.
+      players: names by seat.
       columns: of the episodes, in order, by the names of a `Report`'s rows.
     """
 
@@ -38,7 +35,7 @@ class Pairing:
 
     @property
     def title(self) -> str:
-        """Who plays, such as "expert + idle"."""
+        """Names of the players, such as "expert + idle"."""
         return " + ".join(self.players.values())
 
     @property
@@ -49,7 +46,7 @@ class Pairing:
 
 @dataclass(frozen=True)
 class Standing:
-    """How one player did.
+    """Results of one player.
 
     Attributes:
       self_play: with itself in all seats, by measure.
@@ -58,10 +55,8 @@ class Standing:
       by_seat: its cross-play in each seat, by seat and measure.
       worst: the other player with whom, or against whom, it does worst; None if it
         played with nobody else.
-      wins: against others; this and the next three only if players are opponents.
-      draws: against others.
-      losses: against others.
-      rating: as `bradley_terry` gives it.
+      wins, draws, losses: counts against others; only if players are opponents.
+      rating: as `bradley_terry` gives it; likewise.
     """
 
     self_play: dict[str, Statistic]
@@ -77,20 +72,20 @@ class Standing:
 
 @dataclass(frozen=True)
 class Tournament:
-    """How every policy did in every seat with every other.
+    """Results of every policy in every seat with every other.
 
     If the task has several sides, seats are sides. Pairings are then compared by
     `points` (1 for an episode that was won, 0.5 for a draw, 0 for one that was lost)
     and by `score`, the difference to the best other side. Otherwise seats are robots,
     and pairings are compared by their common `completion`, `performance` and `return`.
 
-    Intervals are 95 % intervals, as `Statistic` has them: of a single pairing over its
-    episodes, of a mean over other players over these, of a group's means over its runs.
-    Those of ratings say how sure the games make them.
+    Intervals are of 95 %, as `Statistic` has them: of a single pairing over its
+    episodes, of a mean over other players over these, of a group's means over its runs,
+    and of a rating over games.
 
     Attributes:
       environment: the environment's id or the task's name.
-      settings: what was played: the environment's whole `identity`, `episodes`, `seed`.
+      settings: the environment's whole `identity`, `episodes` and `seed`.
       seats: the agents of each seat, by its name.
       turns: the seats that each player took in turn, with others in the rest.
       players: their names, in the order in which they were given.
@@ -110,7 +105,7 @@ class Tournament:
 
     @property
     def title(self) -> str:
-        """What was played: the environment and its arms."""
+        """The environment and its arms."""
         return Identity.from_dict(self.settings["identity"]).title
 
     @property
@@ -120,7 +115,7 @@ class Tournament:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """What pairings are compared by; the first counts most."""
+        """Measures of a pairing; the first counts most."""
         if self.is_divided:
             return "points", "score"
         return "completion", "performance", "return"
@@ -133,7 +128,7 @@ class Tournament:
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """By measure, that of each episode, (turns, players, players, episodes).
+        """Values of the episodes by measure, (turns, players, players, episodes).
 
         The first player has the seat whose turn it is, the second all others. NaN where
         they cannot play together.
@@ -178,7 +173,7 @@ class Tournament:
 
     @cached_property
     def standings(self) -> dict[str, Standing]:
-        """How each player did, by its name."""
+        """Results of each player, by its name."""
         return {name: self._standing(i) for i, name in enumerate(self.players)}
 
     @cached_property
@@ -249,17 +244,14 @@ class Tournament:
     def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
         """Return the statistic of a pairing over its episodes, (seats, episodes)."""
         means = _mean(values)[: 1 if self.is_one_episode else None]
-        return Statistic.of(list(means), is_share=measure in SHARES)
+        return Statistic.of(list(means), is_share=is_share(measure))
 
     def _over_others(
         self, measure: str, values: np.ndarray, own: np.ndarray | None = None
     ) -> Statistic:
-        """Return the statistic of a player's mean over other players.
+        """Return the statistic of a player's mean over (seats, others, episodes).
 
-        Args:
-          measure: of the values.
-          values: with each of the others, (seats, others, episodes).
-          own: with itself, (1, episodes), from which the others' are subtracted.
+        With `own`, its values with itself, (1, episodes), that of the difference.
         """
         means = _mean(values)
         if len(means) == 1:  # Nothing is known of others, so it is over episodes.
@@ -268,7 +260,7 @@ class Tournament:
         of_each = _mean(_mean(np.moveaxis(values, -1, 0)))
         if own is not None:
             return Statistic.of(list(float(_mean(own[0])) - of_each))
-        return Statistic.of(list(of_each), is_share=measure in SHARES)
+        return Statistic.of(list(of_each), is_share=is_share(measure))
 
     def _standing(self, i: int) -> Standing:
         others = np.arange(len(self.players)) != i
@@ -318,9 +310,9 @@ class Tournament:
                 for i in range(len(runs))
             ]
             for i, name in enumerate(("of self-play", "of cross-play", "lost")):
-                is_share = measure in SHARES and name != "lost"
+                is_mean = is_share(measure) and name != "lost"
                 own = [each[i] for each in left]
-                found = jackknifed(own, whole[i], is_share=is_share)
+                found = jackknifed(own, whole[i], is_share=is_mean)
                 ends = found.low, found.high
                 mean = Statistic(whole[i], *ends, whole[i], whole[i])
                 means[f"{measure} {name}"] = mean
@@ -365,8 +357,8 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
 
 
 def format_measure(measure: str, value: float) -> str:
-    """Return a number of a measure for people, such as "97 %"; a dash for NaN."""
-    if measure in SHARES:
+    """Return a number for people, such as "97 %"; a dash for NaN."""
+    if is_share(measure):
         return "-" if math.isnan(value) else f"{100 * value:.0f} %"
     return format_number(value, digits=1 if abs(value) < 100 else 0)
 

@@ -51,26 +51,20 @@ def start_server(
     """Return a server that listens at an address, and answers its own pages alone.
 
     A web page may send requests to every server that its reader's browser reaches. So
-    all are refused, with status 403, unless `Host` is what this server is called, and
+    all are refused, with status 403, unless `Host` is a name of this server, and
     `Origin`, which browsers send with each WebSocket, is the same. Messages that no
-    page of ours sends are dropped.
+    page of ours sends are dropped. The names are `localhost`, loopback addresses and
+    `host`; where other machines reach it also this machine's name and all numeric
+    addresses, which no foreign page can turn to another machine as it can a name.
 
-    A link is a path of the page that says what it is to show. The page connects by the
-    same path, and only then the link takes effect: a mere request, which other pages
-    can cause, changes nothing.
-
-    Args:
-      host: the address. Its names are `localhost`, loopback addresses and the address
-        itself; where other machines reach it also this machine's name and all numeric
-        addresses, which no foreign page can turn to another machine as it can a name.
-      port: the port.
-      links: how the paths of links begin.
-      on_link: takes a link and returns what shows what it says; raises a KeyError or
-        ValueError for one that says what cannot be shown.
+    A link is a path of the page, which begins with `links`, that says what to show. It
+    takes effect only when the page connects by the same path: a mere request, which
+    other pages can cause, changes nothing. `on_link` returns a function that shows a
+    link; it raises a KeyError or ValueError for one that cannot be shown.
 
     Raises:
-      RuntimeError: if the installed viser starts its server in a way that is not known
-        here, so that it would be unguarded.
+      RuntimeError: if the installed viser starts its server in an unknown way, so that
+        it would be unguarded.
     """
     guard = _Guard(host, links, on_link)
     # viser has no option for this, and listens as soon as it is made.
@@ -91,12 +85,7 @@ def start_server(
 
 
 class _Guard:
-    """What keeps strangers out of one server.
-
-    Attributes:
-      has_served: whether it guards a server.
-      gui: the inputs of its pages.
-    """
+    """What keeps strangers out of one server; `gui` are the inputs of its pages."""
 
     def __init__(
         self, host: str, links: str, on_link: Callable[[str], Callable[[], object]]
@@ -145,8 +134,8 @@ class _Guard:
     def enter(self, transport: asyncio.Transport) -> None:
         """Count a connection in, and end one if there are too many.
 
-        That is the oldest that has asked for nothing: a program that opens many and
-        keeps silent does not lock tabs out. Where all are tabs, it is the new one.
+        That is the oldest without a request: a program that opens many and keeps silent
+        does not lock tabs out. Where all are tabs, it is the new one.
         """
         self._open += 1
         self._silent[transport] = None

@@ -40,10 +40,8 @@ class Choice:
 class Menu:
     """The choices: what the package has, and what a viewer was started with.
 
-    Args:
-      env: the world that a viewer was started with.
-      policies: the policy of each of its agents, as `evaluate` takes it.
-      any_env: whether a trained policy may play another environment than its own.
+    These are its world, the policy of each of its agents, and whether a trained policy
+    may play another environment than its own.
 
     Attributes:
       envs, robots, randomizations: names of the choices.
@@ -103,9 +101,8 @@ class Menu:
 
         The same policies go on if they can play with it; else the expert plays.
         """
-        robots = *choice.robots[:i], robot, *choice.robots[i + 1 :]
         given = self._policies if self._any_env else ()
-        return self._able(replace(choice, robots=robots), given)
+        return self._able(replace(choice, robots=put(choice.robots, i, robot)), given)
 
     def read(self, link: str) -> Choice:
         """Return the choice of a link; parts that it lacks are the usual ones.
@@ -142,9 +139,7 @@ class Menu:
     ) -> tuple[VectorEnv, Policy, dict[str, AnyPolicy]]:
         """Return the world of a choice, its policy, and the policy of each agent.
 
-        Args:
-          choice: what to play.
-          env: the present world, which is returned if it is the one.
+        The world is `env`, the present one, where that is the one of the choice.
 
         Raises:
           Exception: as `make_vec` and `load_policy` do.
@@ -195,6 +190,11 @@ class Menu:
         if choice.robots == self._usual(choice.env):
             playing.update(shipped_kinds(choice.env))
         return [kind for kind in SHIPPED if kind in playing]
+
+
+def put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:
+    """Return the names with another one in the place i."""
+    return *names[:i], name, *names[i + 1 :]
 
 
 def _arms(task: Task) -> tuple[str, ...]:

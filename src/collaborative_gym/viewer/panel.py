@@ -10,7 +10,7 @@ import viser
 
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.viewer.menu import Choice, Menu
+from collaborative_gym.viewer.menu import Choice, Menu, put
 from collaborative_gym.viewer.plots import Plots
 from collaborative_gym.viewer.reading import Reading
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
@@ -47,14 +47,7 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 
 
 class Panel:
-    """The panel of all tabs, which share its controls.
-
-    Args:
-      server: the page's server.
-      session: controlled by it.
-      menu: the choices.
-      on_view: called with the chosen camera.
-    """
+    """The panel of all tabs, which share its controls; `on_view` gets a view."""
 
     def __init__(
         self,
@@ -196,7 +189,9 @@ class Panel:
                         f"{agent}, policy",
                         menu.policies(choice),
                         choice.policies[i],
-                        lambda now, name, i=i: _led(now, i, name),
+                        lambda now, name, i=i: replace(
+                            now, policies=put(now.policies, i, name)
+                        ),
                     ),
                 ]
             self._link = self._gui.add_html("")
@@ -231,12 +226,6 @@ _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:
     """Call a function when a user, but not the program, changes an input."""
     box.on_update(lambda event: event.client and do(event.target.value))
-
-
-def _led(choice: Choice, i: int, policy: str) -> Choice:
-    """Return the choice of another policy for the agent i."""
-    policies = *choice.policies[:i], policy, *choice.policies[i + 1 :]
-    return replace(choice, policies=policies)
 
 
 def _heading(task: Task, reading: Reading) -> str:

@@ -23,12 +23,7 @@ _MEASURED = "measured"
 
 
 class Plots:
-    """Charts over an episode's time, one for each agent's reward and one of measures.
-
-    Args:
-      gui: of the page.
-      tab: the part of its panel with the charts.
-    """
+    """Charts over an episode's time, one of each agent's reward and one of measures."""
 
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle):
         self._gui, self._tab = gui, tab

@@ -14,39 +14,22 @@ from collaborative_gym.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class Reading:
-    """The state of one world for people.
+    """The state of one world for people, by side, by agent or by name."""
 
-    Attributes:
-      episode: index of the episode within its seed.
-      seed: of the episode.
-      time: since its start, in s.
-      players: name of each side's policy, by side.
-      scores: points of each side; a single one has none.
-      success: whether each side's goal is met now.
-      returns: sum of each side's rewards since the start.
-      rewards: the last control step's named terms, by agent; at a start 0.
-      measures: distances and other measures of the task, by name.
-      units: of these measures, as far as the task names them.
-      previous: end of the episode before, a sentence, or empty.
-      has_ended: whether this episode is over.
-      trouble: why it cannot go on, a sentence; empty where it can.
-      is_loading: whether another world is being made in its place.
-    """
-
-    episode: int
+    episode: int  # index within its seed
     seed: int
-    time: float
-    players: Mapping[str, str]
-    scores: Mapping[str, float]
-    success: Mapping[str, bool]
-    returns: Mapping[str, float]
-    rewards: Mapping[str, Mapping[str, float]]
-    measures: Mapping[str, float | bool]
-    units: Mapping[str, str]
-    previous: str
-    has_ended: bool
-    trouble: str = ""
-    is_loading: bool = False
+    time: float  # since the start, in s
+    players: Mapping[str, str]  # names of the sides' policies
+    scores: Mapping[str, float]  # points; a single side has none
+    success: Mapping[str, bool]  # whether the goal is met now
+    returns: Mapping[str, float]  # sums of rewards since the start
+    rewards: Mapping[str, Mapping[str, float]]  # named terms of the last step
+    measures: Mapping[str, float | bool]  # distances and the like
+    units: Mapping[str, str]  # of the measures that have one
+    previous: str  # end of the episode before, a sentence, or empty
+    has_ended: bool  # whether this episode is over
+    trouble: str = ""  # why it cannot go on, a sentence, or empty
+    is_loading: bool = False  # whether another world is being made
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -80,13 +63,9 @@ def read(
     before: Reading | None,
     players: Mapping[str, str],
 ) -> Reading:
-    """Return the reading of a batch of one world.
+    """Return the reading of one world after a step or reset with these infos.
 
-    Args:
-      env: the world.
-      infos: of its last step or reset.
-      before: the reading of the step before, or None.
-      players: name of each side's policy, by side.
+    `before` is the reading of the step before, or None.
     """
     seed, episode, step = (int(env.progress[n][0]) for n in ("seed", "episode", "step"))
     rewards = {

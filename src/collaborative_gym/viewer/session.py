@@ -144,10 +144,7 @@ class Session:
     def change(self, load: Load, seed: int, episode: int) -> None:
         """Start an episode of another world, or with other policies.
 
-        Args:
-          load: called in the session's thread; where it fails, all stays as it is.
-          seed: of the episode.
-          episode: its index.
+        `load` is called in the session's thread; where it fails, all stays as it is.
         """
         self._ask(lambda: self._change(load, seed, episode))
 
@@ -159,9 +156,8 @@ class Session:
     def run(self, refresh: Callable[[], object]) -> None:
         """Play until `end`.
 
-        Args:
-          refresh: called whenever there may be something new to draw, also while
-            paused, and in this thread, so that it may read the world.
+        `refresh` is called in this thread, so that it may read the world, whenever
+        there may be something new to draw, also while paused.
         """
         self._refresh = refresh
         self._due = time.perf_counter()

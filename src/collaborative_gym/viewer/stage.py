@@ -52,13 +52,8 @@ _MARGIN = 0.4
 class Stage:
     """A session's world in a page's scene, which is cleared before.
 
-    Args:
-      server: the page's server.
-      session: shown until it plays another world.
-
-    Attributes:
-      env: the world.
-      views: names of the places of a camera, the task's own first.
+    It shows this world until the session plays another. `views` are the names of the
+    places of a camera, the task's own first.
 
     Raises:
       ValueError: if the world has something that the page cannot draw.
@@ -112,10 +107,13 @@ class Stage:
             for agent, label in self._labels.items():
                 label.visible = labels
                 if labels:
-                    label.text = (
-                        f"{agent}: {name_policy(self._session.policies[agent])}"
+                    name = name_policy(self._session.policies[agent])
+                    label.text, places = (
+                        f"{agent}: {name}",
+                        data.xpos[self._arms[agent]],
                     )
-                    label.position = self._above(agent)
+                    top = places[:, 2].max() + _ABOVE
+                    label.position = np.append(places[0, :2], top)
             self._forces.visible = forces
             if forces:
                 self._forces.points = _arrows(self.env.model, self.env.sim.data(0))
@@ -123,22 +121,13 @@ class Stage:
                 light.cast_shadow = shadows
 
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
-        """Let a tab look from one of `views`, so that the arms are in view.
-
-        Returns:
-          Where its camera stands, (3,) in m.
-        """
+        """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         eye, target = self._place(view, client.camera.aspect)
         client.camera.position, client.camera.look_at = eye, target
         return eye
 
     def _place(self, view: str, aspect: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a camera stands, and what it looks at, (3,) in m each.
-
-        Args:
-          view: one of `views`.
-          aspect: width of the picture over its height.
-        """
+        """Return where a camera stands so that the arms are in view, and its target."""
         model, data = self._model, self._data
         own, looked_at = overview(model, data)
         if view == _HANDS:
@@ -169,11 +158,6 @@ class Stage:
         sim, data = self.env.sim, self._data
         data.qpos[:], data.mocap_pos[:] = sim.qpos[0], sim.mocap_pos[0]
         mujoco.mj_kinematics(self._model, data)
-
-    def _above(self, agent: str) -> np.ndarray:
-        """Return the place of an arm's label, (3,) in m."""
-        places = self._data.xpos[self._arms[agent]]
-        return np.append(places[0, :2], places[:, 2].max() + _ABOVE)
 
     def _add_bodies(self, scene: viser.SceneApi) -> dict[int, viser.FrameHandle]:
         """Draw all bodies, and return the frames of those that move."""

@@ -18,13 +18,8 @@ from collaborative_gym.viewer.stage import Stage
 class Page:
     """A web server whose page shows a session and passes on what its users do.
 
-    Any number of browsers may watch; they share the controls.
-
-    Args:
-      session: shown on the page.
-      menu: the choices.
-      host: address to listen on.
-      port: the port; where it is taken, or 0, the next one that is free.
+    Any number of browsers may watch; they share the controls. Where the port is taken,
+    or 0, it listens on the next one that is free.
 
     Attributes:
       url: of the page.

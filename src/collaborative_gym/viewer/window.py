@@ -32,10 +32,7 @@ _HELP = (
 
 
 class Window:
-    """A window that shows a session and passes on what its user does.
-
-    Args:
-      session: shown in the window; it ends when the window is closed.
+    """A window that shows a session, which ends with it, and passes on the user's keys.
 
     Raises:
       RuntimeError: if no window can be opened; says why.
