@@ -10,7 +10,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.cards import ReportCard, draw_card, report_card
-from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.evaluation.play import DISTURBANCES, measure_robustness
 from collaborative_gym.tasks.registry import disturbed
 from collaborative_gym.tasks.task import RANDOMIZATIONS
 

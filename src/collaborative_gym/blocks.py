@@ -110,7 +110,7 @@ class Layout:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Layout":
-        """Return what `to_dict` was made of; other entries are left alone."""
+        """Return the layout of a `to_dict`, which may have other entries."""
         if "observation" not in content:
             return cls.of_sizes(content["observation_sizes"], content["action_sizes"])
         kinds = (content[kind].items() for kind in _KINDS)

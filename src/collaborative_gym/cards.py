@@ -10,13 +10,18 @@ import numpy as np
 
 from collaborative_gym.errors import check_callback, check_count
 from collaborative_gym.evaluation.figure import make_figure, open_axes, save_figure
-from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
+from collaborative_gym.evaluation.play import (
+    DISTURBANCES,
+    OnProgress,
+    evaluate,
+    measure_robustness,
+    parts_of,
+)
 from collaborative_gym.evaluation.report import (
     Report,
     format_statistic,
     markdown_tables,
 )
-from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import escaped, markdown_table, to_json
 from collaborative_gym.policies import AnyPolicy
 from collaborative_gym.policies.policy import named_policies
@@ -141,11 +146,11 @@ def report_card(
       env: an environment id, a task's name, or a task.
       policies: whatever `load_policy` takes, each under the name that the command line
         has for it; or a dictionary of policies by names of your own.
-      episodes: how many each policy plays by itself; no training sees their starts.
-      disturbed: how many with each of the disturbances of `hard`, alone and together;
+      episodes: number that each policy plays by itself; no training sees their starts.
+      disturbed: number with each of the disturbances of `hard`, alone and together;
         0 for no table of robustness.
-      paired: how many of each pairing of the policies and the expert; 0 for none.
-      seed: which episodes.
+      paired: number of each pairing of the policies and the expert; 0 for none.
+      seed: of the episodes.
       num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.

@@ -78,11 +78,11 @@ def naming(what: str) -> Iterator[None]:
     try:
         yield
     except kinds as error:
-        told = f"{what}: {error}"
+        message = f"{what}: {error}"
         try:
-            named = type(error)(told)
+            named = type(error)(message)
         except TypeError:
-            named = next(kind for kind in kinds if isinstance(error, kind))(told)
+            named = next(kind for kind in kinds if isinstance(error, kind))(message)
         raise named from error
 
 
@@ -112,9 +112,9 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
 def told_by_mujoco(error: ValueError) -> str:
     """Return MuJoCo's complaint about a model, on one line, and a remedy."""
     lines = re.sub("(XML )?Error: ", "", str(error)).splitlines()
-    told = ", ".join(line.strip() for line in lines if line.strip())
-    remedy = next((do for part, do in _REMEDIES.items() if part in told), "")
-    return f"{told}; {remedy}" if remedy else told
+    text = ", ".join(line.strip() for line in lines if line.strip())
+    remedy = next((do for part, do in _REMEDIES.items() if part in text), "")
+    return f"{text}; {remedy}" if remedy else text
 
 
 def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:

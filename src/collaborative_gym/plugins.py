@@ -117,7 +117,7 @@ def location_of(error: BaseException) -> str:
 
 
 def load_entry_points() -> None:
-    """Import what installed packages offer under `GROUP`; warn where that fails."""
+    """Import the modules of installed packages in `GROUP`; warn where that fails."""
     for entry in entry_points(group=GROUP):
         try:
             entry.load()

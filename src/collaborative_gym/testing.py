@@ -35,7 +35,7 @@ def check_task(
       task: an environment id, a task's name, a task, or a task's class.
       robots: its arms, in the order of the agents; None for the environment's own, and
         for Pandas where a class is given. Only beside a name or a class.
-      episodes: how many the expert plays, and how many nobody.
+      episodes: number of the expert's episodes.
 
     Raises:
       AssertionError: lists every broken promise and its remedy.
@@ -238,7 +238,7 @@ def check_saving(trial: Trial) -> None:
 
 
 def check_measuring(trial: Trial) -> None:
-    """Measuring twice in one state changes nothing; what has a unit is measured."""
+    """Measuring twice in one state changes nothing; names of units are measured."""
     env = trial.worlds(7)
     play(env, 3)
     task = env.task

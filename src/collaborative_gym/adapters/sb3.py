@@ -52,19 +52,19 @@ class SB3VecEnv(VecEnv):
         observations, rewards, terminated, _, infos = self.vector_env.step(
             self._actions
         )
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        ends: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if infos["ended"].any():
             final = self._agents.joined(infos["final_observation"])
             is_terminated = self._agents.shared(terminated)
             for i in np.flatnonzero(infos["ended"]):
-                told[i] = {
+                ends[i] = {
                     # By these two it knows that the world goes on, and from where.
                     "terminal_observation": final[i],
                     "TimeLimit.truncated": not is_terminated[i],
                     "is_success": bool(infos["metrics"]["completion"][i]),
                 }
         total = np.sum([*rewards.values()], axis=0)
-        return self._agents.joined(observations), total, infos["ended"], told
+        return self._agents.joined(observations), total, infos["ended"], ends
 
     def get_images(self) -> list[np.ndarray]:
         return [self.vector_env.render(i) for i in range(self.num_envs)]

@@ -62,7 +62,7 @@ def certify(
 
     Args:
       env: an environment id, a task's name, or a task.
-      budget: how hard to try; None for `Budget()`, which takes hours.
+      budget: the effort; None for `Budget()`, which takes hours.
       seed: of the episodes to judge on.
       output: a folder for `certificate.json`, written after each trial, and for the
         trainings. What it has of the same certificate is not done again. None to keep

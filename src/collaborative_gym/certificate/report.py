@@ -17,7 +17,7 @@ PLAYERS = {
     "search": "a motion for each",
     "ppo": "trained",
 }
-"""Who plays against a still arm, and the name of this player in the table."""
+"""Players against a still arm, and their names in the table."""
 
 _FORMAT = 1
 """Number of the file format; others are refused."""

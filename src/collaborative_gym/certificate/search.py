@@ -46,7 +46,7 @@ class Motions:
         self.shape = budget.knots, len(self.is_grip)
 
     def cast(self, motions: np.ndarray) -> Cast:
-        """Return who plays these motions, (tries, knots, columns)."""
+        """Return the players of these motions, (tries, knots, columns)."""
 
         def policy(tries: np.ndarray) -> Policy:
             own, steps = motions[tries], count()

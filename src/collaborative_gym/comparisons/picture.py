@@ -199,7 +199,7 @@ def _draw_profiles(
 def _draw_improvements(
     axes: "Axes", comparison: Comparison, numbers: Mapping[str, str]
 ) -> None:
-    """Draw each probability and its interval, with who beats whom above it."""
+    """Draw each probability and its interval, with its title above it."""
     for i, (both, chance) in enumerate(comparison.improvements.items()):
         ends = 100 * np.array([chance.low, chance.high])
         axes.plot(ends, [i, i], color=COLOURS[0], linewidth=2.0)

@@ -20,10 +20,10 @@ VALIDATION = "validation/"
 _REMEDY = (
     "continue the run, which writes it anew (train --resume), or leave the run out"
 )
-"""What to do about a damaged file."""
+"""Remedy of a damaged file."""
 
 _NO_SETTINGS = ("seed", "layout", "observation_sizes", "action_sizes", "start.metadata")
-"""Settings that follow from others, or that shall not tell runs apart."""
+"""Settings that follow from others, or that make no groups."""
 
 
 _NAMELESS = "algorithm", "mode"
@@ -155,8 +155,7 @@ class Group:
     """Runs that differ by their seeds alone.
 
     Attributes:
-      environment: the name of their environment, with what tells it apart from others
-        of that name.
+      environment: its name, with differences from others of that name.
       method: the settings that tell it apart from other groups in an environment. Of
         many settings it has only as many as that takes, and "..." for the others.
       runs: by seed.
@@ -168,7 +167,7 @@ class Group:
 
     @property
     def title(self) -> str:
-        """What to call it."""
+        """Environment and method."""
         return ": ".join(filter(None, (self.environment, self.method)))
 
     @cached_property
@@ -241,7 +240,7 @@ def group_runs(runs: Sequence[TrainedRun]) -> Grouping:
 
 
 def _environments(runs: Sequence[TrainedRun]) -> dict[str, str]:
-    """Return what to call the environments, by `_key`."""
+    """Return names of the environments, by `_key`."""
     by_key = {_key(run): run.identity for run in runs}
     named: dict[str, str] = {}
     for key, identity in by_key.items():
@@ -277,7 +276,7 @@ def _enough(contents: Sequence[Mapping[str, Any]], names: Iterable[str]) -> list
 
 
 def _words(settings: Mapping[str, Any], names: Sequence[str] | Mapping) -> str:
-    """Return what these settings are, such as "collaborative, discount 0.9"."""
+    """Return the settings of these names, such as "collaborative, discount 0.9"."""
     words = []
     for name in names:
         if name in settings:

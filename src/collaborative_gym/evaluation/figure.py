@@ -63,7 +63,7 @@ def save_figure(figure: "Figure", path: str | Path, **options: Any) -> None:
 
 
 def open_axes(axes: "Axes") -> None:
-    """Give axes a pale grid behind what is drawn, and no frame above and beside it."""
+    """Give axes a pale grid behind the lines, and no frame above and at the right."""
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

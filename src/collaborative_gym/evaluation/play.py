@@ -1,9 +1,10 @@
-"""The evaluation of a policy, over episodes that depend on the seed alone."""
+"""The evaluation of a policy, also disturbed, over episodes of a seed."""
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Task
 
 _MOST_DELAY = 100
 """Greatest delay, in control steps: ten seconds."""
@@ -37,6 +38,21 @@ OnProgress = Callable[[float], object] | None
 
 _MEASURES = ("return", "completion", "performance", "time_to_success", "score")
 """The metrics that make a `Score`, in its order; a single side has no score."""
+
+DISTURBANCES: Mapping[str, Sequence[str]] = {
+    "none": (),
+    "starts": ("joint_noise", "object_position", "object_yaw", "target_position"),
+    "link mass": ("link_mass",),
+    "payload": ("payload",),
+    "friction": ("friction",),
+    "torque": ("lost_torque",),
+    "delay": ("delay", "delayed"),
+    "lost actions": ("lost_actions",),
+    "noise": ("position_noise", "angle_noise"),
+    "all": tuple(field.name for field in fields(RANDOMIZATIONS["hard"])),
+}
+"""Fields of the randomization `hard` by the name of a disturbance, which leaves the
+others as in `default`."""
 
 
 def evaluate(
@@ -60,8 +76,8 @@ def evaluate(
       policy: a name or path for `load_policy`, such as "baseline", a function from
         observations to actions, both by agent with one row per world, or one of these
         for each agent.
-      episodes: how many.
-      seed: which episodes.
+      episodes: number of episodes.
+      seed: of the episodes.
       delay: number of control steps by which each action comes late; the robots hold
         still before the first.
       num_envs: worlds that play at the same time; None for at most 64.
@@ -112,6 +128,42 @@ def evaluate(
     )
 
 
+def measure_robustness(
+    env: str | Task,
+    policy: AnyPolicy = "expert",
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    num_envs: int | None = None,
+    num_threads: int = 0,
+    any_env: bool = False,
+    on_progress: OnProgress = None,
+) -> dict[str, Report]:
+    """Return the report of an evaluation with each of `DISTURBANCES`, by its name.
+
+    All arguments are those of `evaluate`; `episodes` are played with each disturbance.
+    Each of them disturbs an episode in the same way alone and together with the others.
+
+    Raises:
+      Exception: as `evaluate` does.
+    """
+    task, hard = as_task(env), RANDOMIZATIONS["hard"]
+    parts = parts_of(on_progress, [1] * len(DISTURBANCES))
+    reports = {}
+    for (name, changed), part in zip(DISTURBANCES.items(), parts, strict=True):
+        reports[name] = evaluate(
+            disturbed(task, **{field: getattr(hard, field) for field in changed}),
+            policy,
+            episodes=episodes,
+            seed=seed,
+            num_envs=num_envs,
+            num_threads=num_threads,
+            any_env=any_env,
+            on_progress=part,
+        )
+    return reports
+
+
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
     """Return `num_envs`, or the number of worlds that suits so many episodes."""
     if num_envs is not None:
@@ -157,7 +209,7 @@ def play_episodes(
 
 
 def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
-    """Return what moves arms in all robots' actions, (num_envs, k) in [-1, 1]."""
+    """Return the moves of all robots' actions, (num_envs, k) in [-1, 1]."""
     split = env.action_mode.split
     moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
     return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""What an evaluation found, as numbers, JSON, CSV and Markdown."""
+"""The results of an evaluation, as numbers, JSON, CSV and Markdown."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -133,11 +133,11 @@ class Report:
       environment: the environment's id or the task's name.
       settings: the environment's whole `identity`, the policy, episodes and seed.
       sides: score of each side, by its name; most tasks have one.
-      returns: of each agent's own return, by agent.
+      returns: statistic of each agent's own return.
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
-      strain: of arms, by the names in `envs.strain`.
+      strain: of the arms, by the names in `envs.strain`.
     """
 
     environment: str
@@ -215,13 +215,13 @@ class Report:
         return reports_to_csv([self])
 
     def to_markdown(self) -> str:
-        """Return the statistics as Markdown: what was played, and tables."""
+        """Return the statistics as Markdown: a title, and tables."""
         count, seed = (self.settings[name] for name in ("episodes", "seed"))
-        title = escaped(f"{self.title}, {told_episodes(count)} of seed {seed}")
+        title = escaped(f"{self.title}, {format_episodes(count)} of seed {seed}")
         return f"{title}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
-        """Return what a notebook shows."""
+        """Return the text for a notebook."""
         return self.to_markdown()
 
 
@@ -235,7 +235,7 @@ def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
     return len({repr({**row, "episode": 0}) for row in rows}) == 1
 
 
-def told_episodes(count: object) -> str:
+def format_episodes(count: object) -> str:
     """Return a number of episodes for people."""
     return f"{count} episode" if str(count) == "1" else f"{count} episodes"
 
@@ -255,7 +255,7 @@ def reports_to_json(reports: Sequence[Report]) -> str:
 
 
 def reports_to_csv(reports: Sequence[Report]) -> str:
-    """Return all episodes of the reports as one CSV; what a row lacks is empty."""
+    """Return all episodes of the reports as one CSV; missing cells are empty."""
     rows = [
         {
             "environment": report.environment,

@@ -17,8 +17,8 @@ def markdown_table(
     Args:
       heads: of the columns.
       lines: the cells of each line, which are escaped.
-      words: how many of the first columns have words; the others have numbers, at the
-        right. None for words in all.
+      words: number of the first columns, which have words; the others have numbers, at
+        the right. None for words in all.
     """
     left = len(heads) if words is None else words
     rules = ["---" if i < left else "---:" for i in range(len(heads))]
@@ -49,7 +49,7 @@ def to_json(content: Any, indent: int = 2) -> str:
 
 
 def without_nan(value: Any) -> Any:
-    """Return plain dictionaries and lists, with None for NaN and what is infinite."""
+    """Return plain dictionaries and lists, with None for NaN and infinite numbers."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, dict):

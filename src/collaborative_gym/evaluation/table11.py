@@ -70,7 +70,7 @@ class Line:
     reports: Mapping[str, Report]
 
     def mean(self, column: str, measure: str) -> float:
-        """Return what was measured, NaN where there is no baseline."""
+        """Return the mean of our report, NaN where there is no baseline."""
         report = self.reports.get(column)
         return math.nan if report is None else getattr(report, measure).mean
 
@@ -93,7 +93,7 @@ class Table11:
 
     Attributes:
       episodes: number of episodes for each number of ours.
-      seed: which episodes.
+      seed: of the episodes.
       comparisons: one line for each environment.
     """
 
@@ -193,9 +193,9 @@ def reproduce_table11(
     The numbers are the same for any `num_threads`.
 
     Args:
-      episodes: how many per environment and policy.
-      seed: which episodes.
-      env_ids: which of the table's environments; None for all eight.
+      episodes: number per environment and policy.
+      seed: of the episodes.
+      env_ids: environments of the table; None for all eight.
       num_threads: physics threads, 0 for one per CPU.
       on_progress: called with the share that is done, 0 to 1.
 

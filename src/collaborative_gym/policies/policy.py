@@ -27,7 +27,7 @@ Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 """From observations to actions, both by agent, with one row per world."""
 
 AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
-"""A policy, or what `load_policy` finds it by, or one of these for each agent."""
+"""A policy, or its name or path for `load_policy`, or one of these for each agent."""
 
 SHIPPED = {
     "baseline": Path(__file__).parents[1] / "baselines",
@@ -112,7 +112,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
 
 
 def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Policy:
-    """Return what `load_policy` does, for a `VectorEnv`.
+    """Return a policy as `load_policy` does, for a `VectorEnv`.
 
     Raises:
       Exception: as `load_policy` does.

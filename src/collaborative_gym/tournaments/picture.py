@@ -1,4 +1,4 @@
-"""The picture of a tournament: who did how well with whom."""
+"""The picture of a tournament: matrices of results, and ratings."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,10 +73,10 @@ def _draw_matrix(
     labels = [short_names(tournament.players)[player] for player in players]
     axes.set_xticks(range(len(players)), labels, rotation=45, ha="right")
     axes.set_yticks(range(len(players)), labels if is_first else [])
-    rows, *columns = tournament.turns if len(tournament.seats) > 2 else tournament.seats
-    if len(tournament.seats) > 2:
-        rows, columns = "in one seat", ["all others"]
-    axes.set_xlabel(columns[0])
+    rows, columns = "in one seat", "all others"
+    if len(tournament.seats) == 2:
+        rows, columns = tournament.seats
+    axes.set_xlabel(columns)
     if is_first:
         axes.set_ylabel(rows)
     axes.set_title(f"{measure} (%)" if is_share(measure) else measure)
@@ -84,15 +84,10 @@ def _draw_matrix(
     is_dark = np.asarray(drawn.norm(means)) < 0.5
     for place, mean in np.ndenumerate(means):
         if len(players) <= _MOST_NUMBERS and not np.isnan(mean):
-            axes.text(
-                place[1],
-                place[0],
-                format_measure(measure, mean).removesuffix(" %"),
-                color="white" if is_dark[place] else "black",
-                ha="center",
-                va="center",
-                fontsize=8,
-            )
+            colour = "white" if is_dark[place] else "black"
+            number = format_measure(measure, mean).removesuffix(" %")
+            how = {"ha": "center", "va": "center", "fontsize": 8}
+            axes.text(place[1], place[0], number, color=colour, **how)
 
 
 def _draw_ratings(axes: "Axes", tournament: Tournament, players: list[str]) -> None:

@@ -123,8 +123,8 @@ def tournament(
       env: an environment id, a task's name, or a task.
       policies: whatever `load_policy` takes, each under the name that the command line
         has for it; or a dictionary of policies by names of your own.
-      episodes: how many each pairing plays.
-      seed: which episodes.
+      episodes: number of episodes of each pairing.
+      seed: of the episodes.
       seats: the seats that each player takes in turn, while another has the rest;
         "all", or names of some.
       groups: players that are training runs of one kind, by the kind's name. None for
@@ -360,7 +360,7 @@ def _marks(cast: _Cast) -> dict[str, str | None]:
 
 
 def _file_name(cast: _Cast) -> str:
-    """Return a name that says who played, and that no other pairing has."""
+    """Return a name with those of the players, which no other pairing has."""
     names = [player.name for player in cast.values()]
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
     digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""What came of a tournament: matrices, standings, ratings; JSON and CSV."""
+"""The results of a tournament: matrices, standings, ratings; JSON and CSV."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -292,7 +292,7 @@ class Tournament:
 
     @property
     def _points(self) -> np.ndarray:
-        """What rows took from columns, (players, players)."""
+        """Points of rows against columns, (players, players)."""
         own = self._shown("points")
         lost = np.swapaxes(1.0 - own, 1, 2)
         return (np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)).sum(-1)
@@ -374,7 +374,7 @@ def format_estimate(measure: str, statistic: Statistic) -> str:
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """Return the mean over the first axis of what is not NaN; NaN where all is."""
+    """Return the mean over the first axis without NaN; NaN where all is NaN."""
     known = ~np.isnan(values)
     total = np.where(known, values, 0.0).sum(0)
     return np.where(known.any(0), total / np.maximum(known.sum(0), 1), math.nan)

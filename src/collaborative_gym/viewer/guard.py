@@ -1,6 +1,7 @@
 """A page's server. It answers no other page, and takes only its users' input."""
 
 import asyncio
+import errno
 import ipaddress
 import logging
 import re
@@ -15,10 +16,8 @@ import viser
 from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
-from collaborative_gym.viewer.address import is_loopback
-
 PULL = "cmd/ctrl"
-"""What to hold down while the mouse pulls at a body."""
+"""Key to hold down while the mouse pulls at a body."""
 
 _PROTOCOL = f"viser-v{viser.__version__}"
 """The WebSocket protocol by which viser's own page talks to it."""
@@ -38,6 +37,9 @@ _PIXELS = 2**16
 
 _HOST = re.compile(r"(?:\[(.+)\]|([^:\[\]]+))(?::\d+)?", re.ASCII)
 """A request's `Host`: an IPv6 address in brackets, or else a name, and a port."""
+
+_LAST_PORT = 65535
+"""The greatest port."""
 
 _LOGGER = logging.getLogger(__name__)
 _LOGGER.addHandler(logging.NullHandler())  # Who scans ports must not fill a terminal.
@@ -85,7 +87,7 @@ def start_server(
 
 
 class _Guard:
-    """What keeps strangers out of one server; `gui` are the inputs of its pages."""
+    """The guard of one server against strangers; `gui` are the inputs of its pages."""
 
     def __init__(
         self, host: str, links: str, on_link: Callable[[str], Callable[[], object]]
@@ -150,7 +152,7 @@ class _Guard:
         self._silent.pop(transport, None)
 
     def takes(self, sent: "_Input | _Drag | _Camera") -> bool:
-        """Return whether a message fits what the page has."""
+        """Return whether a message fits the inputs of the page."""
         if not isinstance(sent, _Input):
             return True
         inputs = getattr(self.gui, "_gui_input_handle_from_uuid", {})
@@ -160,7 +162,7 @@ class _Guard:
         )
 
     def _follow(self, connection: Any, request: Request) -> Response | None:
-        """Show what a link says once a page connects by it; refuse all else."""
+        """Show a link once a page connects by it; refuse all else."""
         try:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:
@@ -191,7 +193,7 @@ class _Guard:
         return None
 
     def _is_ours(self, host: str) -> bool:
-        """Return whether a request's `Host` is what this server is called."""
+        """Return whether a request's `Host` is a name of this server."""
         parts = _HOST.fullmatch(host)
         if parts is None:
             return False
@@ -204,7 +206,7 @@ class _Guard:
 
 
 class _Connection(websockets.ServerConnection):
-    """A connection that reads only what a page of ours sends."""
+    """A connection that reads only the messages of our pages."""
 
     guard: _Guard
 
@@ -295,3 +297,41 @@ def _fits(own: Any, value: bool | float | str) -> bool:
 
 _READER = msgspec.msgpack.Decoder(_Input | _Drag | _Camera)
 _WRITER = msgspec.msgpack.Encoder()
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches an address."""
+    found = socket.getaddrinfo(host, None)
+    return all(ipaddress.ip_address(where[0]).is_loopback for *_, where in found)
+
+
+def name_for_browser(host: str) -> str:
+    """Return an address as a browser on this machine wants it."""
+    if host in ("0.0.0.0", "::"):
+        return "localhost"
+    return f"[{host}]" if ":" in host else host
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the first port from this one on where nobody listens; 0 stays 0.
+
+    Raises:
+      OSError: if it cannot listen there, other than because somebody does.
+      ValueError: if there is no such port, or this machine does not have the address.
+    """
+    if not 0 <= port <= _LAST_PORT:
+        raise ValueError(f"port must be between 0 and {_LAST_PORT}, got {port}")
+    for candidate in range(port, _LAST_PORT + 1):
+        try:
+            family, *_, address = socket.getaddrinfo(host, candidate)[0]
+            socket.create_server(address, family=family).close()
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                continue
+            fault = f"cannot listen on {host}, port {candidate}: {error.strerror}"
+            is_foreign = error.errno == errno.EADDRNOTAVAIL
+            if is_foreign or isinstance(error, socket.gaierror):
+                raise ValueError(f"{fault}; give an address of this machine") from error
+            raise OSError(fault) from error
+        return candidate
+    raise OSError(f"all ports of {host} from {port} on are taken")

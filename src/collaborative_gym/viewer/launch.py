@@ -14,7 +14,7 @@ from collaborative_gym.viewer.session import Session
 
 def view(
     env: str | Task,
-    tell: Callable[[str], object],
+    say: Callable[[str], object],
     *,
     warn: Callable[[str], object],
     policy: AnyPolicy = "expert",
@@ -30,11 +30,11 @@ def view(
 
     Args:
       env: an environment id, a task's name, or a task.
-      tell: called with news for the user, such as where the page is.
+      say: called with news for the user, such as where the page is.
       warn: called with what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
-      seed: which episodes.
+      seed: of the episodes.
       web: whether to show a page even if a window can be opened.
       address: host and port of the page's server; if the port is in use, the next free
         one is taken.
@@ -45,14 +45,14 @@ def view(
       OSError: if the server cannot listen there.
     """
     task = as_task(env)
-    tell(f"building the world of {task.name} ...")
+    say(f"building the world of {task.name} ...")
     world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
     with closing(world):
         act = as_policy(policy, world, any_env=any_env)
         is_shared = not isinstance(policy, Mapping)
         policies = dict.fromkeys(world.agents, policy) if is_shared else policy
         session = Session(world, act, warn, policies=policies)
-        face = None if web else _window(session, tell)
+        face = None if web else _window(session, say)
         if face is None:
             face = _page(session, any_env, *address)
             if face.is_public:
@@ -61,12 +61,12 @@ def view(
                     " reaches this machine can watch and control it; there is no"
                     " password."
                 )
-            tell(f"open {face.url} in a browser; Ctrl-C ends it")
+            say(f"open {face.url} in a browser; Ctrl-C ends it")
         with closing(face):
             session.run(face.refresh)
 
 
-def _window(session: Session, tell: Callable[[str], object]) -> Any:
+def _window(session: Session, say: Callable[[str], object]) -> Any:
     """Return a window, or None where none can be opened, and say so."""
     # Imported here because a page needs no windowing system.
     from collaborative_gym.viewer.window import Window
@@ -74,7 +74,7 @@ def _window(session: Session, tell: Callable[[str], object]) -> Any:
     try:
         return Window(session)
     except RuntimeError as error:
-        tell(f"{error}; showing it in the browser instead")
+        say(f"{error}; showing it in the browser instead")
         return None
 
 

@@ -38,10 +38,9 @@ class Choice:
 
 
 class Menu:
-    """The choices: what the package has, and what a viewer was started with.
+    """The choices: those of the package, and the world and policies of a viewer.
 
-    These are its world, the policy of each of its agents, and whether a trained policy
-    may play another environment than its own.
+    With `any_env`, trained policies may play other environments than their own.
 
     Attributes:
       envs, robots, randomizations: names of the choices.
@@ -96,13 +95,21 @@ class Menu:
         """
         return self._able(replace(choice, env=env, robots=self._usual(env)))
 
-    def armed(self, choice: Choice, i: int, robot: str) -> Choice:
+    def drawn(self, choice: Choice, randomization: str) -> Choice:
+        """Return the choice of other starts."""
+        return replace(choice, randomization=randomization)
+
+    def led(self, choice: Choice, policy: str, i: int) -> Choice:
+        """Return the choice of another policy for the agent i."""
+        return replace(choice, policies=_put(choice.policies, i, policy))
+
+    def armed(self, choice: Choice, robot: str, i: int) -> Choice:
         """Return the choice of another arm for the agent i.
 
         The same policies go on if they can play with it; else the expert plays.
         """
         given = self._policies if self._any_env else ()
-        return self._able(replace(choice, robots=put(choice.robots, i, robot)), given)
+        return self._able(replace(choice, robots=_put(choice.robots, i, robot)), given)
 
     def read(self, link: str) -> Choice:
         """Return the choice of a link; parts that it lacks are the usual ones.
@@ -192,8 +199,7 @@ class Menu:
         return [kind for kind in SHIPPED if kind in playing]
 
 
-def put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:
-    """Return the names with another one in the place i."""
+def _put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:
     return *names[:i], name, *names[i + 1 :]
 
 

@@ -2,19 +2,32 @@
 
 import html
 import json
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from itertools import cycle
 from typing import Any
 
+import numpy as np
 import viser
 
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.viewer.menu import Choice, Menu, put
-from collaborative_gym.viewer.plots import Plots
+from collaborative_gym.viewer.menu import Choice, Menu
 from collaborative_gym.viewer.reading import Reading
-from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
+from collaborative_gym.viewer.session import FASTEST, SLOWEST, Frame, Session
 from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
+
+_PAUSE = 0.5
+"""Time between two pictures of a chart, in s of the user's time."""
+
+_COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
+
+_HEIGHT = 200
+"""Height of a chart, in pixels."""
+
+_MEASURED = "measured"
+"""Title of the chart of measures."""
 
 _LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
 """Texts by which a tab finds the panel and a box in it."""
@@ -167,33 +180,17 @@ class Panel:
         self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
             old.remove()
+        asked: list[tuple[str, Iterable[str], str, Any]] = [
+            ("Environment", menu.envs, choice.env, menu.moved),
+            ("Starts", menu.randomizations, choice.randomization, menu.drawn),
+        ]
+        for i, agent in enumerate(env.agents):
+            arm, policy = choice.robots[i], choice.policies[i]
+            armed, led = partial(menu.armed, i=i), partial(menu.led, i=i)
+            asked.append((f"{agent}, arm", menu.robots, arm, armed))
+            asked.append((f"{agent}, policy", menu.policies(choice), policy, led))
         with self._choices:
-            offers = [
-                self._ask("Environment", menu.envs, choice.env, menu.moved),
-                self._ask(
-                    "Starts",
-                    menu.randomizations,
-                    choice.randomization,
-                    lambda now, name: replace(now, randomization=name),
-                ),
-            ]
-            for i, agent in enumerate(env.agents):
-                offers += [
-                    self._ask(
-                        f"{agent}, arm",
-                        menu.robots,
-                        choice.robots[i],
-                        lambda now, name, i=i: menu.armed(now, i, name),
-                    ),
-                    self._ask(
-                        f"{agent}, policy",
-                        menu.policies(choice),
-                        choice.policies[i],
-                        lambda now, name, i=i: replace(
-                            now, policies=put(now.policies, i, name)
-                        ),
-                    ),
-                ]
+            offers = [self._ask(*each) for each in asked]
             self._link = self._gui.add_html("")
             offers.append(self._link)
         self._offers = offers
@@ -254,3 +251,59 @@ def _table(rows: Iterable[tuple[str, str]]) -> str:
     # Figures of equal width, so that nothing trembles.
     style = "width:100%;font-variant-numeric:tabular-nums"
     return _STYLE % f'<table style="{style}">{lines}</table>'
+
+
+class Plots:
+    """Charts over an episode's time, one of each agent's reward and one of measures."""
+
+    def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle):
+        self._gui, self._tab = gui, tab
+        self._charts: dict[tuple[str, ...], viser.GuiUplotHandle] = {}
+        self._drawn: Frame | None = None
+        self._next = 0.0
+
+    def refresh(self, film: Sequence[Frame]) -> None:
+        """Draw an episode so far, unless it was drawn just now."""
+        now = time.monotonic()
+        if film[-1] is self._drawn or now < self._next:
+            return
+        self._drawn, self._next = film[-1], now + _PAUSE
+        rows = [_curves(frame) for frame in film]
+        titles = {(title, *curves): title for title, curves in rows[0].items()}
+        if titles.keys() != self._charts.keys():
+            for chart in self._charts.values():
+                chart.remove()
+            self._charts = {key: self._add(*key) for key in titles}
+        times = np.array([frame.reading.time for frame in film])
+        for key, title in titles.items():
+            # A start has no reward yet.
+            first = int(title != _MEASURED and len(rows) > 1)
+            curves = np.array([list(row[title].values()) for row in rows[first:]])
+            self._charts[key].data = (times[first:], *np.ascontiguousarray(curves.T))
+
+    def _add(self, title: str, *names: str) -> viser.GuiUplotHandle:
+        series: list[Any] = [
+            {"label": name, "stroke": color, "width": 2}
+            for name, color in zip(names, cycle(_COLORS), strict=False)
+        ]
+        with self._tab:
+            return self._gui.add_uplot(
+                (np.zeros(1),) * (1 + len(names)),
+                ({"label": "time, s"}, *series),
+                title=title,
+                scales={"x": {"time": False}},
+                height=_HEIGHT,
+            )
+
+
+def _curves(frame: Frame) -> Mapping[str, Mapping[str, float]]:
+    """Return the numbers of a control step, by chart and by name."""
+    reading = frame.reading
+    charts = {f"reward of {agent}": own for agent, own in reading.rewards.items()}
+    units = {name: f", {unit}" for name, unit in reading.units.items()}
+    charts[_MEASURED] = {
+        f"{name}{units.get(name, '')}": value
+        for name, value in reading.measures.items()
+        if not isinstance(value, bool)
+    }
+    return {title: curves for title, curves in charts.items() if curves}

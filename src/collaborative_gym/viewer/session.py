@@ -35,7 +35,7 @@ Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Frame:
-    """An episode after a control step: its state, and what to say about it."""
+    """An episode after a control step: its state and its reading."""
 
     state: EnvState
     reading: Reading
@@ -59,7 +59,7 @@ class Session:
       env: the world.
       policies: the policy of each agent.
       is_paused: whether time stands still.
-      reading: what to say about the present state.
+      reading: of the present state.
       film: the episode so far, a frame for its start and for each control step. Later
         frames are of a future that may differ once time goes on again.
       perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
@@ -93,7 +93,7 @@ class Session:
         self._previous: list[Frame] = []
         self._players = name_players(self.policies, env.sides)
         self._observations, infos = env.reset()
-        self._roll_on(read(env, infos, None, self._players))
+        self._roll_on(infos, None)
 
     @property
     def speed(self) -> float:
@@ -120,8 +120,7 @@ class Session:
 
     def step(self) -> None:
         """Do one control step and pause."""
-        self.is_paused = True
-        self._ask(self._step)
+        self._ask(self._step, pauses=True)
 
     def reset(self) -> None:
         """Start the same episode again, with the same bits."""
@@ -133,13 +132,11 @@ class Session:
 
     def seek(self, step: int) -> None:
         """Pause, and go to a control step of the film, or to its last."""
-        self.is_paused = True
-        self._ask(lambda: self._go_to(step))
+        self._ask(lambda: self._go_to(step), pauses=True)
 
     def back(self) -> None:
         """Pause, and go to the end of the episode before, if there is any."""
-        self.is_paused = True
-        self._ask(self._go_back)
+        self._ask(self._go_back, pauses=True)
 
     def change(self, load: Load, seed: int, episode: int) -> None:
         """Start an episode of another world, or with other policies.
@@ -168,7 +165,8 @@ class Session:
         finally:
             self.env.watch(None)
 
-    def _ask(self, request: Callable[[], None]) -> None:
+    def _ask(self, request: Callable[[], None], *, pauses: bool = False) -> None:
+        self.is_paused |= pauses
         self._requests.append(request)
         self._asked.set()
 
@@ -189,9 +187,12 @@ class Session:
 
     def _start(self, *episode: Any) -> None:
         """Start an episode, by its seed and index, or the next one."""
+        self._begin(self.env.reset(*episode), self.reading)
+
+    def _begin(self, begun: tuple[Any, Any], before: Reading | None) -> None:
         self._spring.forget()
-        self._observations, infos = self.env.reset(*episode)
-        self._roll_on(read(self.env, infos, self.reading, self._players))
+        self._observations, infos = begun
+        self._roll_on(infos, before)
         self._draw()
 
     def _change(self, load: Load, seed: int, episode: int) -> None:
@@ -208,15 +209,13 @@ class Session:
             env.watch(self._after_physics, env.substeps)
             self.env, self._spring, self.perturb = env, Spring(env), None
             self.film, self._previous = [], []
-        self._spring.forget()
         self._policy, self.policies = policy, policies
         self._players = name_players(policies, env.sides)
-        self._observations, infos = begun
-        self._roll_on(read(env, infos, None, self._players))
-        self._draw()
+        self._begin(begun, None)
 
-    def _roll_on(self, reading: Reading) -> None:
+    def _roll_on(self, infos: Mapping[str, Any], before: Reading | None) -> None:
         """Show a new state, and film it; a start begins a new film."""
+        reading = read(self.env, infos, before, self._players)
         step = self.env.progress["step"][0]
         if step == 0:
             if len(self.film) > 1:
@@ -253,16 +252,14 @@ class Session:
                 raise
             self._stop("the policy", error)
             return
-        self._roll_on(read(self.env, infos, self.reading, self._players))
+        self._roll_on(infos, self.reading)
         if self.is_paused:
             self._draw()
 
     def _stop(self, what: str, error: Exception) -> None:
-        """Pause, and say what failed and why; to play on is to try again."""
-        location = location_of(error)
-        trouble = (
-            f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"
-        )
+        """Pause, and warn of a failure; to play on is to try again."""
+        where = location_of(error)
+        trouble = f"{type(error).__name__}: {error}{f' ({where})' if where else ''}"
         self.reading = replace(self.reading, trouble=trouble, is_loading=False)
         self._warn(f"{what} failed: {trouble}")
         self.is_paused = True

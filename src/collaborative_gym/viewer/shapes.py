@@ -13,7 +13,7 @@ _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 """A geom of this colour takes its material's."""
 
 _FLOOR = 40.0
-"""Half width of what is drawn of an endless plane, in m."""
+"""Half width of the drawn part of an endless plane, in m."""
 
 _SQUARE = 1.0
 """Side of the squares in which a plane is coloured, in m."""

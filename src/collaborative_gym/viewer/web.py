@@ -7,8 +7,12 @@ from contextlib import redirect_stdout
 import numpy as np
 import viser
 
-from collaborative_gym.viewer.address import free_port, is_loopback, name_for_browser
-from collaborative_gym.viewer.guard import start_server
+from collaborative_gym.viewer.guard import (
+    free_port,
+    is_loopback,
+    name_for_browser,
+    start_server,
+)
 from collaborative_gym.viewer.menu import LINK, Menu
 from collaborative_gym.viewer.panel import Panel
 from collaborative_gym.viewer.session import Session
