@@ -10,7 +10,7 @@ import argparse
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.intervals import wilson
-from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.evaluation.play import DISTURBANCES, measure_robustness
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.policy import is_shipped
 from kept import keep

@@ -33,11 +33,10 @@ from collaborative_gym.tasks.task import (  # noqa: E402
 )
 
 if TYPE_CHECKING:
-    from collaborative_gym.cards.card import ReportCard, report_card
+    from collaborative_gym.cards import ReportCard, report_card
     from collaborative_gym.certificate.budget import Budget
     from collaborative_gym.certificate.certify import certify
-    from collaborative_gym.comparisons.compare import compare
-    from collaborative_gym.comparisons.result import Comparison
+    from collaborative_gym.comparisons.result import Comparison, compare
     from collaborative_gym.envs.make import make, make_vec
     from collaborative_gym.envs.vector_env import VectorEnv
     from collaborative_gym.evaluation import Report, evaluate
@@ -95,16 +94,16 @@ _LATER = {
     "Hyperparameters": "collaborative_gym.learning.config",
     "Outcome": "collaborative_gym.learning.many",
     "Report": "collaborative_gym.evaluation",
-    "ReportCard": "collaborative_gym.cards.card",
+    "ReportCard": "collaborative_gym.cards",
     "Tournament": "collaborative_gym.tournaments.result",
     "VectorEnv": "collaborative_gym.envs.vector_env",
     "certify": "collaborative_gym.certificate.certify",
-    "compare": "collaborative_gym.comparisons.compare",
+    "compare": "collaborative_gym.comparisons.result",
     "evaluate": "collaborative_gym.evaluation",
     "load_policy": "collaborative_gym.policies",
     "make": "collaborative_gym.envs.make",
     "make_vec": "collaborative_gym.envs.make",
-    "report_card": "collaborative_gym.cards.card",
+    "report_card": "collaborative_gym.cards",
     "tournament": "collaborative_gym.tournaments.play",
     "train": "collaborative_gym.learning.train",
     "train_all": "collaborative_gym.learning.many",

@@ -17,7 +17,7 @@ class Block:
     """A named part of an observation or of an action.
 
     Attributes:
-      name: what it shows; empty where a policy file knows its size alone.
+      name: empty where a policy file knows its size alone.
       shape: of its array in one world.
       dtype: "float32" for real numbers of any precision, else its own, such as "uint8".
       unit: of its numbers; empty if they have none.
@@ -30,7 +30,7 @@ class Block:
 
     @property
     def size(self) -> int:
-        """How many numbers it adds to the flat view."""
+        """Number of its numbers in the flat view."""
         return math.prod(self.shape)
 
 
@@ -41,17 +41,21 @@ Blocks = Mapping[str, Block]
 
 
 def columns_of(blocks: Blocks, name: str) -> np.ndarray:
-    """Return which numbers of the flat view are of the block `name`, (k,) booleans."""
+    """Return a mask of the block `name` in the flat view, (k,) booleans."""
     return np.concatenate([np.full(b.size, b.name == name) for b in blocks.values()])
+
+
+def split_columns(rows: np.ndarray, sizes: Mapping[str, int]) -> dict[str, np.ndarray]:
+    """Return the columns of rows (n, k) by agent, side by side in these sizes."""
+    ends = np.cumsum(list(sizes.values()))[:-1]
+    return dict(zip(sizes, np.split(rows, ends, axis=1), strict=True))
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What the agents observe, and the parts of their actions.
+    """Blocks of the observations and parts of the actions, by agent.
 
-    Attributes:
-      observation: blocks by agent.
-      action: parts by agent: `moves`, and `grip` where the task has gripping.
+    Actions have the part `moves`, and `grip` where the task has gripping.
     """
 
     observation: Mapping[str, Blocks]
@@ -61,18 +65,18 @@ class Layout:
     def of_sizes(
         cls, observation: Mapping[str, int], action: Mapping[str, int]
     ) -> "Layout":
-        """Return a layout of which nothing is known but the sizes by agent."""
+        """Return a layout of which only the sizes by agent are known."""
         sizes = observation, action
         return cls(*({a: {"": Block("", (n,))} for a, n in s.items()} for s in sizes))
 
     @cached_property
     def observation_sizes(self) -> dict[str, int]:
-        """How many numbers each agent's observation has, in the flat view."""
+        """Sizes of the agents' observations in the flat view."""
         return _sizes(self.observation)
 
     @cached_property
     def action_sizes(self) -> dict[str, int]:
-        """How many numbers each agent's action has."""
+        """Sizes of the agents' actions."""
         return _sizes(self.action)
 
     @property
@@ -82,7 +86,7 @@ class Layout:
         return any("" not in blocks for blocks in both)
 
     def differences(self, other: "Layout", agents: Collection[str]) -> list[str]:
-        """Return in words how this one differs from another one for some agents."""
+        """Return the differences from another layout for some agents, in words."""
         found: list[str] = []
         for kind in _KINDS:
             own, others = getattr(self, kind), getattr(other, kind)
@@ -106,7 +110,7 @@ class Layout:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Layout":
-        """Return what `to_dict` was made of; other entries are left alone."""
+        """Return the layout of a `to_dict`, which may have other entries."""
         if "observation" not in content:
             return cls.of_sizes(content["observation_sizes"], content["action_sizes"])
         kinds = (content[kind].items() for kind in _KINDS)

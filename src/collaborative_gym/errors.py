@@ -1,4 +1,4 @@
-"""Errors that tell the caller what was given, what is allowed and what to do."""
+"""Errors that say what was given, what is allowed and what to do."""
 
 import difflib
 import math
@@ -19,14 +19,14 @@ MOST_THREADS = 1024
 """More threads than any machine runs well."""
 
 _LISTED = 12
-"""As many names as an error lists; of more it lists the eight nearest."""
+"""Most names in an error; of more it lists the eight nearest."""
 
 _REMEDIES = {
     "mass and inertia of moving bodies": "give it a mass in kg and an inertia in kg m2",
     "A + B >= C": "no body has this inertia: give it in kg m2, about the mass's centre",
     "opening file": "put the mesh beside the model file, or where its meshdir says",
 }
-"""What to do about frequent faults of models, by a part of MuJoCo's words."""
+"""Remedies of frequent faults of models, by a part of MuJoCo's words."""
 
 _NO_NUMBERS = bool, np.timedelta64
 """Python and NumPy count these as integers."""
@@ -45,7 +45,7 @@ class SimulationDiverged(RuntimeError):
 
 
 class UnknownName(KeyError):
-    """A name that names nothing. Unlike `KeyError`, it prints its message as it is."""
+    """A name that does not exist. Unlike `KeyError`, it prints its message as it is."""
 
     def __str__(self) -> str:
         return str(self.args[0])
@@ -66,39 +66,35 @@ def how_to_install(extra: str) -> str:
 
 @contextmanager
 def naming(what: str) -> Iterator[None]:
-    """Begin the message of an error about an input with what was given.
+    """Begin the message of an error within with the input, such as "player 'late'".
 
-    Args:
-      what: which of several inputs it is, such as "player 'late'".
+    The error keeps its class, unless that takes more than a message, as for text that
+    cannot be decoded; then it is the nearest one of the classes below.
 
     Raises:
-      FileNotFoundError, LookupError, TypeError, ValueError: what was raised within, of
-        the same class; of the nearest one of these if its class takes more than a
-        message, as that of text that cannot be decoded.
+      FileNotFoundError, LookupError, TypeError, ValueError: what was raised within.
     """
     kinds = FileNotFoundError, LookupError, TypeError, ValueError
     try:
         yield
     except kinds as error:
-        told = f"{what}: {error}"
+        message = f"{what}: {error}"
         try:
-            named = type(error)(told)
+            named = type(error)(message)
         except TypeError:
-            named = next(kind for kind in kinds if isinstance(error, kind))(told)
+            named = next(kind for kind in kinds if isinstance(error, kind))(message)
         raise named from error
 
 
 def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     """Return the message for a name that is not one of the valid ones.
 
-    Args:
-      kind: what the name should have named, such as "robot".
-      given: the name as the caller gave it.
-      valid: every name that would have been accepted.
+    It suggests the nearest name and lists all of them, or the nearest ones of many.
 
-    Returns:
-      One sentence that suggests the nearest name and lists all of them, or the nearest
-      ones of many.
+    Args:
+      kind: of the name, such as "robot".
+      given: the name, as the caller gave it.
+      valid: all names that exist.
     """
     names = sorted(valid)
     lower = {name.lower(): name for name in names}
@@ -114,23 +110,18 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
 
 
 def told_by_mujoco(error: ValueError) -> str:
-    """Return what MuJoCo says of a model, on one line, and what to do about it."""
+    """Return MuJoCo's complaint about a model, on one line, and a remedy."""
     lines = re.sub("(XML )?Error: ", "", str(error)).splitlines()
-    told = ", ".join(line.strip() for line in lines if line.strip())
-    remedy = next((do for part, do in _REMEDIES.items() if part in told), "")
-    return f"{told}; {remedy}" if remedy else told
+    text = ", ".join(line.strip() for line in lines if line.strip())
+    remedy = next((do for part, do in _REMEDIES.items() if part in text), "")
+    return f"{text}; {remedy}" if remedy else text
 
 
 def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:
-    """Return what has a name.
-
-    Args:
-      kind: what the name should name, such as "robot".
-      given: the name as the caller gave it, of whatever type.
-      table: what can be named, by name.
+    """Return the entry of a table by its name, which may be of whatever type.
 
     Raises:
-      KeyError: if nothing has the name.
+      KeyError: if there is no such `kind` of thing, such as "robot".
     """
     if isinstance(given, str) and given in table:
         return table[given]
@@ -138,10 +129,10 @@ def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:
 
 
 def look_up_registered(kind: str, given: object, table: Mapping[str, T]) -> T:
-    """Return as `look_up` what users can register, too.
+    """Return as `look_up` an entry of a table to which users can add.
 
     Raises:
-      KeyError: if nothing has the name; it says how to name the file that registers it.
+      KeyError: if there is none; says how to name the file that registers it.
     """
     try:
         return look_up(kind, given, table)
@@ -154,15 +145,15 @@ def look_up_registered(kind: str, given: object, table: Mapping[str, T]) -> T:
 
 
 def shown(given: object) -> str:
-    """Return what was given as an error shows it, on one line that is not too long."""
+    """Return an input as an error shows it, on one line that is not too long."""
     words = " ".join(repr(given).split())
     return words if len(words) <= 80 else f"{words[:77]}..."
 
 
 def check_count(
-    name: str, given: Any, at_least: int = 0, at_most: int = 2**63 - 1
+    name: str, given: Any, at_least: int = 0, at_most: float = 2**63 - 1
 ) -> int:
-    """Return a number as Python's `int`; it must be an integer within bounds.
+    """Return an integer within bounds as an `int`.
 
     Raises:
       TypeError: if it is not an integer; a bool is not one.
@@ -211,30 +202,29 @@ def check_number(
 
 
 def check_numbers(name: str, given: Any, count: int | None = None) -> tuple[float, ...]:
-    """Return so many numbers, or any number of them, each checked by `check_number`.
+    """Return `count` numbers, or any number of them, each checked by `check_number`.
 
     Raises:
-      TypeError: if it is not a sequence or array, or holds something that is not a
-        number.
+      TypeError: if it is not a sequence or array of numbers.
       ValueError: if there are fewer or more, or one is not finite.
     """
     wanted = "a sequence of numbers" if count is None else f"{count} numbers"
     if isinstance(given, str | bytes) or not isinstance(given, Sequence | np.ndarray):
         raise TypeError(f"{name} must be {wanted}, got {shown(given)}")
-    if len(given) != (len(given) if count is None else count):
+    if count not in (None, len(given)):
         raise ValueError(f"{name} must be {wanted}, got {shown(given)}")
     return tuple(check_number(f"{name}[{i}]", each) for i, each in enumerate(given))
 
 
 def check_name(name: str, given: Any) -> None:
-    """Raise unless what was given is a text, and not an empty one."""
+    """Raise unless an input is a text that is not empty."""
     check_kind(name, given, str, "a string")
     if not given:
         raise ValueError(f"{name} must not be empty, got ''")
 
 
 def check_word(name: str, given: Any) -> None:
-    """Raise unless what was given is a word that commands, links and files can name."""
+    """Raise unless an input is a word that commands, links and files can name."""
     check_name(name, given)
     if not re.fullmatch(r"[\w:.-]+", given):
         raise ValueError(
@@ -243,23 +233,19 @@ def check_word(name: str, given: Any) -> None:
 
 
 def check_flag(name: str, given: Any) -> bool:
-    """Return what must be True or False.
-
-    Raises:
-      TypeError: if it is neither.
-    """
+    """Return True or False; raise TypeError for anything else."""
     if not isinstance(given, bool | np.bool_):
         raise TypeError(f"{name} must be True or False, got {shown(given)}")
     return bool(given)
 
 
 def check_callback(name: str, given: Any) -> None:
-    """Raise TypeError unless what was given can be called, or is None."""
+    """Raise TypeError unless an input can be called, or is None."""
     if given is not None and not callable(given):
         raise TypeError(f"{name} must be a function or None, got {shown(given)}")
 
 
 def check_kind(name: str, given: Any, kinds: type | tuple[type, ...], a: str) -> None:
-    """Raise TypeError unless what was given is of a kind, such as `a` "string"."""
+    """Raise TypeError unless an input is of a kind, such as `a` "string"."""
     if not isinstance(given, kinds):
         raise TypeError(f"{name} must be {a}, got {shown(given)}")

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and that know if they are damaged."""
+"""Files that appear whole or not at all, and with digests that show damage."""
 
 import csv
 import errno
@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 DIGEST = "digest"
-"""Name of a digest: the entry of a JSON file, and the column of a CSV file."""
+"""Name of the digest's entry in a JSON file, and of its column in a CSV file."""
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def check_regular(path: str | Path) -> None:
-    """Raise unless it is a file. Who reads a pipe or a device may wait for ever.
+    """Raise unless it is a file; a reader of a pipe or a device may wait for ever.
 
     Raises:
       FileNotFoundError: if there is nothing.
@@ -57,21 +57,15 @@ def check_regular(path: str | Path) -> None:
 
 
 def read_bytes(path: str | Path) -> bytes:
-    """Return what is in a file.
-
-    Raises:
-      Exception: as `check_regular` does.
-      OSError: if it cannot be read.
-    """
+    """Return the content of a file, checked by `check_regular`."""
     check_regular(path)
     return Path(path).read_bytes()
 
 
 def check_writable(path: str | Path) -> None:
-    """Raise if no file can be written there. Its folder is made if it is missing.
+    """Raise OSError if no file can be written there, and say why.
 
-    Raises:
-      OSError: says why not; a file that was there before is untouched.
+    Its folder is made if it is missing. A file that was there before is untouched.
     """
     with _beside(Path(path)):
         pass
@@ -81,7 +75,7 @@ def make_folder(folder: Path) -> None:
     """Make a folder, and those above it, if they are missing.
 
     Raises:
-      OSError: if it cannot be made; says so if it is a file.
+      OSError: if it cannot be made, as where it is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, f"{folder} is a file, not a folder")
@@ -95,12 +89,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def sealed(content: Mapping[str, Any], indent: int | None = 2) -> str:
-    """Return content as JSON that has a digest of itself.
-
-    Args:
-      content: what fits into JSON, by name.
-      indent: of its lines; None for one line.
-    """
+    """Return content as JSON with a digest of itself; `indent` None for one line."""
     whole = {**content, DIGEST: _digest(content)}
     return json.dumps(whole, indent=indent) + "\n"
 
@@ -108,13 +97,9 @@ def sealed(content: Mapping[str, Any], indent: int | None = 2) -> str:
 def read_sealed(path: Path, remedy: str) -> dict[str, Any]:
     """Return the content of a file that `sealed` wrote.
 
-    Args:
-      path: the file.
-      remedy: what to do where it is damaged, for the error.
-
     Raises:
       OSError: if it cannot be read.
-      ValueError: if it is damaged or has no digest; names it.
+      ValueError: if it is damaged or has no digest; names it, and the remedy.
     """
     text = read_bytes(path)
     try:
@@ -133,10 +118,7 @@ class SealedRows:
     """Lines of a CSV file that each have a digest of themselves and those before.
 
     So lines can be appended one by one, and none but the last ones can be lost, doubled
-    or moved unseen. The digest is a number, as what stands beside it.
-
-    Args:
-      columns: names of the columns.
+    or moved unseen. The digest is a number, like the other cells.
     """
 
     def __init__(self, columns: Iterable[str]):
@@ -149,11 +131,7 @@ class SealedRows:
         return _line([*self.columns, DIGEST])
 
     def line(self, cells: Mapping[str, str]) -> str:
-        """Return the next line.
-
-        Args:
-          cells: by column; a column without one stays empty.
-        """
+        """Return the next line, of cells by column; one without a cell stays empty."""
         self._last = self._next(cells)
         own = [cells.get(name, "") for name in self.columns]
         return _line([*own, str(self._last)])
@@ -167,13 +145,10 @@ class SealedRows:
     def read(cls, path: Path, remedy: str) -> list[dict[str, str]]:
         """Return the cells of a file's lines, without the empty ones.
 
-        Args:
-          path: the file.
-          remedy: what to do where it is damaged, for the error.
-
         Raises:
           OSError: if it cannot be read.
-          ValueError: if it is damaged or has no digests; names it, and the line.
+          ValueError: if it is damaged or has no digests; names it, the line and the
+            remedy.
         """
         text, found = read_bytes(path), []
         lines = StringIO(text.decode(errors="replace"), newline="")
@@ -219,9 +194,8 @@ def _damaged(path: Path, what: str, remedy: str) -> ValueError:
 def _beside(path: Path) -> Iterator[Path]:
     """Yield a folder, beside a file that is to be written, while the context lasts.
 
-    If nothing can be written, this fails before the work. It is a folder rather than a
-    file so that a process that still writes, as an encoder does, cannot bring the file
-    back after an interruption.
+    If nothing can be written, this fails before the work. In a folder, a process that
+    still writes, as an encoder does, cannot bring the file back after an interruption.
     """
     with ExitStack() as stack:
         with naming(path):
@@ -241,11 +215,7 @@ def _beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let errors name the file that the caller asked for.
-
-    Raises:
-      OSError: says that the file cannot be written, and why; its class stays the same.
-    """
+    """Let errors say that a file cannot be written, and why; their class stays."""
     try:
         yield
     except OSError as error:

@@ -16,13 +16,13 @@ GROUP = "collaborative_gym.tasks"
 """Entry points of this group name modules that register tasks, ids and arms."""
 
 _loaded: dict[Path, ModuleType] = {}
-"""The files that were imported."""
+"""Imported files."""
 
 _tried: set[Path] = set()
-"""Those, and the ones that failed."""
+"""Imported files, and those that failed."""
 
 _registering: set[str] = set()
-"""The modules that have registered something while they were imported."""
+"""Names of modules that have registered something while they were imported."""
 
 
 def note_registration() -> None:
@@ -35,7 +35,7 @@ def note_registration() -> None:
 
 
 def load_modules(names: Iterable[str]) -> None:
-    """Import each of the modules, as `load_module` does."""
+    """Import each of the modules by `load_module`."""
     for name in names:
         load_module(name)
 
@@ -88,7 +88,11 @@ def load_module(name: str) -> ModuleType:
     except BaseException as error:
         del sys.modules[path.stem]
         if isinstance(error, SyntaxError):
-            raise ValueError(_told(name, error)) from error
+            line = f", line {error.lineno}" if error.lineno else ""
+            text = f": {error.text.strip()}" if line and error.text else ""
+            raise ValueError(
+                f"module {name} is not Python{line}: {error.msg}{text}"
+            ) from error
         raise
     _loaded[path] = module
     return module
@@ -100,10 +104,9 @@ def loaded_files() -> tuple[str, ...]:
 
 
 def location_of(error: BaseException) -> str:
-    """Return where in a file of `load_module` an error arose, or nothing if elsewhere.
+    """Return the innermost line of an error in files of `load_module`.
 
-    That is the innermost of their lines on the way to it, such as
-    "my_task.py, line 41, in measure".
+    An example is "my_task.py, line 41, in measure".
     """
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
@@ -114,7 +117,7 @@ def location_of(error: BaseException) -> str:
 
 
 def load_entry_points() -> None:
-    """Import what installed packages offer under `GROUP`; warn where that fails."""
+    """Import the modules of installed packages in `GROUP`; warn where that fails."""
     for entry in entry_points(group=GROUP):
         try:
             entry.load()
@@ -133,13 +136,6 @@ def _check_registers(name: str, module: str) -> None:
             f"module {name} registers no task, environment or arm; it must call"
             " register_task, register_env or register_robot as it is imported"
         )
-
-
-def _told(name: str, error: SyntaxError) -> str:
-    """Return which line of a file is not valid Python, with its text."""
-    text = (error.text or "").strip()
-    line = f", line {error.lineno}: {error.msg}: {text}" if error.lineno else ""
-    return f"module {name} is not Python{line or f': {error.msg}'}"
 
 
 def _import(name: str) -> ModuleType:

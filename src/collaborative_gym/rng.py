@@ -5,21 +5,22 @@ episode starts the same way in any world of any batch, whatever was run before i
 """
 
 import hashlib
+import math
 from collections.abc import Mapping
 from enum import IntEnum
 
 import numpy as np
 
-from collaborative_gym.errors import shown
+from collaborative_gym.errors import check_count
 from collaborative_gym.math import Array
 
 _TRAINING, _VALIDATION = 1 << 40, 1 << 41
-"""Added to the seed of a training run. So no policy is trained on the episodes by which
-it is chosen, and neither are those that `evaluate` plays for a seed that people use."""
+"""Added to the seed of a training run. So its episodes differ from those by which its
+policy is chosen, and both from those of `evaluate` for a seed that people use."""
 
 
 class Stream(IntEnum):
-    """What the numbers are for; streams of one episode are independent."""
+    """Uses of random numbers; streams of one episode are independent."""
 
     WORLD = 0
     POLICY = 1
@@ -28,7 +29,7 @@ class Stream(IntEnum):
 
 
 def check_seed(seed: int) -> int:
-    """Return a seed that a caller gave as an `int` of at most 63 bits.
+    """Return a caller's seed as an `int` of at most 63 bits.
 
     A longer seed is replaced by 63 bits of its digest, and reports name that number.
 
@@ -36,13 +37,7 @@ def check_seed(seed: int) -> int:
       TypeError: if it is not an integer.
       ValueError: if it is negative.
     """
-    if isinstance(seed, bool | np.timedelta64) or not isinstance(
-        seed, int | np.integer
-    ):
-        raise TypeError(f"seed must be an integer, got {shown(seed)}")
-    number = int(seed)
-    if number < 0:
-        raise ValueError(f"seed must be at least 0, got {number}")
+    number = check_count("seed", seed, at_most=math.inf)
     if number < 2**63:
         return number
     content = number.to_bytes((number.bit_length() + 7) // 8, "big")
@@ -80,8 +75,8 @@ class EpisodeRandom:
 
     Args:
       seeds: one per episode.
-      episodes: the episodes' indices.
-      stream: what the numbers are for.
+      episodes: their indices.
+      stream: use of the numbers.
     """
 
     def __init__(self, seeds: Array, episodes: Array, stream: Stream = Stream.WORLD):
@@ -94,13 +89,7 @@ class EpisodeRandom:
         return len(self._generators)
 
     def uniform(self, low, high, size: int | tuple[int, ...] = ()) -> np.ndarray:
-        """Return uniform draws, (episodes, *size).
-
-        Args:
-          low: lower bounds, broadcast to `size`.
-          high: upper bounds, broadcast to `size`.
-          size: shape of one episode's draw.
-        """
+        """Return uniform draws, (episodes, *size); the bounds broadcast to `size`."""
         shape = (size,) if isinstance(size, int) else size
         unit = np.stack([generator.random(shape) for generator in self._generators])
         # In place, because these may be thousands of numbers for each world.
@@ -117,9 +106,9 @@ class EpisodeDraws:
     """Uniform numbers from -1 to 1 that each world's episode has for itself.
 
     Args:
-      num_envs: how many worlds.
+      num_envs: number of worlds.
       size: shape of one episode's numbers.
-      stream: what they are for.
+      stream: use of the numbers.
     """
 
     def __init__(self, num_envs: int, size: tuple[int, ...], stream: Stream):
@@ -130,8 +119,7 @@ class EpisodeDraws:
     def now(self, progress: Mapping[str, Array]) -> np.ndarray:
         """Return the worlds' numbers, (num_envs, *size) float32, not to be changed.
 
-        Args:
-          progress: `seed` and `episode` of each world.
+        `progress` has the `seed` and the `episode` of each world.
         """
         playing = np.stack([progress["seed"], progress["episode"]], axis=1)
         begun = (playing != self._playing).any(axis=1)

@@ -14,7 +14,8 @@ from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task, named_facts
 
-_DEEPEST = 1e-4  # m; what rests on a table is in it by less than that
+_DEEPEST = 1e-4
+"""Greatest depth of a contact at a start, in m; things lie less deep in a table."""
 
 
 def check_task(
@@ -34,13 +35,12 @@ def check_task(
       task: an environment id, a task's name, a task, or a task's class.
       robots: its arms, in the order of the agents; None for the environment's own, and
         for Pandas where a class is given. Only beside a name or a class.
-      episodes: how many the expert plays, and how many nobody.
+      episodes: number of the expert's episodes.
 
     Raises:
-      AssertionError: lists every promise that is broken and what to do about it.
+      AssertionError: lists every broken promise and its remedy.
       KeyError: if a name is unknown.
-      RuntimeError: if the task itself fails while it is played; lists that and every
-        promise that is broken.
+      RuntimeError: if the task itself fails while it is played; lists that too.
       ValueError: if no world can be made of the definition.
     """
     if isinstance(task, type):
@@ -73,12 +73,7 @@ def check_task(
 
 
 class Trial:
-    """A task under test, and batches of its worlds.
-
-    Args:
-      task: the task.
-      episodes: how many an expert is to play.
-    """
+    """A task under test, batches of its worlds, and the number of episodes to play."""
 
     def __init__(self, task: Task, episodes: int = 20):
         self.task = task
@@ -100,9 +95,10 @@ class Trial:
 
 
 def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
-    """Return the bytes of all that each episode gave, by seed and episode.
+    """Return the bytes of each episode's observations, rewards, success and score.
 
-    The actions are random, and depend on the episode and its step alone.
+    They are by seed and episode. The actions are random, and depend on the episode and
+    its step alone.
     """
     seen: dict[tuple[int, int], bytes] = {}
     for _ in range(steps):
@@ -145,28 +141,22 @@ def check_values(trial: Trial) -> None:
                 " term at every step, zero where it does not count"
             )
             for name, term in terms[agent].items():
-                assert np.isfinite(np.asarray(term)).all(), (
-                    f"reward term {name!r} of {agent} is not finite after {step}"
-                    " random steps; look for a division or a root in reward()"
+                _check_finite(
+                    f"reward term {name!r} of {agent}", term, step, "reward()"
                 )
         observations, *_, infos = env.step(actions)
-        assert all(np.isfinite(points).all() for points in _score(infos)), (
-            f"the score is not finite after {step + 1} random steps; look for a"
-            " division or a root in score()"
-        )
-        for agent in env.agents:
-            assert np.isfinite(observations[agent]).all(), (
-                f"the observation of {agent} is not finite after {step + 1} random"
-                " steps; look for a division or a root in observe() and measure()"
-            )
+        for points in _score(infos):
+            _check_finite("the score", points, step + 1, "score()")
+        for agent, own in observations.items():
+            what, where = f"the observation of {agent}", "observe() and measure()"
+            _check_finite(what, own, step + 1, where)
 
 
 def check_starts(trial: Trial) -> None:
     """Episodes start apart, arms at rest within their ranges, and differ."""
     env = trial.worlds(7)
     for i in range(env.num_envs):
-        data = env.sim.data(i)
-        for contact in data.contact:
+        for contact in env.sim.data(i).contact:
             names = [env.model.geom(geom).name or "?" for geom in contact.geom]
             bodies = [
                 env.model.body(int(env.model.geom_bodyid[geom])).name
@@ -248,7 +238,7 @@ def check_saving(trial: Trial) -> None:
 
 
 def check_measuring(trial: Trial) -> None:
-    """Measuring twice in one state changes nothing; what has a unit is measured."""
+    """Measuring twice in one state changes nothing; names of units are measured."""
     env = trial.worlds(7)
     play(env, 3)
     task = env.task
@@ -353,7 +343,14 @@ CHECKS: tuple[Callable[[Trial], None], ...] = (
     check_goal,
     check_expert,
 )
-"""What `check_task` checks; each raises AssertionError with a remedy."""
+"""Checks of `check_task`; each raises AssertionError with a remedy."""
+
+
+def _check_finite(what: str, values: Any, steps: int, where: str) -> None:
+    assert np.isfinite(np.asarray(values)).all(), (
+        f"{what} is not finite after {steps} random steps; look for a division or a"
+        f" root in {where}"
+    )
 
 
 def _episode_actions(env: VectorEnv) -> dict[str, np.ndarray]:
@@ -369,9 +366,8 @@ def _episode_actions(env: VectorEnv) -> dict[str, np.ndarray]:
 
 
 def _agree(one: bytes, other: bytes) -> bool:
-    """Return whether what an episode gave is the same as far as both played it."""
-    common = min(len(one), len(other))
-    return one[:common] == other[:common]
+    """Return whether an episode is the same as far as both have played it."""
+    return one.startswith(other) or other.startswith(one)
 
 
 def _check_shortfall(env: VectorEnv) -> None:

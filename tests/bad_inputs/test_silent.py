@@ -9,7 +9,7 @@ import pytest
 import collaborative_gym as cg
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.policies import as_policy
-from collaborative_gym.tournaments.players import enter
+from collaborative_gym.tournaments.play import enter
 
 
 def with_nan(state):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.certificate.play import play
-from collaborative_gym.certificate.starts import find_starts
+from collaborative_gym.certificate.play import find_starts, play
 from collaborative_gym.policies import as_policy
 
 

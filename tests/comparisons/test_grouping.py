@@ -2,8 +2,7 @@
 
 import pytest
 
-from collaborative_gym.comparisons.grouping import group_runs
-from collaborative_gym.comparisons.runs import find_runs
+from collaborative_gym.comparisons.runs import find_runs, group_runs
 
 
 def group(*folders):

@@ -11,9 +11,9 @@ import collaborative_gym as cg
 from collaborative_gym.cli.tables import reports_table, strain_table
 from collaborative_gym.evaluation.report import (
     Statistic,
+    format_episodes,
     format_statistic,
     reports_to_csv,
-    told_episodes,
 )
 
 
@@ -58,7 +58,7 @@ def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
 def test_markdown_is_a_table_of_all_statistics(report):
     title, table, strain = report.to_markdown().split("\n\n")
     assert title == "Carry with panda, panda, 5 episodes of seed 0:"
-    assert told_episodes(1) == "1 episode"
+    assert format_episodes(1) == "1 episode"
     head, rule, *rows = table.splitlines()
     lines = [head, rule, *rows, *strain.splitlines()]
     assert {line.count("|") for line in lines} == {5}

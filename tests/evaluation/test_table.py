@@ -5,7 +5,7 @@ import json
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.cards.card import report_card
+from collaborative_gym.cards import report_card
 from collaborative_gym.evaluation.table import markdown_table
 
 NAMES = ["a|b", "two\nlines", "<script>alert(1)</script>", "[here](javascript:x)"]

@@ -9,7 +9,7 @@ from collaborative_gym.evaluation.report import Report, Score, Statistic
 from collaborative_gym.evaluation.table11 import (
     COLUMNS,
     THESIS,
-    Comparison,
+    Line,
     Table11,
     Thesis,
     reproduce_table11,
@@ -39,7 +39,7 @@ def comparison(ours, on_default=None, thesis=THESIS[ENV_ID]):
     reports = {column: report() for column in COLUMNS} | {"ours": ours}
     if on_default is not None:
         reports["ours_on_default"] = on_default
-    return Comparison(ENV_ID, thesis, reports)
+    return Line(ENV_ID, thesis, reports)
 
 
 def test_every_environment_of_the_thesis_has_its_line():

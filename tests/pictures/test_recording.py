@@ -61,7 +61,7 @@ def test_gif_plays_in_real_time(carry, tmp_path):
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
-    draw = recording._Painter(env, SIZE)
+    draw = recording._Player(env, env.expert, {}, 1, SIZE)._draw
     first, again = draw(), draw()
     env.sim.qpos[0, 3] += 0.1
     moved = draw()
@@ -130,7 +130,7 @@ def test_a_full_disk_is_told_and_leaves_what_was_there(small_disk, name):
         if name == "a.png":
             recording.contact_sheet(list(noise(count=2)), ["a", "b"], path)
         else:
-            recording._FORMATS[path.suffix].write(path, noise(), 20)
+            recording._FORMATS[path.suffix][0](path, noise(), 20)
     assert path.read_text() == "old"
     assert list(small_disk.iterdir()) == [path]
 
@@ -145,7 +145,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
 path, draw = Path(sys.argv[1]), np.random.default_rng(0)
 frames = (draw.integers(0, 256, (96, 128, 3), dtype=np.uint8) for _ in range(9))
 try:
-    recording._FORMATS[path.suffix].write(path, frames, 20)
+    recording._FORMATS[path.suffix][0](path, frames, 20)
 except OSError as error:
     print(error)
 """

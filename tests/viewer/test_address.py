@@ -2,7 +2,9 @@ import socket
 
 import pytest
 
-from collaborative_gym.viewer.address import free_port, is_loopback, name_for_browser
+pytest.importorskip("viser", reason="the extra `view` is not installed")
+
+from collaborative_gym.viewer.guard import free_port, is_loopback, name_for_browser
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.0.1", "::1", "localhost"])

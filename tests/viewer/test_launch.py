@@ -57,7 +57,13 @@ def test_where_no_window_opens_it_serves_a_page_and_says_so(
 
     monkeypatch.setattr(window, "Window", fail)
     told = []
-    launch.view(carry_id, told.append, warn=pytest.fail, policy="expert", port=1234)
+    launch.view(
+        carry_id,
+        told.append,
+        warn=pytest.fail,
+        policy="expert",
+        address=("127.0.0.1", 1234),
+    )
     assert opened[0][0] == "page" and opened[0][1].was_closed
     assert opened[0][2:] == (False, "127.0.0.1", 1234)
     assert told[1:] == [
@@ -70,7 +76,7 @@ def test_a_page_for_all_the_world_comes_with_a_warning(carry_id, opened, monkeyp
     monkeypatch.setattr(Face, "is_public", True)
     warned = []
     told = warned.append
-    launch.view(carry_id, told, warn=warned.append, web=True, host="0.0.0.0")
+    launch.view(carry_id, told, warn=warned.append, web=True, address=("0.0.0.0", 8080))
     assert [kind for kind, *_ in opened] == ["page"]
     assert warned[1].startswith("WARNING: the viewer listens on 0.0.0.0. Everyone who")
 

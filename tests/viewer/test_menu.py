@@ -92,15 +92,15 @@ def test_another_arm_has_able_players(env):
     menu = Menu(env, {"robot_1": "baseline", "robot_2": "runs/mine"})
     assert {"baseline", "runs/mine"} <= set(menu.policies(lift()))
     choice = lift("baseline", "expert:first-leads")
-    armed = menu.armed(choice, 1, "jaco")
+    armed = menu.armed(choice, "jaco", 1)
     assert armed.robots == ("sawyer", "jaco")
     assert armed.policies == ("expert", "expert:first-leads")
     assert "baseline" not in menu.policies(armed)
     with pytest.raises(KeyError, match="no policy 'baseline'"):
         menu.read(armed.link.replace("policies=expert&", "policies=baseline&"))
-    assert menu.armed(lift("idle", "runs/mine"), 0, "jaco").policies[1] == "expert"
+    assert menu.armed(lift("idle", "runs/mine"), "jaco", 0).policies[1] == "expert"
     anywhere = Menu(env, {"robot_1": "expert", "robot_2": "runs/mine"}, any_env=True)
-    kept = anywhere.armed(lift("idle", "runs/mine"), 0, "jaco")
+    kept = anywhere.armed(lift("idle", "runs/mine"), "jaco", 0)
     assert kept.policies == ("idle", "runs/mine")
 
 
@@ -135,7 +135,7 @@ def test_other_arms_play_in_the_same_action_mode():
     env = cg.make_vec("PokeTaskSawyers-v0", 1, num_threads=1, action="tcp")
     menu = Menu(env, {"robot_1": "expert"})
     choice = menu.armed(
-        Choice(env.task.name, SAWYERS, ("idle",) * 2, "default"), 0, "panda"
+        Choice(env.task.name, SAWYERS, ("idle",) * 2, "default"), "panda", 0
     )
     other, _, _ = menu.load(choice, env)
     assert other.task.config.action == "tcp"

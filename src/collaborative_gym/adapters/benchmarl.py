@@ -54,49 +54,38 @@ class BenchMARLTask(TaskClass):
         )
 
     def supports_continuous_actions(self) -> bool:
-        """Return True."""
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """Return False."""
         return False
 
     def has_render(self, env: EnvBase) -> bool:
-        """Return False; `collaborative-gym record` films policies."""
         return False
 
     def max_steps(self, env: Any) -> int:
-        """Return the control steps of an episode."""
         return env.vector_env.task.config.max_episode_steps
 
     def group_map(self, env: Any) -> dict[str, list[str]]:
-        """Return the agents of each group."""
         return env.group_map
 
     def observation_spec(self, env: Any) -> Composite:
-        """Return what the agents observe."""
         return self._by_group(env, "observation")
 
     def info_spec(self, env: Any) -> Composite:
-        """Return what is told besides."""
         return self._by_group(env, "info")
 
     def state_spec(self, env: Any) -> Composite:
-        """Return what critics see."""
         state = env.full_observation_spec_unbatched["state"]
         return Composite(state=state.clone())
 
     def action_spec(self, env: Any) -> Composite:
-        """Return what the agents do."""
         return env.full_action_spec_unbatched
 
     def action_mask_spec(self, env: Any) -> None:
-        """Return None: every action is allowed."""
         return None
 
     @staticmethod
     def env_name() -> str:
-        """Return what BenchMARL calls the collection of tasks."""
         return "collaborative_gym"
 
     @staticmethod

@@ -41,58 +41,49 @@ class SB3VecEnv(VecEnv):
         self._actions: dict[str, np.ndarray] = {}
 
     def reset(self) -> np.ndarray:
-        """Start an episode in every world; return the observations."""
         observations, _ = self.vector_env.reset(self._seeds[0])
         self._reset_seeds()
         return self._agents.joined(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the next `step_wait`, (num_envs, k)."""
         self._actions = self._agents.split(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        """Do one control step; return observations, rewards, ends and infos."""
         observations, rewards, terminated, _, infos = self.vector_env.step(
             self._actions
         )
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        ends: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if infos["ended"].any():
             final = self._agents.joined(infos["final_observation"])
             is_terminated = self._agents.shared(terminated)
             for i in np.flatnonzero(infos["ended"]):
-                told[i] = {
+                ends[i] = {
                     # By these two it knows that the world goes on, and from where.
                     "terminal_observation": final[i],
                     "TimeLimit.truncated": not is_terminated[i],
                     "is_success": bool(infos["metrics"]["completion"][i]),
                 }
         total = np.sum([*rewards.values()], axis=0)
-        return self._agents.joined(observations), total, infos["ended"], told
+        return self._agents.joined(observations), total, infos["ended"], ends
 
     def get_images(self) -> list[np.ndarray]:
-        """Return a picture of each world."""
         return [self.vector_env.render(i) for i in range(self.num_envs)]
 
     def close(self) -> None:
-        """Close the worlds."""
         self.vector_env.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute, which all worlds have in common, once for each."""
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise: no world of a batch has anything of its own."""
         raise NotImplementedError("no world of a batch has anything of its own")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Raise: no world of a batch has anything of its own."""
         raise NotImplementedError("no world of a batch has anything of its own")
 
     def env_is_wrapped(
         self, wrapper_class: type, indices: int | Iterable[int] | None = None
     ) -> list[bool]:
-        """Return that no world is wrapped by itself."""
         return [False for _ in self._get_indices(indices)]

@@ -33,17 +33,14 @@ class SkrlEnv(MultiAgentEnvWrapper):
 
     @property
     def possible_agents(self) -> list[str]:
-        """The agents' names."""
         return list(self._env.agents)
 
     @property
     def observation_spaces(self) -> dict[str, Box]:
-        """Space of one world's observation, by agent."""
         return self._env.single_observation_spaces
 
     @property
     def action_spaces(self) -> dict[str, Box]:
-        """Space of one world's action, by agent."""
         return self._env.single_action_spaces
 
     @property
@@ -52,7 +49,6 @@ class SkrlEnv(MultiAgentEnvWrapper):
         return dict.fromkeys(self.possible_agents, self._state_space)
 
     def reset(self) -> tuple[ByAgent, dict[str, Any]]:
-        """Start an episode in every world; return observations and infos."""
         observations, infos = self._env.reset()
         self._observations = self._tensors(observations)
         return self._observations, _to_log(infos)
@@ -88,11 +84,9 @@ class SkrlEnv(MultiAgentEnvWrapper):
         return dict.fromkeys(self.possible_agents, state)
 
     def render(self, *_: Any, **__: Any) -> Any:
-        """Return a picture of the first world, (720, 1280, 3) uint8."""
         return self._env.render()
 
     def close(self) -> None:
-        """Close the worlds."""
         self._env.close()
 
     def _tensors(self, arrays: Mapping[str, Any]) -> ByAgent:

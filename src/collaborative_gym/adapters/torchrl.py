@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from collaborative_gym.envs.vector_env import VectorEnv
 
 METRICS = ("completion", "performance")
-"""What is told of the episode so far, for each agent."""
+"""Metrics of the episode so far, for each agent."""
 
 
 class TorchRLEnv(EnvBase):
@@ -108,8 +108,8 @@ class TorchRLEnv(EnvBase):
             begun = self.vector_env.reset(env_ids=stale)
             self._observations = begun[0]
         self._is_fresh |= asked
-        # There is nothing to tell of an episode without a step.
-        content = self._observed(self._observations, self._told(asked))
+        # An episode without a step has no metrics.
+        content = self._observed(self._observations, self._by_agent(asked))
         return TensorDict(content, self.batch_size, device=self.device)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -122,7 +122,7 @@ class TorchRLEnv(EnvBase):
             self.vector_env.step(actions)
         )
         self._metrics, self._is_fresh = infos["metrics"], infos["ended"]
-        content = self._observed(infos["final_observation"], self._told())
+        content = self._observed(infos["final_observation"], self._by_agent())
         for group, agents in self.group_map.items():
             content[group]["reward"] = self._stacked(rewards, agents)[..., None]
         first = self.vector_env.agents[0]
@@ -135,23 +135,21 @@ class TorchRLEnv(EnvBase):
         self._next_seed = seed
 
     def render(self) -> np.ndarray:
-        """Return a picture of the first world, (720, 1280, 3) uint8."""
         return self.vector_env.render()
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Close the worlds."""
         super().close(raise_if_closed=raise_if_closed)
         self.vector_env.close()
 
     def _observed(
-        self, observations: Mapping[str, np.ndarray], told: Mapping[str, Any]
+        self, observations: Mapping[str, np.ndarray], metrics: Mapping[str, Any]
     ) -> dict[str, Any]:
         content: dict[str, Any] = {}
         for group, agents in self.group_map.items():
             shape = (self.vector_env.num_envs, len(agents))
             info = {
                 name: self._stacked(by_agent, agents)[..., None]
-                for name, by_agent in told.items()
+                for name, by_agent in metrics.items()
             }
             seen = self._stacked(observations, agents)
             own = {"observation": seen, "info": TensorDict(info, shape)}
@@ -160,17 +158,17 @@ class TorchRLEnv(EnvBase):
         content["state"] = torch.as_tensor(joined, device=self.device)
         return content
 
-    def _told(self, asked: np.ndarray | None = None) -> dict[str, dict[str, Any]]:
+    def _by_agent(self, asked: np.ndarray | None = None) -> dict[str, dict[str, Any]]:
         """Return the metrics by agent, 0 in worlds that begin."""
-        told = {}
+        metrics = {}
         for name in METRICS:
             values = self._metrics[name]
-            told[name] = {}
+            metrics[name] = {}
             for agent, side in self._sides.items():
                 own = values[side] if isinstance(values, Mapping) else values
                 own = own if asked is None else np.where(asked, 0.0, own)
-                told[name][agent] = own.astype(np.float32)
-        return told
+                metrics[name][agent] = own.astype(np.float32)
+        return metrics
 
     def _stacked(self, arrays: Mapping[str, Any], agents: Sequence[str]) -> Any:
         rows = [arrays[agent] for agent in agents]

@@ -1,4 +1,4 @@
-"""How hard a certificate tries."""
+"""The effort of a certificate."""
 
 from dataclasses import dataclass
 
@@ -6,27 +6,27 @@ from collaborative_gym.errors import check_number, check_numbers
 from collaborative_gym.tasks.settings import bounded, check_settings
 
 _MOST = 10**12
-"""Larger than any number of a budget that could be spent."""
+"""Bound of all numbers, larger than could be spent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """How hard a certificate tries.
+    """Effort of a certificate.
 
     Attributes:
       episodes: held-out starts on which the expert, the motion and the trained policy
         are judged.
-      fractions: where the still arm froze, as shares of the time in which the expert
-        reaches the goal, each from 0.01 to 0.99.
-      motion_steps: control steps of a motion that is searched for; it holds still then.
-      knots: points that a motion goes through.
+      fractions: moments at which the still arm froze, as shares of the time in which
+        the expert reaches the goal, each from 0.01 to 0.99.
+      motion_steps: control steps of a motion; it holds still then.
+      knots: points of a motion.
       candidates: motions tried in a round of the search.
       rounds: of the search.
       training_starts: starts on which the one motion for all is searched for.
       searched_starts: held-out starts for each of which a motion of its own is searched
         for, with the simulator at hand; 0 for none.
       ppo_steps: environment steps of each training; 0 for none.
-      ppo_rows: how many still arms are trained against: those where nobody reached the
+      ppo_rows: number of still arms to train against: those where nobody reached the
         goal, the nearest first.
     """
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.certificate.budget import Budget
-from collaborative_gym.certificate.play import Cast, Outcome, play
+from collaborative_gym.certificate.play import Cast, Outcome, find_starts, play
 from collaborative_gym.certificate.report import Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
 from collaborative_gym.certificate.search import Motions, search
-from collaborative_gym.certificate.starts import find_starts
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_kind
+from collaborative_gym.evaluation.play import OnProgress, parts_of
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.learning.folder import claimed
 from collaborative_gym.policies import Policy, as_policy
@@ -31,10 +31,10 @@ FILE = "certificate.json"
 """Name of a certificate in its folder."""
 
 _WORLDS = 256
-"""Worlds beside one another; more run hardly faster."""
+"""Number of worlds; more run hardly faster."""
 
 _TRAINING_STATES = 256
-"""States that a training begins its episodes in."""
+"""Number of states in which a training begins its episodes."""
 
 Row = tuple[str, str, float]
 """A still arm: its agent, its policy, and the fraction at which it froze."""
@@ -48,7 +48,7 @@ def certify(
     output: str | Path | None = None,
     num_threads: int = 0,
     on_trial: Callable[[Trial], object] | None = None,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Certificate:
     """Try to do a task while one arm is still, and return how often that worked.
 
@@ -62,7 +62,7 @@ def certify(
 
     Args:
       env: an environment id, a task's name, or a task.
-      budget: how hard to try; None for `Budget()`, which takes hours.
+      budget: the effort; None for `Budget()`, which takes hours.
       seed: of the episodes to judge on.
       output: a folder for `certificate.json`, written after each trial, and for the
         trainings. What it has of the same certificate is not done again. None to keep
@@ -86,7 +86,15 @@ def certify(
     check_callback("on_trial", on_trial)
     check_callback("on_progress", on_progress)
     task = as_task(env)
-    _check(task)
+    if len(task.agents) < 2:
+        raise ValueError(
+            f"{task.name} has one arm, and needs it; certify a task of several"
+        )
+    if len(task.sides) > 1:
+        raise ValueError(
+            f"{task.name} has {len(task.sides)} sides; certify a task whose arms share"
+            " one goal"
+        )
     training_seed(seed := check_seed(seed))
     if budget.ppo_steps and budget.ppo_rows:
         import collaborative_gym.learning.train  # noqa: F401  # Shows what is missing.
@@ -102,27 +110,10 @@ def certify(
         return work.finish(on_trial, on_progress)
 
 
-def _check(task: Task) -> None:
-    if len(task.agents) < 2:
-        raise ValueError(
-            f"{task.name} has one arm, and needs it; certify a task of several"
-        )
-    if len(task.sides) > 1:
-        raise ValueError(
-            f"{task.name} has {len(task.sides)} sides; certify a task whose arms share"
-            " one goal"
-        )
-
-
 class _Work:
-    """A certificate that is being made.
+    """A certificate in the making; its worlds are freed by `close`.
 
-    Args:
-      task: what to do.
-      budget: how hard to try.
-      seed: of the episodes to judge on.
-      folder: of its files.
-      num_threads: physics threads, 0 for one per CPU.
+    The arguments are those of `certify`, checked.
     """
 
     def __init__(
@@ -135,9 +126,11 @@ class _Work:
             "budget": asdict(budget) | {"fractions": list(budget.fractions)},
             "seed": seed,
         }
-        blank = Certificate(task.name, settings)
         check_writable(folder / FILE)
-        self._certificate = _resumed(blank, folder / FILE)
+        self._certificate = _resumed(Certificate(task.name, settings), folder / FILE)
+        ways = [("idle", 0.0), *[("gripping", 0.0)] * bool(task.gripping)]
+        ways += [("frozen", fraction) for fraction in budget.fractions]
+        self._rows: list[Row] = [(agent, *way) for agent in task.agents for way in ways]
         tries = budget.candidates * max(budget.training_starts, budget.searched_starts)
         self._env = VectorEnv(
             task,
@@ -145,44 +138,41 @@ class _Work:
             num_threads=num_threads,
             auto_reset=False,
         )
-        # Control steps, about: of all trials, of those done, and of the present one.
-        self._total, self._done, self._cost, self._steps = 1.0, 0.0, 0.0, 0.0
-        self._on_progress: Callable[[float], object] | None = None
-
-    def close(self) -> None:
-        """Free the worlds."""
-        self._env.close()
+        self._on_steps: Callable[[float], object] = lambda steps: None
+        self.close = self._env.close
 
     def finish(
-        self,
-        on_trial: Callable[[Trial], object] | None,
-        on_progress: Callable[[float], object] | None,
+        self, on_trial: Callable[[Trial], object] | None, on_progress: OnProgress
     ) -> Certificate:
         """Do the trials that are left, and return the certificate."""
-        self._on_progress = on_progress
         players = {
             "expert": lambda row: self._judge_policy(row, "expert"),
             "blind": self._play_blindly,
             "search": self._search_each,
             "ppo": self._train,
         }
-        costs = self._costs()
-        rows = self._rows()
-        counts = {player: len(rows) for player in players}
-        counts["ppo"] = min(self._budget.ppo_rows, len(rows))
-        self._total = sum(costs[player] * counts[player] for player in players)
+        costs, count = self._costs(), len(self._rows)
+        counts = dict.fromkeys(players, count)
+        counts["ppo"] = min(self._budget.ppo_rows, count)
+        sizes = [costs[player] for player in players for _ in range(counts[player])]
+        parts = iter(parts_of(on_progress, sizes))
+        done = {(trial.row, trial.player) for trial in self._certificate.trials}
         for player, try_out in players.items():
             # A training must know how near the others came.
-            for row in self._nearest_rows() if player == "ppo" else rows:
-                self._cost, self._steps = costs[player], 0.0
-                if costs[player] and not self._has(row, player):
-                    self._keep(row, player, try_out(row), on_trial)
-                self._done += costs[player]
-                self._cost = 0.0
-                self._advance(0.0)
+            for row in self._nearest_rows() if player == "ppo" else self._rows:
+                part = next(parts) or (lambda share: None)
+                self._on_steps = _counting(part, costs[player])
+                if costs[player] and (row, player) not in done:
+                    trial = _trial(row, player, try_out(row))
+                    trials = *self._certificate.trials, trial
+                    self._certificate = replace(self._certificate, trials=trials)
+                    write_text(self._folder / FILE, self._certificate.to_json())
+                    if on_trial is not None:
+                        on_trial(trial)
+                part(1.0)
         return self._certificate
 
-    def _costs(self) -> dict[str, float]:
+    def _costs(self) -> dict[str, int]:
         """Return about how many control steps a trial of each player takes."""
         budget = self._budget
         judging = budget.episodes * self._task.config.max_episode_steps
@@ -194,61 +184,16 @@ class _Work:
             "ppo": budget.ppo_steps and judging + budget.ppo_steps,
         }
 
-    def _rows(self) -> list[Row]:
-        """Return the still arms, for each agent the same."""
-        ways = [("idle", 0.0)]
-        if self._task.gripping:
-            ways.append(("gripping", 0.0))
-        ways += [("frozen", fraction) for fraction in self._budget.fractions]
-        return [(agent, *way) for agent in self._task.agents for way in ways]
-
     def _nearest_rows(self) -> list[Row]:
         """Return the rows to train in: the nearest of those least often completed."""
-        rows = replace(
-            self._certificate,
-            trials=tuple(t for t in self._certificate.trials if t.player != "ppo"),
-        ).rows
+        others = [t for t in self._certificate.trials if t.player != "ppo"]
+        rows = replace(self._certificate, trials=tuple(others)).rows
 
         def rank(row: Row) -> tuple[float, float]:
             trials = rows[row]
-            most = max(trial.completion for trial in trials)
-            return most, min(trial.nearest for trial in trials)
+            return max(t.completion for t in trials), min(t.nearest for t in trials)
 
         return sorted(rows, key=rank)[: self._budget.ppo_rows]
-
-    def _has(self, row: Row, player: str) -> bool:
-        return any((t.row, t.player) == (row, player) for t in self._certificate.trials)
-
-    def _keep(
-        self,
-        row: Row,
-        player: str,
-        outcome: Outcome,
-        on_trial: Callable[[Trial], object] | None,
-    ) -> None:
-        """Write what came of a trial, so that it need not be done again."""
-        trial = Trial(
-            *row,
-            player,
-            episodes=len(outcome.completed),
-            completed=int(outcome.completed.sum()),
-            nearest=round(float(np.median(outcome.nearest)), 6),
-        )
-        trials = *self._certificate.trials, trial
-        self._certificate = replace(self._certificate, trials=trials)
-        write_text(self._folder / FILE, self._certificate.to_json())
-        if on_trial is not None:
-            on_trial(trial)
-
-    def _advance(self, steps: float) -> None:
-        self._steps += steps
-        done = self._done + min(self._steps, self._cost)
-        if self._on_progress is not None:
-            self._on_progress(min(1.0, done / self._total))
-
-    def _partners(self, row: Row) -> dict[str, str]:
-        passive, partner, _ = row
-        return {passive: partner}
 
     @cached_property
     def _held_out(self) -> dict[float, EnvState]:
@@ -278,38 +223,48 @@ class _Work:
     def _judge(self, row: Row, cast: Cast) -> Outcome:
         starts = self._held_out[row[2]]
         which = np.arange(len(starts.physics))
-        return play(self._env, starts, which, cast, on_step=self._advance)
+        return play(self._env, starts, which, cast, on_step=self._on_steps)
 
     def _judge_policy(self, row: Row, policy: str | Policy) -> Outcome:
-        team: Any = dict.fromkeys(self._task.agents, policy) | self._partners(row)
+        passive, partner, _ = row
+        team: Any = dict.fromkeys(self._task.agents, policy) | {passive: partner}
         act = as_policy(team, self._env, any_env=True)
         return self._judge(row, lambda tries: act)
 
     def _play_blindly(self, row: Row) -> Outcome:
         starts = self._training[row[2]]
         group = np.arange(min(self._budget.training_starts, len(starts.physics)))
-        best, _ = self._search(row, starts, group[None], "blind")
-        motions = Motions(self._env, self._partners(row), self._budget)
+        motions = self._motions(row)
+        best, _ = self._search(row, motions, starts, group[None], "blind")
         every = np.repeat(best, len(self._held_out[row[2]].physics), axis=0)
         return self._judge(row, motions.cast(every))
 
     def _search_each(self, row: Row) -> Outcome:
-        starts = self._held_out[row[2]]
+        starts, motions = self._held_out[row[2]], self._motions(row)
         groups = np.arange(min(self._budget.searched_starts, len(starts.physics)))
-        return self._search(row, starts, groups[:, None], "search")[1]
+        return self._search(row, motions, starts, groups[:, None], "search")[1]
+
+    def _motions(self, row: Row) -> Motions:
+        passive, partner, _ = row
+        return Motions(self._env, {passive: partner}, self._budget)
 
     def _search(
-        self, row: Row, starts: EnvState, groups: np.ndarray, player: str
+        self,
+        row: Row,
+        motions: Motions,
+        starts: EnvState,
+        groups: np.ndarray,
+        player: str,
     ) -> tuple[np.ndarray, Outcome]:
-        number = self._rows().index(row)
+        seeds = [self._seed, self._rows.index(row), player == "search"]
         return search(
             self._env,
             starts,
             groups,
-            motions=Motions(self._env, self._partners(row), self._budget),
+            motions=motions,
             budget=self._budget,
-            rng=np.random.default_rng([self._seed, number, player == "search"]),
-            on_step=self._advance,
+            rng=np.random.default_rng(seeds),
+            on_step=self._on_steps,
         )
 
     def _train(self, row: Row) -> Outcome:
@@ -322,9 +277,31 @@ class _Work:
             seed=self._seed,
             folder=self._folder / f"ppo-{passive}-{partner}-{fraction:.2f}",
             num_threads=self._num_threads,
-            on_step=self._advance,
+            on_step=self._on_steps,
         )
         return self._judge_policy(row, policy)
+
+
+def _counting(part: Callable[[float], object], cost: int) -> Callable[[float], object]:
+    """Return a function that adds up steps and reports their share of `cost`."""
+    done = 0.0
+
+    def add(steps: float) -> None:
+        nonlocal done
+        done += steps
+        part(min(1.0, done / cost))
+
+    return add
+
+
+def _trial(row: Row, player: str, outcome: Outcome) -> Trial:
+    return Trial(
+        *row,
+        player,
+        episodes=len(outcome.completed),
+        completed=int(outcome.completed.sum()),
+        nearest=round(float(np.median(outcome.nearest)), 6),
+    )
 
 
 def _resumed(blank: Certificate, path: Path) -> Certificate:
@@ -338,16 +315,18 @@ def _resumed(blank: Certificate, path: Path) -> Certificate:
     found = Certificate.load(path)
     own, other = (Identity.from_dict(c.settings["identity"]) for c in (blank, found))
     differs = own.differences(other)
-    for name in ("seed", "budget"):
-        mine, theirs = blank.settings[name], found.settings[name]
-        if name == "budget" and not any(t.player == "ppo" for t in found.trials):
-            # Trainings come last; more of them may be added.
-            mine, theirs = (
-                {key: n for key, n in each.items() if not key.startswith("ppo_")}
-                for each in (mine, theirs)
-            )
-        if mine != theirs:
-            differs.append(f"{name} is {mine}, not {theirs}")
+    has_trained = any(t.player == "ppo" for t in found.trials)
+
+    def settings(certificate: Certificate) -> dict[str, Any]:
+        # Trainings come last; more of them may be added.
+        budget = certificate.settings["budget"].items()
+        kept = {n: v for n, v in budget if has_trained or not n.startswith("ppo_")}
+        return {"seed": certificate.settings["seed"], "budget": kept}
+
+    mine, theirs = settings(blank), settings(found)
+    for name in mine:
+        if mine[name] != theirs[name]:
+            differs.append(f"{name} is {mine[name]}, not {theirs[name]}")
     if differs:
         raise ValueError(
             f"{path} is another certificate: {'; '.join(differs)}; choose another"

@@ -1,7 +1,7 @@
-"""Many tries from given states, and how near to the goal each came."""
+"""States to try a task from, many tries, and how near to the goal each came."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,24 +10,24 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy
 
 Cast = Callable[[np.ndarray], Policy]
-"""A function that returns who plays these tries, one in each world of the
-environment."""
+"""Function from tries, one in each world of the environment, to their policy."""
 
 _FAR = 1e3
-"""Farther than any world is from its goal."""
+"""Shortfall of a world before anything counts: farther than any is from its goal."""
 
 _REST, _PATIENCE = 5e-4, 10
-"""If joints are slower than this, in rad/s or m/s, and no shortfall changes by so much,
-for so many control steps in all worlds of a round, nothing more will happen."""
+"""A round is over if joints are slower than this, in rad/s or m/s, and no shortfall
+changes by so much, for so many control steps in all of its worlds."""
+
+_MOST_TRIES = 4
+"""Most episodes that the expert plays for each state that is wanted."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What came of tries.
+class Outcome(NamedTuple):
+    """Results of tries, (tries,) each.
 
-    Attributes:
-      completed: (tries,) whether the goal was reached, as `evaluate` counts it.
-      nearest: (tries,) least `Task.shortfall` on the way.
+    `completed` says whether the goal was reached, as `evaluate` counts it; `nearest` is
+    the least `Task.shortfall` on the way.
     """
 
     completed: np.ndarray
@@ -49,22 +49,20 @@ def play(
 
     Args:
       env: worlds that do not reset themselves.
-      starts: where tries begin.
+      starts: states in which tries begin.
       which: (tries,) rows of `starts`.
-      cast: who plays.
-      steps: how many control steps at most; None for the whole episode.
+      cast: gives the policy.
+      steps: most control steps; None for the whole episode.
       on_step: called after each control step with the steps of all worlds.
     """
-    completed, nearest = [], []
+    rounds = []
     for first in range(0, len(which), env.num_envs):
         # The last round's worlds that are left over try again what others have tried.
         tries = np.arange(first, first + env.num_envs) % len(which)
         begun = starts.rows(which[tries])
-        outcome = _play_round(env, begun, cast(tries), steps, on_step)
-        completed.append(outcome.completed)
-        nearest.append(outcome.nearest)
-    rows = slice(len(which))
-    return Outcome(np.concatenate(completed)[rows], np.concatenate(nearest)[rows])
+        rounds.append(_play_round(env, begun, cast(tries), steps, on_step))
+    completed, nearest = (np.concatenate(each) for each in zip(*rounds, strict=True))
+    return Outcome(completed[: len(which)], nearest[: len(which)])
 
 
 def _play_round(
@@ -92,3 +90,65 @@ def _play_round(
         if not left.any() or rested > _PATIENCE:
             break
     return Outcome(completed, np.where(completed, 0.0, nearest))
+
+
+def find_starts(
+    env: VectorEnv, seed: int, count: int, fractions: Sequence[float]
+) -> dict[float, EnvState]:
+    """Return states on the expert's way to the goal, up to `count` for each fraction.
+
+    They are from the first episodes of a seed, in their order. An episode is left out
+    if the goal is met already at that moment, or if the expert does not meet it. The
+    worlds must not reset themselves. Fractions are of the time in which the expert
+    reaches the goal; 0 is the very start, where no episode is left out.
+    """
+    found: dict[float, EnvState] = {}
+    for first in range(0, _MOST_TRIES * count, env.num_envs):
+        episodes = range(first, first + env.num_envs)
+        wanted = [f for f in fractions if f not in found or _size(found[f]) < count]
+        for fraction, more in _on_the_way(env, seed, episodes, wanted).items():
+            found[fraction] = found[fraction].join(more) if fraction in found else more
+    return {f: own.rows(np.arange(min(count, _size(own)))) for f, own in found.items()}
+
+
+def _on_the_way(
+    env: VectorEnv, seed: int, episodes: range, fractions: Sequence[float]
+) -> dict[float, EnvState]:
+    """Return the states of these episodes, one world each."""
+    if not fractions:
+        return {}
+    later = [fraction for fraction in fractions if fraction > 0.0]
+    met_at = _times_to_goal(env, seed, episodes) if later else np.zeros(env.num_envs)
+    env.reset(seed=seed, episodes=episodes)
+    # A moment after the start and before the goal; never if the goal is not reached.
+    moments = {f: np.maximum(1.0, np.floor(f * met_at)) for f in later}
+    found = {f: [env.get_state(np.arange(0) if f else None)] for f in fractions}
+    last = max((np.nanmax(moments[f], initial=0.0) for f in later), default=0.0)
+    for step in range(1, int(last) + 1):
+        env.step(env.expert())
+        is_met = np.asarray(env.task.success(env.facts))
+        for fraction, moment in moments.items():
+            now = np.flatnonzero((moment == step) & ~is_met)
+            found[fraction].append(env.get_state(now))
+    states = {f: first.join(*others) for f, (first, *others) in found.items()}
+    return {
+        fraction: state.rows(np.argsort(state.progress["episode"]))
+        for fraction, state in states.items()
+    }
+
+
+def _size(states: EnvState) -> int:
+    return len(states.physics)
+
+
+def _times_to_goal(env: VectorEnv, seed: int, episodes: range) -> np.ndarray:
+    """Return in which control step the expert first meets the goal, NaN if never."""
+    env.reset(seed=seed, episodes=episodes)
+    met_at = np.full(env.num_envs, np.nan)
+    for step in range(1, env.task.config.max_episode_steps + 1):
+        *_, infos = env.step(env.expert())
+        is_first = np.isnan(met_at) & (infos["metrics"]["completion"] > 0.0)
+        met_at[is_first] = step
+        if not np.isnan(met_at).any() or infos["ended"].all():
+            break
+    return met_at

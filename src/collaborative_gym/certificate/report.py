@@ -1,4 +1,4 @@
-"""What came of trying a task with one arm still, as values, JSON and Markdown."""
+"""Results of trying a task with one arm still, as values, JSON and Markdown."""
 
 import math
 from collections.abc import Sequence
@@ -17,36 +17,25 @@ PLAYERS = {
     "search": "a motion for each",
     "ppo": "trained",
 }
-"""Who plays against a still arm, and what the table calls it."""
+"""Players against a still arm, and their names in the table."""
 
 _FORMAT = 1
-"""Number of the file format; a file of another one is refused."""
+"""Number of the file format; others are refused."""
 
 _CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One player against one still arm.
+    """One player against one still arm."""
 
-    Attributes:
-      passive: the agent whose arm is still.
-      partner: how: "idle", "gripping" or "frozen", a policy's name.
-      fraction: share of the expert's time to the goal at which it froze, 0 for the
-        start.
-      player: who commands the other arms, one of `PLAYERS`.
-      episodes: how many starts were tried.
-      completed: of how many the goal was reached.
-      nearest: median of the least `Task.shortfall` of each episode.
-    """
-
-    passive: str
-    partner: str
-    fraction: float
-    player: str
-    episodes: int
-    completed: int
-    nearest: float
+    passive: str  # agent whose arm is still
+    partner: str  # its policy: idle, gripping or frozen
+    fraction: float  # share of the expert's time to the goal at which it froze
+    player: str  # who commands the other arms, one of `PLAYERS`
+    episodes: int  # number of starts
+    completed: int  # number of starts from which the goal was reached
+    nearest: float  # median of the least `Task.shortfall` of each episode
 
     @property
     def row(self) -> tuple[str, str, float]:
@@ -55,18 +44,18 @@ class Trial:
 
     @property
     def still(self) -> str:
-        """Whose arm is still and how, such as "robot_1 frozen at 50 %"."""
+        """The still arm in words, such as "robot_1 frozen at 50 %"."""
         at = f" at {100 * self.fraction:.0f} %" if self.fraction else ""
         return f"{self.passive} {self.partner}{at}"
 
     @property
     def count(self) -> str:
-        """How often the goal was reached, such as "0 of 500"."""
+        """Number of completed episodes, such as "0 of 500"."""
         return f"{self.completed} of {self.episodes}"
 
     @property
     def title(self) -> str:
-        """What came of it, in words."""
+        """The result in words."""
         return f"{self.still}, {PLAYERS[self.player]}: {self.count}"
 
     @property
@@ -76,14 +65,14 @@ class Trial:
 
     @property
     def bound(self) -> float:
-        """The completion is at most this, with 95 % confidence (Clopper-Pearson)."""
+        """Upper bound of the completion, with 95 % confidence (Clopper-Pearson)."""
         return upper_bound(self.completed, self.episodes)
 
 
 def upper_bound(completed: int, episodes: int) -> float:
-    """Return the share that so many completions exceed in 95 % of all samples.
+    """Return the exact one-sided bound of Clopper and Pearson, with 95 % confidence.
 
-    The exact one-sided bound of Clopper and Pearson; for none of n it is nearly 3 / n.
+    For no completion in n episodes it is nearly 3 / n.
     """
     if completed >= episodes:
         return 1.0
@@ -96,7 +85,7 @@ def upper_bound(completed: int, episodes: int) -> float:
 
 
 def _binomial(most: int, episodes: int, share: float) -> float:
-    """Return how likely at most so many of the episodes are completed."""
+    """Return the probability that at most so many of the episodes are completed."""
     yes, no = math.log(share), math.log1p(-share)
     whole = math.lgamma(episodes + 1)
     return sum(
@@ -113,12 +102,9 @@ def _binomial(most: int, episodes: int, share: float) -> float:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Whether a task can be done while one arm is still.
+    """Results of trials to do a task while one arm is still, in the order of the work.
 
-    Attributes:
-      environment: the environment's id or the task's name.
-      settings: its `identity`, the `budget` and the `seed`.
-      trials: what was tried, in the order in which it was.
+    `settings` has the `identity` of the task, the `budget` and the `seed`.
     """
 
     environment: str
@@ -127,7 +113,7 @@ class Certificate:
 
     @property
     def title(self) -> str:
-        """What was tried: the environment and its arms."""
+        """The environment and its arms."""
         return Identity.from_dict(self.settings["identity"]).title
 
     @property
@@ -140,7 +126,7 @@ class Certificate:
 
     @property
     def best(self) -> dict[tuple[str, str, float], Trial]:
-        """The trial that did best against each still arm; among equals, the surest."""
+        """The best trial against each still arm; among equals, the surest."""
         return {
             row: max(trials, key=lambda trial: (trial.completion, trial.episodes))
             for row, trials in self.rows.items()
@@ -148,7 +134,7 @@ class Certificate:
 
     @property
     def statement(self) -> str:
-        """What the trials come to, in one sentence."""
+        """The results in one sentence."""
         by_fraction: dict[float, list[Trial]] = {}
         for trial in self.best.values():
             by_fraction.setdefault(trial.fraction, []).append(trial)
@@ -163,13 +149,8 @@ class Certificate:
 
     def to_json(self) -> str:
         """Return everything as JSON."""
-        content = {
-            "format": _FORMAT,
-            "environment": self.environment,
-            "settings": self.settings,
-            "trials": [asdict(trial) for trial in self.trials],
-        }
-        return sealed(content)
+        content = asdict(self)
+        return sealed({"format": _FORMAT, **content})
 
     @classmethod
     def load(cls, path: Path) -> "Certificate":
@@ -214,10 +195,10 @@ CERTIFICATE_NOTE = (
     " least median distance from the goal. A motion for each is searched for on the"
     " very start that it is played on."
 )
-"""What readers of the table must know."""
+"""Note below the table."""
 
 COLUMNS = ("environment", "still arm", *PLAYERS.values(), "up to", "nearest")
-"""What the table tells of each still arm."""
+"""Columns of the table, which has a line for each still arm."""
 
 
 def lines(certificate: Certificate) -> list[tuple[str, ...]]:

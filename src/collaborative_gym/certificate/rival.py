@@ -15,13 +15,9 @@ from collaborative_gym.tasks.task import Task
 
 
 def aim_at_success(task: Task, starts: EnvState) -> Task:
-    """Return a task whose episodes begin in given states and whose reward is nearness.
+    """Return a task whose episodes begin in states of its worlds, drawn from `starts`.
 
     Each agent earns 1 at every step at which the goal is met, less `Task.shortfall`.
-
-    Args:
-      task: in the same world.
-      starts: states of its worlds, of which each episode draws one.
     """
     kind: Any = type(task)
 
@@ -57,17 +53,10 @@ def train_rival(
     num_threads: int,
     on_step: Callable[[float], object],
 ) -> NetworkPolicy:
-    """Return a policy of the other arms, trained from these states, or trained on.
+    """Return a policy of the other arms, trained in episodes that begin in `starts`.
 
-    Args:
-      task: what to do.
-      starts: where episodes begin.
-      partner: the still agent, and its policy.
-      budget: for how many steps.
-      seed: of the run.
-      folder: of the run; one that was killed goes on.
-      num_threads: physics threads, 0 for one per CPU.
-      on_step: called after each update with the steps of all worlds.
+    A run that was killed goes on in its folder. `partner` is the still agent with its
+    policy; `on_step` is called after each update with the steps of all worlds.
 
     Raises:
       ImportError: if the extra `train` is not installed.

@@ -5,7 +5,7 @@ from itertools import count
 
 import numpy as np
 
-from collaborative_gym.blocks import columns_of
+from collaborative_gym.blocks import columns_of, split_columns
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.play import Cast, Outcome, play
 from collaborative_gym.envs.state import EnvState
@@ -13,26 +13,22 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
 
 _FIRST_STD, _LEAST_STD = 0.7, 0.05
-"""Spread of the first candidates, and the least spread later."""
+"""Standard deviation of the first candidates, and the least one later."""
 
 _ELITE = 0.1
-"""Share of the candidates that the next round is drawn around."""
+"""Share of the candidates around which the next ones are drawn."""
 
 _AFTER = 10
-"""Control steps for which a motion's end is looked at while searching."""
+"""Control steps of a try after the end of its motion."""
 
 
 class Motions:
     """Open-loop motions of some agents, while others do as their policies say.
 
-    A motion is a row of knots, evenly spread over its time, with the actions of all
-    these agents side by side. Between two knots actions change evenly; after the last
-    one the arms hold still, with the grips that they have then.
-
-    Args:
-      env: worlds that do not reset themselves.
-      partners: policies of the other agents.
-      budget: how long a motion is, and how many knots it has.
+    A motion is a row of the budget's knots, evenly spread over its time, with the
+    actions of all these agents side by side. Between two knots actions change evenly;
+    after the last one the arms hold still, with the grips that they have then. The
+    worlds must not reset themselves.
 
     Attributes:
       is_grip: (columns,) which of a knot's columns grip.
@@ -43,26 +39,25 @@ class Motions:
         self._env = env
         self._partners = dict(partners)
         self._steps = budget.motion_steps
-        self._sizes = {
-            agent: space.shape[0]
-            for agent, space in env.single_action_spaces.items()
-            if agent not in partners
-        }
+        sizes = env.world.definition.layout.action_sizes
+        self._sizes = {a: n for a, n in sizes.items() if a not in partners}
         grips = [columns_of(env.action_parts[agent], "grip") for agent in self._sizes]
         self.is_grip = np.concatenate(grips)
         self.shape = budget.knots, len(self.is_grip)
 
     def cast(self, motions: np.ndarray) -> Cast:
-        """Return who plays these motions, (tries, knots, columns)."""
-        return lambda tries: self._policy(motions[tries])
+        """Return the players of these motions, (tries, knots, columns)."""
 
-    def _policy(self, motions: np.ndarray) -> Policy:
-        steps = count()
+        def policy(tries: np.ndarray) -> Policy:
+            own, steps = motions[tries], count()
 
-        def act(observations):
-            return self._actions(motions, next(steps))
+            def act(observations):
+                return self._actions(own, next(steps))
 
-        return as_policy(dict.fromkeys(self._sizes, act) | self._partners, self._env)
+            team = dict.fromkeys(self._sizes, act) | self._partners
+            return as_policy(team, self._env)
+
+        return policy
 
     def _actions(self, motions: np.ndarray, step: int) -> dict[str, np.ndarray]:
         last = self.shape[0] - 1
@@ -71,8 +66,7 @@ class Motions:
         now = motions[:, i] + (at - i) * (motions[:, i + 1] - motions[:, i])
         if step >= self._steps:
             now = np.where(self.is_grip, now, 0.0)
-        ends = np.cumsum(list(self._sizes.values()))[:-1]
-        return dict(zip(self._sizes, np.split(now, ends, axis=1), strict=True))
+        return split_columns(now, self._sizes)
 
 
 def search(
@@ -87,18 +81,10 @@ def search(
 ) -> tuple[np.ndarray, Outcome]:
     """Search for a motion that reaches the goal from all starts of a group.
 
-    It uses the cross-entropy method, for each group by itself: candidates are drawn
-    around the best ones of the round before. A group whose motion reaches the goal from
-    each of its starts is done.
-
-    Args:
-      env: worlds that do not reset themselves.
-      starts: states.
-      groups: (groups, starts of a group) rows of `starts`.
-      motions: whose, and against whom.
-      budget: how many candidates and rounds.
-      rng: draws the candidates.
-      on_step: as for `play`.
+    It uses the cross-entropy method, for each group by itself: candidates are drawn by
+    `rng` around the best ones of the round before. A group whose motion reaches the
+    goal from each of its starts is done. Groups are (groups, starts of a group) rows of
+    `starts`; the worlds and `on_step` are as for `play`.
 
     Returns:
       The best motion of each group, (groups, knots, columns), and its outcome, where a
@@ -110,6 +96,7 @@ def search(
     # The share of starts from which the goal is reached counts before all distances.
     least = np.full(len(groups), np.inf)
     nearest = np.full(len(groups), np.inf)
+    steps = budget.motion_steps + _AFTER
     for _ in range(budget.rounds):
         left = np.flatnonzero(least > -1.0)
         if not len(left):
@@ -118,8 +105,14 @@ def search(
         tried = mean[left, None] + std[left, None] * rng.standard_normal(shape)
         tried[:, 0] = mean[left]
         tried = np.clip(tried, -1.0, 1.0)
-        outcome = _try(env, starts, groups[left], tried, motions, budget, on_step)
-        cost = (outcome.nearest - outcome.completed).mean(axis=2)
+        tries = *shape[:2], groups.shape[1]
+        which = np.broadcast_to(groups[left, None], tries).ravel()
+        flat = np.repeat(tried.reshape(-1, *motions.shape), tries[2], axis=0)
+        found = play(
+            env, starts, which, motions.cast(flat), steps=steps, on_step=on_step
+        )
+        completed, near = (each.reshape(tries) for each in found)
+        cost = (near - completed).mean(axis=2)
         order = np.argsort(cost, axis=1)[:, : max(2, round(_ELITE * shape[1]))]
         elite = np.take_along_axis(tried, order[..., None, None], axis=1)
         mean[left] = elite.mean(axis=1)
@@ -128,23 +121,5 @@ def search(
             first = order[row, 0]
             if cost[row, first] < least[group]:
                 least[group], best[group] = cost[row, first], tried[row, first]
-                nearest[group] = outcome.nearest[row, first].mean()
+                nearest[group] = near[row, first].mean()
     return best, Outcome(least <= -1.0, nearest)
-
-
-def _try(
-    env: VectorEnv,
-    starts: EnvState,
-    groups: np.ndarray,
-    tried: np.ndarray,
-    motions: Motions,
-    budget: Budget,
-    on_step: Callable[[int], object] | None,
-) -> Outcome:
-    """Return what came of each group's candidates, (groups, candidates, starts)."""
-    shape = *tried.shape[:2], groups.shape[1]
-    which = np.broadcast_to(groups[:, None], shape).ravel()
-    flat = np.repeat(tried.reshape(-1, *motions.shape), shape[2], axis=0)
-    steps = budget.motion_steps + _AFTER
-    found = play(env, starts, which, motions.cast(flat), steps=steps, on_step=on_step)
-    return Outcome(found.completed.reshape(shape), found.nearest.reshape(shape))

@@ -380,8 +380,7 @@ class View(Played, _Policy):
             any_env=self.any_env,
             seed=self.seed,
             web=self.web,
-            host=self.host,
-            port=self.port,
+            address=(self.host, self.port),
         )
 
 

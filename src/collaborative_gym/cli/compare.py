@@ -40,8 +40,8 @@ class Compare:
     def run(self) -> None:
         """Print tables and write the files."""
         from collaborative_gym.cli.tables import comparison_tables
-        from collaborative_gym.comparisons.compare import compare
         from collaborative_gym.comparisons.picture import draw_comparison
+        from collaborative_gym.comparisons.result import compare
 
         folder = self.output or Path()
         kinds = {} if self.output is None else {"md", "csv", "json", "svg", "pdf"}

@@ -20,7 +20,7 @@ from collaborative_gym.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from collaborative_gym.cards.card import ReportCard
+    from collaborative_gym.cards import ReportCard
     from collaborative_gym.tasks.task import Task
 
 
@@ -62,8 +62,8 @@ class Report(Played):
         """Tell the cards and write their pages."""
         from rich.markdown import Markdown
 
-        from collaborative_gym.cards.card import report_card
-        from collaborative_gym.evaluation.report import plain_to_json
+        from collaborative_gym.cards import report_card
+        from collaborative_gym.evaluation.table import to_json
 
         if not self.envs:
             raise ValueError("name the environments to report on")
@@ -88,7 +88,7 @@ class Report(Played):
                 )
         for card in cards.values():
             tell(Markdown(card.to_markdown()), besides=besides)
-        put(self.json, plain_to_json({n: card.plain() for n, card in cards.items()}))
+        put(self.json, to_json({n: card.plain() for n, card in cards.items()}))
         for task, page in pages.items():
             self._write(page, cards[task.name])
 
@@ -98,7 +98,7 @@ class Report(Played):
 
     def _write(self, page: Path, card: "ReportCard") -> None:
         """Write a card's page and numbers, and its picture, if it can be drawn."""
-        from collaborative_gym.cards.picture import draw_card
+        from collaborative_gym.cards import draw_card
 
         put(page.with_suffix(".json"), card.to_json())
         chart, but = page.with_suffix(".png"), ""

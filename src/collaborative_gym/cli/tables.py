@@ -18,11 +18,11 @@ from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.evaluation.report import (
     Report,
     Statistic,
+    format_episodes,
     format_number,
     format_statistic,
     one_episode_notes,
     strain_lines,
-    told_episodes,
 )
 from collaborative_gym.evaluation.speed import Benchmark, Rates
 from collaborative_gym.evaluation.table11 import NOTE, Table11, column_names
@@ -54,7 +54,7 @@ def reports_table(reports: Sequence[Report]) -> Table:
     episodes = ", ".join(dict.fromkeys(str(len(report.episodes)) for report in reports))
     rates = [report.steps_per_second for report in reports]
     table.caption = (
-        f"Means over {told_episodes(episodes)} and their 95 % intervals;"
+        f"Means over {format_episodes(episodes)} and their 95 % intervals;"
         f" {_ends(rates)} steps per second."
     )
     table.caption = "\n".join([table.caption, *one_episode_notes(reports)])
@@ -174,7 +174,7 @@ def _rivals_table(tournament: Tournament) -> Table:
 
 def _tournament_caption(tournament: Tournament) -> str:
     episodes = tournament.settings["episodes"]
-    lines = [f"{told_episodes(episodes)} for each pairing, of the same starts."]
+    lines = [f"{format_episodes(episodes)} for each pairing, of the same starts."]
     if tournament.is_one_episode:
         lines = ["All starts are alike: one deterministic episode, no intervals."]
     lines[0] = f"{tournament.title}. {lines[0]}"

@@ -1,8 +1,7 @@
-"""The picture of a comparison, in a size that a two-column paper takes."""
+"""The picture of a comparison, in the size of a two-column paper."""
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 from string import ascii_lowercase
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from collaborative_gym.comparisons.result import Comparison, is_share
+from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.evaluation.figure import (
     COLOURS,
     GRID,
@@ -20,24 +19,25 @@ from collaborative_gym.evaluation.figure import (
     save_figure,
 )
 from collaborative_gym.evaluation.intervals import Estimate
+from collaborative_gym.evaluation.report import is_share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _WIDTH, _HEIGHT, _COLUMNS = 7.16, 2.2, 3
-"""Size of a line of panels, in inches: across both columns of an IEEE paper; and how
-many panels stand in it."""
+"""Width and height of a line of panels, in inches, across both columns of an IEEE
+paper, and the number of its panels."""
 
 _LETTER, _MARK, _LEGEND_LINE = 0.065, 0.5, 0.15
-"""Sizes of the names above them, in inches, nearly: how wide a letter is and the mark
-before a name, and how high a line."""
+"""Widths of a letter and of the mark before a name in the legend, and height of a line
+of it, in inches, nearly."""
 
 _MOST_LETTERS = 36
-"""Letters that a panel has room for in a line."""
+"""Letters in a line of a panel."""
 
 _STYLES = ("solid", "dashed", "dashdot", "dotted")
-"""Beside colours, for eyes and printers that have none."""
+"""Styles of lines, for eyes and printers without colours."""
 
 _LOOK: Any = {
     "font.size": 8,
@@ -58,16 +58,7 @@ _LOOK: Any = {
 
 
 def draw_comparison(comparison: Comparison, *paths: str | Path) -> None:
-    """Draw a comparison into files, each whole or not at all.
-
-    Args:
-      comparison: what came of it.
-      paths: the files, whose suffixes say the kind: .svg, .pdf or .png.
-
-    Raises:
-      ImportError: if the extra `train` is not installed.
-      OSError: if a file cannot be written.
-    """
+    """Draw `comparison_figure` into .svg, .pdf or .png, each whole or not at all."""
     figure = comparison_figure(comparison)
     for path in map(Path, paths):
         # The same comparison is the same file, whenever it is drawn.
@@ -85,9 +76,6 @@ def comparison_figure(comparison: Comparison) -> "Figure":
     probabilities of improvement. Where two names are too long for that panel, all names
     are numbered.
 
-    Args:
-      comparison: what came of it.
-
     Raises:
       ImportError: if the extra `train` is not installed.
     """
@@ -95,26 +83,24 @@ def comparison_figure(comparison: Comparison) -> "Figure":
         many = len(comparison.methods) > 1
         places = comparison.environments if many else ("",)
         names = comparison.methods if many else comparison.environments
-        styles = dict(zip(names, _lines(), strict=False))
-        drawings = [
-            partial(_draw_curves, comparison=comparison, place=place, styles=styles)
-            for place in places
-        ]
+        looks = zip(cycle(COLOURS), cycle(_STYLES), strict=False)
+        styles = {
+            name: {"color": colour, "linestyle": style}
+            for name, (colour, style) in zip(names, looks, strict=False)
+        }
+        drawings: list[Any] = [(_draw_curves, place, styles) for place in places]
         if comparison.contestants:
-            drawings.append(
-                partial(_draw_profiles, comparison=comparison, styles=styles)
-            )
+            drawings.append((_draw_profiles, styles))
         numbers = _numbers(names, comparison)
         if comparison.improvements:
-            drawings.append(
-                partial(_draw_improvements, comparison=comparison, numbers=numbers)
-            )
+            drawings.append((_draw_improvements, numbers))
         columns = min(len(drawings), _COLUMNS)
         lines = math.ceil(len(drawings) / columns)
         size = _WIDTH * columns / _COLUMNS, _HEIGHT * lines
         figure, axes = make_figure(lines, columns, size)
-        for letter, own, draw in zip(ascii_lowercase, axes, drawings, strict=False):
-            draw(own)
+        for letter, own, drawing in zip(ascii_lowercase, axes, drawings, strict=False):
+            draw, *how = drawing
+            draw(own, comparison, *how)
             # A paper's text calls panels by letters.
             mark = f"({letter}) " if len(drawings) > 1 else ""
             own.set_title(fill(mark + own.get_title(), _MOST_LETTERS))
@@ -158,12 +144,6 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
         ncols=columns,
         frameon=False,
     )
-
-
-def _lines() -> Any:
-    """Yield how to draw one contestant after the other."""
-    for i, colour in enumerate(cycle(COLOURS)):
-        yield {"color": colour, "linestyle": _STYLES[i % len(_STYLES)]}
 
 
 def _draw_curves(
@@ -219,13 +199,13 @@ def _draw_profiles(
 def _draw_improvements(
     axes: "Axes", comparison: Comparison, numbers: Mapping[str, str]
 ) -> None:
-    """Draw each probability and its interval, with who beats whom above it."""
+    """Draw each probability and its interval, with its title above it."""
     for i, (both, chance) in enumerate(comparison.improvements.items()):
         ends = 100 * np.array([chance.low, chance.high])
         axes.plot(ends, [i, i], color=COLOURS[0], linewidth=2.0)
         axes.plot(100 * chance.value, i, "o", color=COLOURS[0], markersize=4)
-        told = _over(*(numbers.get(name, name) for name in both))
-        axes.text(0, i - 0.15, told, fontsize=7, va="bottom")
+        title = _over(*(numbers.get(name, name) for name in both))
+        axes.text(0, i - 0.15, title, fontsize=7, va="bottom")
     axes.axvline(50, color="#7f7f7f", linewidth=0.8, linestyle="dashed", zorder=1)
     axes.set_yticks([])
     axes.set_ylim(len(comparison.improvements) - 0.6, -0.8)

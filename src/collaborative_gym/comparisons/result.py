@@ -1,19 +1,26 @@
-"""What came of a comparison of runs: tables, JSON, CSV, Markdown, marl-eval's JSON."""
+"""The comparison of runs: tables, JSON, CSV, Markdown, marl-eval's JSON."""
 
-import csv
-import io
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from collaborative_gym.comparisons.grouping import Group, Grouping
-from collaborative_gym.comparisons.runs import VALIDATION
+from collaborative_gym.comparisons.runs import (
+    VALIDATION,
+    Group,
+    Grouping,
+    TrainedRun,
+    find_runs,
+    group_runs,
+    in_all,
+)
+from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.evaluation.intervals import (
     Estimate,
     chance_of,
@@ -22,17 +29,19 @@ from collaborative_gym.evaluation.intervals import (
     median_of,
     share_of,
 )
-from collaborative_gym.evaluation.report import format_interval, without_nan
-from collaborative_gym.evaluation.table import escaped, markdown_table
+from collaborative_gym.evaluation.report import format_interval, is_share
+from collaborative_gym.evaluation.table import (
+    escaped,
+    markdown_table,
+    to_csv,
+    to_json,
+)
 
 _GOAL = 0.9
 """Completion that counts as learned."""
 
-_SHARES = ("completion", "performance", "points")
-"""Measures from 0 to 1, which can be put together over environments."""
-
 _POINTS = 51
-"""Scores at which a performance profile is told."""
+"""Number of scores at which a performance profile has a value."""
 
 Table = tuple[str, list[str], list[list[str]]]
 """A title, the columns' heads, and the lines' cells, for people."""
@@ -40,12 +49,10 @@ Table = tuple[str, list[str], list[list[str]]]
 
 @dataclass(frozen=True)
 class Entry:
-    """One of those that are compared: a group, or a method over environments.
+    """A group, or a method over environments, with a group for each of these.
 
-    Attributes:
-      environment: which, or how many.
-      method: what tells it from others there; empty where nothing does.
-      groups: one for each environment.
+    The method is empty where there is only one; `environment` is the name of the only
+    environment, or the number of them.
     """
 
     environment: str
@@ -58,19 +65,13 @@ class Entry:
 
     @property
     def num_runs(self) -> int:
-        """How many runs it has."""
+        """Number of its runs."""
         return sum(len(group.runs) for group in self.groups)
 
 
 @dataclass(frozen=True)
 class Aggregates:
-    """What the scores of runs come to, with intervals over seeds.
-
-    Attributes:
-      iqm: interquartile mean, that of the middle half.
-      median: the middle one.
-      mean: the mean.
-    """
+    """Interquartile mean, median and mean of scores, with intervals over seeds."""
 
     iqm: Estimate
     median: Estimate
@@ -79,24 +80,16 @@ class Aggregates:
 
 @dataclass(frozen=True)
 class Reached:
-    """When runs first completed 90 % of a validation's episodes.
+    """First validations of which a share of `_GOAL` was completed."""
 
-    Attributes:
-      runs: how many did so.
-      steps: the median of the environment steps that it took; infinite where half of
-        the runs never did.
-      core_seconds: the median of the CPU time that it took, in s; NaN where it is not
-        known.
-    """
-
-    runs: int
-    steps: Estimate
-    core_seconds: Estimate
+    runs: int  # number of runs with such a validation
+    steps: Estimate  # median until then; infinite if half of the runs have none
+    core_seconds: Estimate  # median of the CPU time; NaN where it is not known
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """How groups of training runs did.
+    """Results of groups of training runs.
 
     The score of a run is the mean of its last validation, of those that all runs of its
     group have. Intervals are of 95 % and over runs, within each environment: Student's
@@ -105,10 +98,10 @@ class Comparison:
     runs. A group of one run has none, and a median none of fewer than five.
 
     Attributes:
-      grouping: the groups, and what they differ in.
-      measures: what all validations measured.
-      measure: the one of `profiles` and `improvements`.
-      notes: what readers must know of runs that have not come to their end.
+      grouping: the groups, and their differences.
+      measures: of all validations.
+      measure: of `profiles` and `improvements`.
+      notes: about runs that have not come to their end.
     """
 
     grouping: Grouping
@@ -123,39 +116,33 @@ class Comparison:
 
     @cached_property
     def environments(self) -> tuple[str, ...]:
-        """The names of all."""
+        """Names of the environments."""
         return tuple(dict.fromkeys(group.environment for group in self.groups))
 
     @cached_property
     def methods(self) -> tuple[str, ...]:
-        """The names of all; one without words where only environments differ."""
+        """Names of the methods; one empty name where only environments differ."""
         return tuple(dict.fromkeys(group.method for group in self.groups))
 
     @cached_property
     def contestants(self) -> dict[str, Entry]:
-        """Who is compared with whom, by name.
+        """The methods over the environments that have all of them, by name.
 
-        That is the methods, over the environments in which there are all of them; or
-        the environments, where there is one method.
+        Where there is one method, the environments.
         """
         if len(self.methods) == 1:
             return {g.environment: Entry(g.environment, "", (g,)) for g in self.groups}
+        by = {(group.environment, group.method): group for group in self.groups}
         shared = [
             each
             for each in self.environments
-            if all((each, method) in self._by for method in self.methods)
+            if all((each, method) in by for method in self.methods)
         ]
         where = shared[0] if len(shared) == 1 else f"{len(shared)} environments"
         return {
-            method: Entry(
-                where, method, tuple(self._by[each, method] for each in shared)
-            )
+            method: Entry(where, method, tuple(by[each, method] for each in shared))
             for method in (self.methods if shared else ())
         }
-
-    @cached_property
-    def _by(self) -> dict[tuple[str, str], Group]:
-        return {(group.environment, group.method): group for group in self.groups}
 
     @cached_property
     def entries(self) -> tuple[Entry, ...]:
@@ -165,7 +152,7 @@ class Comparison:
         return (*own, *together)
 
     def aggregates(self, entry: Entry, measure: str) -> Aggregates:
-        """Return what the scores of an entry come to."""
+        """Return the aggregates of an entry's scores."""
         strata, share = entry.scores(measure), is_share(measure)
         return Aggregates(
             iqm_of(strata, is_share=share)[0],
@@ -179,35 +166,34 @@ class Comparison:
 
     @cached_property
     def levels(self) -> np.ndarray:
-        """The scores at which profiles are told, ascending."""
+        """The scores at which profiles have values, ascending."""
         ends = 0.0, 1.0
         if not is_share(self.measure):
-            scores = np.concatenate(
-                [each for e in self.contestants.values() for each in self._scores(e)]
-            )
+            scores = np.concatenate([each for e in self._scores.values() for each in e])
             ends = scores.min(), scores.max()
         return np.linspace(*ends, _POINTS)
 
-    def _scores(self, entry: Entry) -> list[np.ndarray]:
-        return entry.scores(self.measure)
+    @cached_property
+    def _scores(self) -> dict[str, list[np.ndarray]]:
+        """The scores of the contestants, each (runs, 1), by environment."""
+        return {n: e.scores(self.measure) for n, e in self.contestants.items()}
 
     @cached_property
     def profiles(self) -> dict[str, list[Estimate]]:
         """By contestant, the share of runs that score at least each of `levels`."""
         return {
-            name: share_of(np.concatenate(self._scores(entry)) >= self.levels)
-            for name, entry in self.contestants.items()
+            name: share_of(np.concatenate(scores) >= self.levels)
+            for name, scores in self._scores.items()
         }
 
     @cached_property
     def improvements(self) -> dict[tuple[str, str], Estimate]:
-        """By two contestants, how likely a run of the first beats one of the second.
+        """Probability that a run of the first contestant beats one of the second.
 
-        A tie counts a half. It is the mean over environments.
+        It is the mean over environments, and a tie counts a half.
         """
         found = {}
-        for one, other in combinations(self.contestants, 2):
-            first, second = (self._scores(self.contestants[n]) for n in (one, other))
+        for (one, first), (other, second) in combinations(self._scores.items(), 2):
             # Of several environments, each has runs of both.
             pairs = zip(map(np.ravel, first), map(np.ravel, second), strict=True)
             found[one, other] = chance_of(pairs)
@@ -215,42 +201,39 @@ class Comparison:
 
     def reached(self, group: Group) -> Reached | None:
         """Return when runs learned the task; None where nothing can be completed."""
-        if VALIDATION + "completion" not in group.runs[0].rows[0]:
+        measure = VALIDATION + "completion"
+        if measure not in group.runs[0].rows[0]:
             return None
         firsts = [
-            next(
-                (row for row in run.rows if row[VALIDATION + "completion"] >= _GOAL), {}
-            )
+            next((row for row in run.rows if row[measure] >= _GOAL), None)
             for run in group.runs
         ]
         medians = []
         for name in ("steps", "core_seconds"):
-            taken = [
-                first.get(name, math.nan) if first else math.inf for first in firsts
-            ]
+            taken = [row.get(name, math.nan) if row else math.inf for row in firsts]
             medians += median_of([np.array(taken)[:, None]])
         return Reached(sum(map(bool, firsts)), *medians)
 
     @cached_property
     def statement(self) -> str:
-        """What was compared, and what it differs in, as sentences."""
-        count = sum(len(group.runs) for group in self.groups)
-        seeds = sorted({run.seed for group in self.groups for run in group.runs})
-        runs = "1 run" if count == 1 else f"{count} runs"
-        seed = "seed" if len(seeds) == 1 else "seeds"
-        lines = [f"{runs}, {seed} {', '.join(map(str, seeds))}."]
+        """How many runs were compared, and how they differ, as sentences."""
+        runs = [run for group in self.groups for run in group.runs]
+        seeds = sorted({run.seed for run in runs})
+        first = f"{len(runs)} run{'s' * (len(runs) > 1)}, seed{'s' * (len(seeds) > 1)}"
+        lines = [f"{first} {', '.join(map(str, seeds))}."]
         named = dict(self.grouping.differences)
         if len(self.environments) > 1:
             named = {"environment": list(self.environments), **named}
-        told = "; ".join(f"{name} ({', '.join(v)})" for name, v in named.items())
-        if count > 1:
+        differing, of_environments = (
+            "; ".join(f"{name} ({', '.join(v)})" for name, v in each.items())
+            for each in (named, self.grouping.of_environments)
+        )
+        if len(runs) > 1:
+            lines.append(f"They differ in {differing or 'nothing else'}.")
+        if of_environments:
             lines.append(
-                f"They differ in {told}." if told else "They differ in nothing else."
+                f"From one environment to another alone differ {of_environments}."
             )
-        others = self.grouping.of_environments
-        if others:
-            told = "; ".join(f"{name} ({', '.join(v)})" for name, v in others.items())
-            lines.append(f"From one environment to another alone differ {told}.")
         if not self.contestants:
             lines.append("No environment has runs of all, so nothing more is compared.")
         return "\n".join([*lines, *self.notes])
@@ -263,8 +246,8 @@ class Comparison:
             for entry in self.entries:
                 if len(entry.groups) == 1 or is_share(measure):
                     own = self.aggregates(entry, measure)
-                    told = (_told(each, measure) for each in (own.iqm, own.median))
-                    lines.append([*self._cells(entry), *told])
+                    cells = (_cell(each, measure) for each in (own.iqm, own.median))
+                    lines.append([*self._cells(entry), *cells])
             ends = ["interquartile mean (95 %)", "median (95 %)"]
             yield f"{measure} in the last validation", [*heads, *ends], lines
         lines = []
@@ -278,7 +261,7 @@ class Comparison:
             medians = ["median steps (95 %)", "median core-seconds (95 %)"]
             yield f"to {100 * _GOAL:.0f} % completion", [*heads, *medians], lines
         lines = [
-            [one, other, _told(chance, "points")]
+            [one, other, _cell(chance, "points")]
             for (one, other), chance in self.improvements.items()
         ]
         if lines:
@@ -286,15 +269,10 @@ class Comparison:
             yield f"probability of improvement, {self.measure}", heads, lines
 
     def _cells(self, entry: Entry) -> list[str]:
-        ends = sorted({int(group.steps[-1]) for group in entry.groups})
-        steps = " to ".join(
-            f"{each / 1e6:.3g} M" for each in dict.fromkeys([ends[0], ends[-1]])
-        )
-        return [
-            entry.environment,
-            entry.method or "-",
-            f"{entry.num_runs} (of {steps} steps)",
-        ]
+        last = [group.steps[-1] for group in entry.groups]
+        steps = " to ".join(f"{n / 1e6:.3g} M" for n in sorted({min(last), max(last)}))
+        runs = f"{entry.num_runs} (of {steps} steps)"
+        return [entry.environment, entry.method or "-", runs]
 
     def to_markdown(self) -> str:
         """Return the statement and the tables as Markdown."""
@@ -305,24 +283,17 @@ class Comparison:
 
     def to_csv(self) -> str:
         """Return the learning curves, a row for each group, measure and validation."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
         heads = ["environment", "method", "runs", "measure", "steps"]
-        writer.writerow([*heads, "iqm", "iqm_low", "iqm_high", "median", "mean"])
-        for group, measure in self._curves():
+        heads += ["iqm", "iqm_low", "iqm_high", "median", "mean"]
+        rows = []
+        for group, measure in product(self.groups, self.measures):
             first = group.environment, group.method, len(group.runs), measure
             values = group.values(measure)
             for i, at in enumerate(self.curve(group, measure)):
                 others = np.median(values[:, i]), np.mean(values[:, i])
-                cells = [at.value, at.low, at.high, *map(float, others)]
-                cells = ["" if math.isnan(cell) else cell for cell in cells]
-                writer.writerow([*first, int(group.steps[i]), *cells])
-        return text.getvalue()
-
-    def _curves(self) -> Iterator[tuple[Group, str]]:
-        for group in self.groups:
-            for measure in self.measures:
-                yield group, measure
+                iqm = at.value, at.low, at.high
+                rows.append([*first, group.steps[i], *iqm, *others])
+        return to_csv(heads, rows)
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN and for never."""
@@ -334,44 +305,40 @@ class Comparison:
             "groups": [self._plain(group) for group in self.groups],
             "scores": [
                 {"environment": entry.environment, "method": entry.method}
-                | {m: asdict(self.aggregates(entry, m)) for m in self.measures}
+                | {m: self.aggregates(entry, m) for m in self.measures}
                 for entry in self.entries
             ],
             "levels": self.levels.tolist() if self.contestants else [],
-            "profiles": {
-                name: [asdict(each) for each in profile]
-                for name, profile in self.profiles.items()
-            },
+            "profiles": self.profiles,
             "improvements": [
                 {"one": one, "other": other, **asdict(chance)}
                 for (one, other), chance in self.improvements.items()
             ],
         }
-        return json.dumps(without_nan(content), indent=1) + "\n"
+        return to_json(content, indent=1)
 
     def _plain(self, group: Group) -> dict[str, Any]:
-        reached = self.reached(group)
         return {
             "environment": group.environment,
             "method": group.method,
             "runs": {str(run.folder): run.seed for run in group.runs},
             "steps": group.steps.tolist(),
             "validations": {m: group.values(m).tolist() for m in self.measures},
-            "reached": None if reached is None else asdict(reached),
+            "reached": self.reached(group),
         }
 
     def to_marl_eval(self) -> str:
         """Return the validations as the JSON that the package id-marl-eval reads.
 
-        Tasks are the environments, algorithms the methods, and names of runs the seeds.
-        The `absolute_metrics` are those of the last validation, by which this compares
-        too. marl-eval wants as many runs and validations everywhere, and all methods in
-        all environments.
+        Its tasks are the environments, its algorithms the methods, and its runs have
+        the seeds as names. Its `absolute_metrics` are those of the last validation. It
+        wants as many runs and validations everywhere, and all methods in all
+        environments.
         """
         tasks: dict[str, Any] = {}
         for group in self.groups:
             # Its own code refuses commas.
-            method = (group.method or "ppo").replace(", ", "; ").replace(",", ";")
+            method = (group.method or "ppo").replace(",", ";")
             values = {m: group.values(m) for m in self.measures}
             for i, run in enumerate(group.runs):
                 steps: dict[str, Any] = {
@@ -381,26 +348,86 @@ class Comparison:
                 }
                 last = {m: [float(of[i, -1])] for m, of in values.items()}
                 steps["absolute_metrics"] = last
-                algorithms = tasks.setdefault(group.environment, {})
-                algorithms.setdefault(method, {})[f"seed_{run.seed}"] = steps
+                methods = tasks.setdefault(group.environment, {})
+                methods.setdefault(method, {})[f"seed_{run.seed}"] = steps
         return json.dumps({"collaborative_gym": tasks}, indent=1) + "\n"
 
 
-def is_share(measure: str) -> bool:
-    """Return whether a measure is from 0 to 1."""
-    return measure.rpartition("/")[2] in _SHARES
+def compare(
+    runs: str | Path | Sequence[str | Path], *, measure: str | None = None
+) -> Comparison:
+    """Return how training runs did, grouped by the settings in which they differ.
+
+    Runs with the same settings and different seeds are a group, and intervals are over
+    their seeds. The differences are those of the settings with which the runs started.
+
+    Args:
+      runs: the folder of a run, or one that has runs in it at any depth, or several.
+      measure: measure of the validations for performance profiles and probabilities of
+        improvement; None for "completion", or the first that the runs have.
+
+    Raises:
+      FileNotFoundError: if there is no run in one of the folders.
+      KeyError: if the validations have no such measure.
+      OSError: if a file cannot be read.
+      TypeError: if a folder is not a path.
+      ValueError: if there is nothing to compare, a file is damaged, or a run is there
+        twice.
+    """
+    kinds = str, Path, Sequence
+    check_kind("runs", runs, kinds, "a folder's name, or several")
+    found = find_runs([runs] if isinstance(runs, str | Path) else runs)
+    validated = [run for run in found if run.rows]
+    if not validated:
+        raise ValueError(
+            f"there is no validation yet in {len(found)} of {len(found)} runs; let them"
+            " train for longer: there is one every --validation-interval steps"
+        )
+    grouping = group_runs(validated)
+    measures = _measures(grouping)
+    if measure is None:
+        measure = next(filter(is_share, measures), measures[0])
+    else:
+        look_up("measure", measure, dict.fromkeys(measures))
+    return Comparison(grouping, measures, measure, _notes(found))
 
 
-def _told(number: Estimate, measure: str) -> str:
+def _measures(grouping: Grouping) -> tuple[str, ...]:
+    """Return the measures that all validations have, shares first."""
+    shared = in_all(group.measures for group in grouping.groups)
+    if not shared:
+        raise ValueError(
+            "the runs' validations have no measure in common; compare those of tasks"
+            " with one side and those of opponents apart"
+        )
+    return tuple(sorted(shared, key=lambda name: not is_share(name)))
+
+
+def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
+    """Return sentences about runs that have not come to their end."""
+    notes = []
+    for run in runs:
+        last = int(run.rows[-1]["steps"]) if run.rows else 0
+        if not last:
+            notes.append(f"{run.folder} is left out: it has no validation yet.")
+        elif last < run.total_steps:
+            notes.append(
+                f"{run.folder} is not finished: its last validation is after"
+                f" {last:,} of {run.total_steps:,} steps."
+            )
+    return tuple(notes)
+
+
+def _cell(number: Estimate, measure: str) -> str:
     """Return a score and its interval for people."""
     ends = number.value, number.low, number.high
     return format_interval(*ends, percent=is_share(measure))
 
 
 def _counted(number: Estimate) -> str:
-    """Return how much it took and its interval for people; a dash where unknown."""
-    ends = [number.value] + [number.low, number.high] * (not math.isnan(number.low))
-    told = ["never" if math.isinf(end) else f"{end:,.0f}" for end in ends]
+    """Return a large number and its interval for people; a dash where unknown."""
     if math.isnan(number.value):
         return "-"
-    return told[0] if len(told) == 1 else f"{told[0]} ({told[1]} to {told[2]})"
+    ends = number.value, number.low, number.high
+    value, low, high = ("never" if math.isinf(n) else f"{n:,.0f}" for n in ends)
+    return value if math.isnan(number.low) else f"{value} ({low} to {high})"

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
+from collaborative_gym.blocks import split_columns
 from collaborative_gym.envs.faces import (
     RENDERING,
     STEP_INFO,
@@ -159,8 +160,7 @@ class SingleAgent:
 
     def split(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         """Return each agent's columns of the actions."""
-        ends = np.cumsum(list(self._sizes.values()))
-        return dict(zip(self._sizes, np.split(actions, ends[:-1], 1), strict=True))
+        return split_columns(actions, self._sizes)
 
     def shared(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return what is the same for all agents."""

@@ -1,4 +1,4 @@
-"""Figures that belong to no window, and the look that they share."""
+"""Figures without a window, and their common look."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -12,24 +12,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (
-    "#0072b2",
-    "#d55e00",
-    "#009e73",
-    "#cc79a7",
-    "#56b4e9",
-    "#e69f00",
-    "#8c6bb1",
-    "#7f7f7f",
-)
-"""Of lines, in order; Okabe and Ito's and two more, which all eyes tell apart."""
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+COLOURS += ("#56b4e9", "#e69f00", "#8c6bb1", "#7f7f7f")
+"""Colours of lines, in order: Okabe and Ito's, for all eyes, and two more."""
 
 GRID = "#dddddd"
 """Colour of the grid."""
 
 
 def looking(settings: Mapping[Any, Any]) -> AbstractContextManager[None]:
-    """Return a context in which Matplotlib draws as settings of its own say.
+    """Return a context in which Matplotlib draws by these settings.
 
     Raises:
       ImportError: if the extra `train` is not installed.
@@ -47,13 +39,9 @@ def looking(settings: Mapping[Any, Any]) -> AbstractContextManager[None]:
 def make_figure(
     rows: int, columns: int, size: Sequence[float], **options: Any
 ) -> tuple["Figure", list["Axes"]]:
-    """Return a figure and its axes, line by line.
+    """Return a figure of a size in inches, and its axes, line by line.
 
-    Args:
-      rows: lines of axes.
-      columns: axes in a line.
-      size: of the figure, in inches.
-      **options: of Matplotlib's `subplots`.
+    Further options are those of Matplotlib's `subplots`.
 
     Raises:
       ImportError: if the extra `train` is not installed.
@@ -69,17 +57,13 @@ def make_figure(
 
 
 def save_figure(figure: "Figure", path: str | Path, **options: Any) -> None:
-    """Write a figure into a file, whole or not at all; the suffix says the kind.
-
-    Raises:
-      OSError: if the file cannot be written.
-    """
+    """Write a figure into a file, whole or not at all; the suffix says the kind."""
     with replacing(path) as partial:
         figure.savefig(partial, **options)
 
 
 def open_axes(axes: "Axes") -> None:
-    """Give axes a pale grid behind what is drawn, and no frame above and beside it."""
+    """Give axes a pale grid behind the lines, and no frame above and at the right."""
     axes.grid(color=GRID, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

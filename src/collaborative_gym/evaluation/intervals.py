@@ -1,6 +1,6 @@
 """95 % intervals of means, medians and shares, and means that no bad value moves.
 
-`benchmarks/coverage.py` measures how often they hold what they should.
+`benchmarks/coverage.py` measures their coverage.
 """
 
 import math
@@ -11,27 +11,21 @@ from typing import Any
 import numpy as np
 
 _Z = 1.959964
-"""Standard deviations on either side of a normal mean that hold 95 %."""
+"""Half width of the normal distribution's 95 % interval, in standard deviations."""
 
 _FREEDOM = (1, 2, 3, 4, 5, 6, 8, 10, 15, 20, 30, 60, 120, math.inf)
 _T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.306, 2.228, 2.131, 2.086, 2.042)
 _T += (2.000, 1.980, _Z)
-"""The same of Student's t, by its degrees of freedom."""
+"""The same of Student's t distribution, by its degrees of freedom."""
 
 _LEAST = 5
-"""Values from which on a median has an interval, that from the least to the greatest.
-With five it holds 93.75 %."""
+"""Least number of values whose median has an interval. With five, that is from the
+least to the greatest, and holds 93.75 %."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and how sure it is.
-
-    Attributes:
-      value: the number; NaN if it is not known.
-      low: lower end of its 95 % interval; NaN where nothing can be said.
-      high: upper end of it.
-    """
+    """A number and its 95 % interval; NaN where nothing can be said."""
 
     value: float
     low: float = math.nan
@@ -53,9 +47,7 @@ def mean_of(strata: Sequence[np.ndarray], *, is_share: bool) -> list[Estimate]:
 def iqm_of(strata: Sequence[np.ndarray], *, is_share: bool) -> list[Estimate]:
     """Return the interquartile mean of each column, with Yuen's (1974) interval.
 
-    Args:
-      strata: as `mean_of` takes them.
-      is_share: as there.
+    The arguments are those of `mean_of`.
     """
     return _trimmed(strata, sum(map(len, strata)) // 4, is_share)
 
@@ -63,7 +55,7 @@ def iqm_of(strata: Sequence[np.ndarray], *, is_share: bool) -> list[Estimate]:
 def _trimmed(strata: Sequence[np.ndarray], cut: int, is_share: bool) -> list[Estimate]:
     """Return the means without the `cut` least and greatest of all values.
 
-    What is cut counts in the error as the last value that is kept.
+    In the error, each of these counts as the last value that is kept.
     """
     values = np.sort(np.concatenate(strata), axis=0)
     count = len(values)
@@ -74,43 +66,43 @@ def _trimmed(strata: Sequence[np.ndarray], cut: int, is_share: bool) -> list[Est
     )
     size, freedom = len(kept), len(kept) - len(strata)
     if min(map(len, strata)) < 2 or freedom < 1:
-        return [Estimate(float(each)) for each in kept.mean(axis=0)]
+        return _estimates(kept.mean(axis=0))
     error = np.sqrt(squares / count * (count - 1) / (size * (size - 1)))
     return _around(kept.mean(axis=0), error, freedom, count, is_share)
 
 
 def median_of(strata: Sequence[np.ndarray]) -> list[Estimate]:
-    """Return the median of each column, between two of the values.
+    """Return the median of each column, with an interval between two of the values.
 
-    Args:
-      strata: as `mean_of` takes them; infinite numbers stand for never.
+    `strata` are those of `mean_of`; infinite numbers stand for never.
     """
     values = np.sort(np.concatenate(strata), axis=0)
     count = len(values)
     middle = np.median(values, axis=0)
     if count < _LEAST:
-        return [Estimate(float(each)) for each in middle]
-    # How likely at most k of the values lie below the median.
+        return _estimates(middle)
+    # Probability that at most k of the values lie below the median.
     chances = np.cumsum([math.comb(count, k) for k in range(count)]) / 2.0**count
     cut = max(int(np.searchsorted(chances, 0.025, side="right")) - 1, 0)
-    low, high = values[cut], np.where(np.isnan(middle), math.nan, values[-1 - cut])
-    return [Estimate(*map(float, ends)) for ends in zip(middle, low, high, strict=True)]
+    high = np.where(np.isnan(middle), math.nan, values[-1 - cut])
+    return _estimates(middle, values[cut], high)
 
 
 def share_of(hits: np.ndarray) -> list[Estimate]:
     """Return the share of true values in each column of (values, columns)."""
     shares = hits.mean(axis=0)
-    ends = zip(shares, *wilson(shares, len(hits)), strict=True)
-    return [Estimate(*map(float, each)) for each in ends]
+    return _estimates(shares, *wilson(shares, len(hits)))
+
+
+def _estimates(*numbers: np.ndarray) -> list[Estimate]:
+    return [Estimate(*map(float, each)) for each in zip(*numbers, strict=True)]
 
 
 def chance_of(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> Estimate:
-    """Return how likely one value beats another, with the interval of DeLong (1988).
+    """Return the probability that one value beats another; a tie counts a half.
 
-    A tie counts a half.
-
-    Args:
-      pairs: values of both, (n,) each; of several pairs it is the mean.
+    The interval is DeLong's (1988). It is the mean of several pairs of values, each of
+    (n,).
     """
     chances, parts, counts = [], [], []
     for one, other in pairs:
@@ -130,13 +122,7 @@ def chance_of(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> Estimate:
 
 
 def jackknifed(values: Sequence[float], whole: float, *, is_share: bool) -> Estimate:
-    """Return a number whose error shows when one run at a time is left out.
-
-    Args:
-      values: the number without each of the runs in turn.
-      whole: the number of all runs.
-      is_share: whether it is from 0 to 1.
-    """
+    """Return `whole`, with an interval from the values without each run in turn."""
     count, own = len(values), np.array(values)
     if count < 2 or np.isnan(own).any():
         return Estimate(whole)
@@ -149,8 +135,8 @@ def _around(
 ) -> list[Estimate]:
     """Return Student's t intervals around values with these standard errors.
 
-    Where there is no error, nothing was seen of it: Wilson's interval of a share of so
-    many holds what may not have shown, and other numbers have none.
+    A share without an error has Wilson's interval for so many values, because there may
+    be what none of them showed; other numbers without an error have no interval.
     """
     # Rounding leaves errors that are none.
     error = np.where(np.abs(error) > 1e-9 * (1.0 + np.abs(value)), error, math.nan)
@@ -160,7 +146,7 @@ def _around(
         least, most = wilson(value, count)
         low = np.where(np.isnan(width), least, np.maximum(low, 0.0))
         high = np.where(np.isnan(width), most, np.minimum(high, 1.0))
-    return [Estimate(*map(float, ends)) for ends in zip(value, low, high, strict=True)]
+    return _estimates(value, low, high)
 
 
 def iqm(values: np.ndarray) -> float:
@@ -170,12 +156,7 @@ def iqm(values: np.ndarray) -> float:
 
 
 def wilson(share: Any, count: int) -> tuple[Any, Any]:
-    """Return the ends of Wilson's (1927) 95 % interval of a share of so many.
-
-    Args:
-      share: one, or an array of them.
-      count: of how many.
-    """
+    """Return the ends of Wilson's (1927) 95 % interval of shares, of `count` values."""
     square = _Z**2 / count
     middle = (share + square / 2.0) / (1.0 + square)
     width = np.sqrt(share * (1.0 - share) * square + square**2 / 4.0) / (1.0 + square)

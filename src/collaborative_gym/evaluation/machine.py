@@ -1,7 +1,8 @@
-"""What else a measured number depends on besides the code."""
+"""The machine on which a number was measured."""
 
 import os
 import platform
+import re
 from pathlib import Path
 
 import mujoco
@@ -17,19 +18,12 @@ def cores() -> int:
 
 def describe_machine() -> dict[str, str | int]:
     """Return the processor, its cores, and the versions that speed depends on."""
+    info = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.*)", info.read_text() if info.exists() else "")
     return {
-        "cpu": _cpu_name(),
+        "cpu": found[1] if found else platform.processor() or platform.machine(),
         "cores": cores(),
         "python": platform.python_version(),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
     }
-
-
-def _cpu_name() -> str:
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

@@ -1,9 +1,10 @@
-"""The evaluation of a policy, over episodes that depend on the seed alone."""
+"""The evaluation of a policy, also disturbed, over episodes of a seed."""
 
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -18,21 +19,40 @@ from collaborative_gym.evaluation.report import (
     Statistic,
     Worst,
     are_one_episode,
+    is_share,
 )
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import RANDOMIZATIONS, Task
 
 _MOST_DELAY = 100
-"""Control steps, ten seconds."""
+"""Greatest delay, in control steps: ten seconds."""
 
 _MOST_ENVS = 64
-"""Worlds that play at the same time by default; more are hardly faster on a CPU."""
+"""Default number of worlds; more are hardly faster on a CPU."""
+
+OnProgress = Callable[[float], object] | None
+"""Called with the share that is done, 0 to 1."""
 
 _MEASURES = ("return", "completion", "performance", "time_to_success", "score")
 """The metrics that make a `Score`, in its order; a single side has no score."""
+
+DISTURBANCES: Mapping[str, Sequence[str]] = {
+    "none": (),
+    "starts": ("joint_noise", "object_position", "object_yaw", "target_position"),
+    "link mass": ("link_mass",),
+    "payload": ("payload",),
+    "friction": ("friction",),
+    "torque": ("lost_torque",),
+    "delay": ("delay", "delayed"),
+    "lost actions": ("lost_actions",),
+    "noise": ("position_noise", "angle_noise"),
+    "all": tuple(field.name for field in fields(RANDOMIZATIONS["hard"])),
+}
+"""Fields of the randomization `hard` by the name of a disturbance, which leaves the
+others as in `default`."""
 
 
 def evaluate(
@@ -45,7 +65,7 @@ def evaluate(
     num_envs: int | None = None,
     num_threads: int = 0,
     any_env: bool = False,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Report:
     """Play the first episodes of a seed, each once, and report how they went.
 
@@ -56,8 +76,8 @@ def evaluate(
       policy: a name or path for `load_policy`, such as "baseline", a function from
         observations to actions, both by agent with one row per world, or one of these
         for each agent.
-      episodes: how many.
-      seed: which episodes.
+      episodes: number of episodes.
+      seed: of the episodes.
       delay: number of control steps by which each action comes late; the robots hold
         still before the first.
       num_envs: worlds that play at the same time; None for at most 64.
@@ -94,32 +114,58 @@ def evaluate(
         "episodes": episodes,
         "seed": seed,
     }
-    return _report(vector_env, rows, rate=rate, settings=settings)
-
-
-def _report(
-    env: VectorEnv,
-    rows: list[dict[str, Any]],
-    *,
-    rate: float,
-    settings: dict[str, Any],
-) -> Report:
-    """Return what episodes amount to."""
     # Episodes that start alike are one episode, from which nothing can be inferred.
     different = rows[:1] if are_one_episode(rows) else rows
+    agents, sides = vector_env.agents, vector_env.sides
     return Report(
-        environment=env.task.name,
+        environment=task.name,
         settings=settings,
-        sides={side: _score(different, side, env) for side in env.sides},
-        returns={a: _statistic(different, f"{a}/return") for a in env.agents},
+        sides={side: _score(different, side, len(sides) > 1) for side in sides},
+        returns={agent: _statistic(different, f"{agent}/return") for agent in agents},
         episodes=tuple(rows),
         steps_per_second=rate,
         strain={name: Worst.of(name, rows) for name in (*STRAIN, ACTION_CHANGE)},
     )
 
 
+def measure_robustness(
+    env: str | Task,
+    policy: AnyPolicy = "expert",
+    *,
+    episodes: int = 100,
+    seed: int = 0,
+    num_envs: int | None = None,
+    num_threads: int = 0,
+    any_env: bool = False,
+    on_progress: OnProgress = None,
+) -> dict[str, Report]:
+    """Return the report of an evaluation with each of `DISTURBANCES`, by its name.
+
+    All arguments are those of `evaluate`; `episodes` are played with each disturbance.
+    Each of them disturbs an episode in the same way alone and together with the others.
+
+    Raises:
+      Exception: as `evaluate` does.
+    """
+    task, hard = as_task(env), RANDOMIZATIONS["hard"]
+    parts = parts_of(on_progress, [1] * len(DISTURBANCES))
+    reports = {}
+    for (name, changed), part in zip(DISTURBANCES.items(), parts, strict=True):
+        reports[name] = evaluate(
+            disturbed(task, **{field: getattr(hard, field) for field in changed}),
+            policy,
+            episodes=episodes,
+            seed=seed,
+            num_envs=num_envs,
+            num_threads=num_threads,
+            any_env=any_env,
+            on_progress=part,
+        )
+    return reports
+
+
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
-    """Return in how many worlds to play these episodes, if nobody says."""
+    """Return `num_envs`, or the number of worlds that suits so many episodes."""
     if num_envs is not None:
         return num_envs
     return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
@@ -130,16 +176,12 @@ def play_episodes(
     policy: Policy,
     episodes: int,
     seed: int,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> tuple[list[dict[str, Any]], int]:
-    """Return the rows of the first episodes, in order, and how many steps it took.
+    """Return the `episode_row`s of a seed's first episodes, in order, and the steps.
 
-    Args:
-      env: where to play; each row is as `episode_row` returns it.
-      policy: who plays.
-      episodes: how many.
-      seed: which.
-      on_progress: called after each step with the share that is done, 0 to 1.
+    The steps are those of the whole batch. `on_progress` is called after each of them
+    with the share that is done, 0 to 1.
     """
     rows: dict[int, dict[str, Any]] = {}
     steps = math.ceil(episodes / env.num_envs) * env.task.config.max_episode_steps
@@ -167,7 +209,7 @@ def play_episodes(
 
 
 def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
-    """Return what moves arms in all robots' actions, (num_envs, k) in [-1, 1]."""
+    """Return the moves of all robots' actions, (num_envs, k) in [-1, 1]."""
     split = env.action_mode.split
     moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
     return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)
@@ -177,30 +219,21 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     """Return the `Report`'s row of the episode that world i has ended.
 
     Args:
-      infos: what the step that ended it gave, from `VectorEnv.step`.
+      infos: of the step that ended it, from `VectorEnv.step`.
       i: the world, one of those in `infos["ended"]`.
     """
     metrics = infos["metrics"]
-    row: dict[str, Any] = {
-        "episode": int(metrics["episode"][i]),
-        "seed": int(metrics["seed"][i]),
-    }
+    row: dict[str, Any] = {name: int(metrics[name][i]) for name in ("episode", "seed")}
     for name in _MEASURES:
-        # By side where there are several.
         given = metrics.get(name, {})
-        if not isinstance(given, Mapping):
-            given = {"": given}
-        for side, values in given.items():
+        by_side = given if isinstance(given, Mapping) else {"": given}
+        for side, values in by_side.items():
             value = float(values[i])
             # Control steps of 0.1 s add up to 0.30000000000000004 and the like.
-            is_time = name == "time_to_success"
-            row[f"{side}/{name}" if side else name] = (
-                round(value, 6) if is_time else value
-            )
-    row |= {
-        "length": int(metrics["length"][i]),
-        "diverged": bool(infos["diverged"][i]),
-    }
+            value = round(value, 6) if name == "time_to_success" else value
+            row[f"{side}/{name}" if side else name] = value
+    row["length"] = int(metrics["length"][i])
+    row["diverged"] = bool(infos["diverged"][i])
     for agent, total in metrics["returns"].items():
         row[f"{agent}/return"] = float(total[i])
         for name, term in metrics["reward_terms"][agent].items():
@@ -210,27 +243,22 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     return row
 
 
-def _score(rows: Sequence[Mapping[str, Any]], side: str, env: VectorEnv) -> Score:
-    prefix = f"{side}/" if len(env.sides) > 1 else ""
-    columns = (f"{prefix}{name}" for name in _MEASURES)
+def _score(rows: Sequence[Mapping[str, Any]], side: str, is_divided: bool) -> Score:
+    columns = (f"{side}/{name}" if is_divided else name for name in _MEASURES)
     return Score(*(_statistic(rows, name) for name in columns if name in rows[0]))
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
-    is_share = column.endswith(("completion", "performance"))
-    return Statistic.of([row[column] for row in rows], is_share=is_share)
+    return Statistic.of([row[column] for row in rows], is_share=is_share(column))
 
 
-def part_of(
-    on_progress: Callable[[float], object] | None, i: int, count: int
-) -> Callable[[float], object] | None:
-    """Return a callback for the progress of one of `count` equal parts.
-
-    Args:
-      on_progress: called with the share of all that is done; None for nothing.
-      i: which part, from 0.
-      count: how many there are.
-    """
+def parts_of(on_progress: OnProgress, sizes: Sequence[float]) -> list[OnProgress]:
+    """Return callbacks for the progress of parts of these sizes within the whole."""
     if on_progress is None:
-        return None
-    return lambda share: on_progress((i + share) / count)
+        return [None] * len(sizes)
+
+    def part(i: int) -> OnProgress:
+        done = sum(sizes[:i])
+        return lambda share: on_progress((done + share * sizes[i]) / sum(sizes))
+
+    return [part(i) for i in range(len(sizes))]

@@ -1,22 +1,27 @@
-"""What an evaluation found, as numbers, JSON, CSV and Markdown."""
+"""The results of an evaluation, as numbers, JSON, CSV and Markdown."""
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.evaluation.intervals import iqm, mean_of, wilson
-from collaborative_gym.evaluation.table import escaped, markdown_table
+from collaborative_gym.evaluation.table import (
+    escaped,
+    markdown_table,
+    to_csv,
+    to_json,
+)
 from collaborative_gym.tasks.identity import Identity
 
+SHARES = ("completion", "performance", "points")
+"""Measures from 0 to 1."""
+
 ACTION_CHANGE = "action_change"
-"""How much what moves the arms in an action changes from one control step to the next,
-the mean over components and steps, 0 to 2; told with the strain."""
+"""Mean change of an action's movements from one control step to the next, 0 to 2, over
+components and steps. It stands with the strain."""
 
 _STRAIN_FORMS = {
     "contact_depth": (1e3, " mm"),
@@ -28,8 +33,17 @@ _STRAIN_FORMS = {
     "energy": (1.0, " J"),
     ACTION_CHANGE: (1.0, ""),
 }
-"""How people read measures, by the beginning of their names: the factor and the
-unit."""
+"""Factor and unit for people, by the beginning of a measure's name."""
+
+_FORMS: dict[str, dict[str, Any]] = {
+    "score": {},
+    "mean_reward": {},
+    "returns": {},
+    "completion": {"percent": True},
+    "performance": {"percent": True},
+    "time_to_success": {"unit": " s"},
+}
+"""How `format_number` writes each measure, in the order of the table."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +67,9 @@ class Statistic:
 
     @classmethod
     def of(cls, values: Sequence[float], *, is_share: bool = False) -> "Statistic":
-        """Return the statistic of some values, leaving out those that are NaN.
+        """Return the statistic of the values that are not NaN.
 
-        Args:
-          values: of the episodes.
-          is_share: whether they are from 0 to 1. Where all are alike, the interval is
-            then Wilson's, too.
+        If they are shares from 0 to 1, an interval where all are alike is Wilson's.
         """
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
@@ -74,21 +85,15 @@ class Statistic:
 
 @dataclass(frozen=True)
 class Worst:
-    """A measure of the strain over episodes.
-
-    Attributes:
-      mean: of the episodes.
-      worst: the greatest value of all episodes; for the clearance, the least.
-      episode: the episode that has it.
-    """
+    """A measure of the strain over episodes."""
 
     mean: float
-    worst: float
-    episode: int
+    worst: float  # greatest value; for the clearance, the least
+    episode: int  # episode with that value
 
     @classmethod
     def of(cls, name: str, rows: Sequence[Mapping[str, Any]]) -> "Worst":
-        """Return that of the measure of this name, of episodes' rows."""
+        """Return the mean and the worst of the measure `name` in episodes' rows."""
         worst = (min if name == "clearance" else max)(rows, key=lambda row: row[name])
         mean = float(np.mean([row[name] for row in rows]))
         return cls(mean, worst[name], worst["episode"])
@@ -96,14 +101,13 @@ class Worst:
 
 @dataclass(frozen=True)
 class Score:
-    """How one side did, over the episodes.
+    """Results of one side, over the episodes.
 
     Attributes:
       mean_reward: the return, which is the sum over all steps and the side's agents.
       completion: whether the goal was reached, 0 to 1.
       performance: the share of steps at the goal, 0 to 1, as the task counts it.
-      time_to_success: the time until the goal was reached in s, over the episodes in
-        which it was reached.
+      time_to_success: in s, over the episodes in which the goal was reached.
       score: the points if there are several sides, else None.
     """
 
@@ -116,7 +120,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Report:
-    """How a policy did.
+    """Results of a policy.
 
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
@@ -127,15 +131,13 @@ class Report:
 
     Attributes:
       environment: the environment's id or the task's name.
-      settings: what was evaluated: the environment's whole `identity`, the policy,
-        episodes and seed.
-      sides: how each side did, by its name; most tasks have one.
-      returns: of each agent's own return, by agent.
+      settings: the environment's whole `identity`, the policy, episodes and seed.
+      sides: score of each side, by its name; most tasks have one.
+      returns: statistic of each agent's own return.
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
-      strain: what arms did to one another, to things and to themselves, by the names in
-        `envs.strain`.
+      strain: of the arms, by the names in `envs.strain`.
     """
 
     environment: str
@@ -148,7 +150,7 @@ class Report:
 
     @property
     def title(self) -> str:
-        """What was played: the environment and its arms."""
+        """The environment and its arms."""
         return self._identity.title
 
     @property
@@ -162,22 +164,22 @@ class Report:
 
     @property
     def mean_reward(self) -> Statistic:
-        """That of the only side; of several, `sides` has one each."""
+        """Return of the only side; where there are several, see `sides`."""
         return self._score.mean_reward
 
     @property
     def completion(self) -> Statistic:
-        """That of the only side; of several, `sides` has one each."""
+        """Completion of the only side; where there are several, see `sides`."""
         return self._score.completion
 
     @property
     def performance(self) -> Statistic:
-        """That of the only side; of several, `sides` has one each."""
+        """Performance of the only side; where there are several, see `sides`."""
         return self._score.performance
 
     @property
     def time_to_success(self) -> Statistic:
-        """That of the only side; of several, `sides` has one each."""
+        """Time to success of the only side; where there are several, see `sides`."""
         return self._score.time_to_success
 
     @property
@@ -191,19 +193,17 @@ class Report:
 
     def summary(self) -> dict[str, Any]:
         """Return the statistics as plain dictionaries, an only side's at the top."""
-        scores = {side: asdict(score) for side, score in self.sides.items()}
-        own = {"sides": scores}
-        if len(scores) == 1:
-            own = next(iter(scores.values()))
+        plain = asdict(replace(self, episodes=()))
+        own = {"sides": plain["sides"]}
+        if len(self.sides) == 1:
+            [own] = plain["sides"].values()
             del own["score"]
-        returns = {agent: asdict(own) for agent, own in self.returns.items()}
-        strain = {name: asdict(worst) for name, worst in self.strain.items()}
         return {
             "settings": self.settings,
             "is_one_episode": self.is_one_episode,
             **own,
-            "returns": returns,
-            "strain": strain,
+            "returns": plain["returns"],
+            "strain": plain["strain"],
         }
 
     def to_json(self) -> str:
@@ -215,14 +215,19 @@ class Report:
         return reports_to_csv([self])
 
     def to_markdown(self) -> str:
-        """Return the statistics as Markdown: what was played, and tables."""
+        """Return the statistics as Markdown: a title, and tables."""
         count, seed = (self.settings[name] for name in ("episodes", "seed"))
-        told = f"{self.title}, {told_episodes(count)} of seed {seed}"
-        return f"{escaped(told)}:\n\n{markdown_tables(self)}"
+        title = escaped(f"{self.title}, {format_episodes(count)} of seed {seed}")
+        return f"{title}:\n\n{markdown_tables(self)}"
 
     def _repr_markdown_(self) -> str:
-        """Return what a notebook shows."""
+        """Return the text for a notebook."""
         return self.to_markdown()
+
+
+def is_share(measure: str) -> bool:
+    """Return whether a measure, such as `side_1/completion`, is from 0 to 1."""
+    return measure.rpartition("/")[2] in SHARES
 
 
 def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -230,7 +235,7 @@ def are_one_episode(rows: Sequence[Mapping[str, Any]]) -> bool:
     return len({repr({**row, "episode": 0}) for row in rows}) == 1
 
 
-def told_episodes(count: object) -> str:
+def format_episodes(count: object) -> str:
     """Return a number of episodes for people."""
     return f"{count} episode" if str(count) == "1" else f"{count} episodes"
 
@@ -246,56 +251,45 @@ def reports_to_json(reports: Sequence[Report]) -> str:
         }
         for report in reports
     }
-    return plain_to_json(content)
-
-
-def plain_to_json(content: Any) -> str:
-    """Return plain dictionaries and lists as JSON, with null for NaN."""
-    return json.dumps(without_nan(content), indent=2) + "\n"
+    return to_json(content)
 
 
 def reports_to_csv(reports: Sequence[Report]) -> str:
-    """Return all episodes of the reports as one CSV; what a row lacks is empty."""
+    """Return all episodes of the reports as one CSV; missing cells are empty."""
     rows = [
         {
             "environment": report.environment,
             "robots": " ".join(report._identity.robot_names),
-            **without_nan(row),
+            **row,
         }
         for report in reports
         for row in report.episodes
     ]
     columns = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return to_csv(columns, ([row.get(name) for name in columns] for row in rows))
 
 
 def markdown_tables(report: Report) -> str:
     """Return Markdown tables of a report, one line for each measure."""
-    measures = [
-        *_measures(report, "score"),
-        *_measures(report, "mean_reward"),
-        *(
-            (f"return of {agent}", own, False, "")
-            for agent, own in report.returns.items()
-        ),
-        *_measures(report, "completion", True),
-        *_measures(report, "performance", True),
-        *_measures(report, "time_to_success", unit=" s"),
-    ]
+    lines = []
+    for measure, form in _FORMS.items():
+        if by_agent := measure == "returns":
+            name, own = "return", report.returns
+        else:
+            name = "return" if measure == "mean_reward" else measure.replace("_", " ")
+            own = {side: getattr(each, measure) for side, each in report.sides.items()}
+        for who, statistic in own.items():
+            if statistic is not None:
+                is_alone = len(own) == 1 and not by_agent
+                lines.append(
+                    [
+                        name if is_alone else f"{name} of {who}",
+                        format_statistic(statistic, **form),
+                        format_number(statistic.median, **form),
+                        format_number(statistic.iqm, **form),
+                    ]
+                )
     heads = ["measure", "mean (95 % interval)", "median", "interquartile mean"]
-    lines = [
-        [
-            name,
-            format_statistic(statistic, percent=percent, unit=unit),
-            format_number(statistic.median, percent=percent, unit=unit),
-            format_number(statistic.iqm, percent=percent, unit=unit),
-        ]
-        for name, statistic, percent, unit in measures
-    ]
     parts = [markdown_table(heads, lines), strain_table(report)]
     return "\n\n".join([*parts, *map(escaped, one_episode_notes([report]))]) + "\n"
 
@@ -317,7 +311,7 @@ def one_episode_notes(reports: Sequence[Report]) -> list[str]:
 
 
 def strain_lines(report: Report) -> list[list[str]]:
-    """Return what people read of the strain: measure, mean, worst and its episode."""
+    """Return the strain for people: measure, mean, worst and its episode."""
     lines = []
     for name, worst in report.strain.items():
         factor, unit = next(
@@ -330,58 +324,23 @@ def strain_lines(report: Report) -> list[list[str]]:
     return lines
 
 
-def _measures(
-    report: Report, field: str, percent: bool = False, unit: str = ""
-) -> list[tuple[str, Statistic, bool, str]]:
-    """Return names, statistics and forms of a measure, one for each side with it."""
-    name = "return" if field == "mean_reward" else field.replace("_", " ")
-    is_alone = len(report.sides) == 1
-    return [
-        (
-            name if is_alone else f"{name} of {side}",
-            getattr(score, field),
-            percent,
-            unit,
-        )
-        for side, score in report.sides.items()
-        if getattr(score, field) is not None
-    ]
-
-
-def format_statistic(
-    statistic: Statistic, *, percent: bool = False, unit: str = ""
-) -> str:
-    """Return a mean and its interval for people, such as `98.0 % (95.0 to 100)`.
-
-    A single value has no interval, and equal ones show none.
-
-    Args:
-      statistic: what to tell.
-      percent: whether it is a share from 0 to 1.
-      unit: what to put after the mean.
-    """
-    ends = statistic.mean, statistic.low, statistic.high
-    return format_interval(*ends, percent=percent, unit=unit)
+def format_statistic(statistic: Statistic, **form: Any) -> str:
+    """Return a mean and its interval as `format_interval` does."""
+    return format_interval(statistic.mean, statistic.low, statistic.high, **form)
 
 
 def format_interval(
     value: float, low: float, high: float, *, percent: bool = False, unit: str = ""
 ) -> str:
-    """Return a number and its interval as `format_statistic` does.
+    """Return a number and its interval for people, such as `98.0 % (95.0 to 100)`.
 
-    Args:
-      value: the number; for NaN it is a dash.
-      low: lower end; NaN for no interval. One without a width is not told.
-      high: upper end.
-      percent: whether they are shares from 0 to 1.
-      unit: what to put after the number.
+    An interval that is NaN or has no width is left out; a number that is NaN is a dash.
+    The arguments are those of `format_number`.
     """
-    if math.isnan(value):
-        return "-"
     ends = [value] if math.isnan(low) or low == high else [low, high]
     digits = 1 if percent or max(map(abs, ends)) < 1000 else 0
     middle = format_number(value, percent=percent, unit=unit, digits=digits)
-    if len(ends) == 1:
+    if len(ends) == 1 or math.isnan(value):
         return middle
     first, last = (
         format_number(end, percent=percent, digits=digits).removesuffix(" %")
@@ -395,23 +354,11 @@ def format_number(
 ) -> str:
     """Return a number for people to read, such as `98.0 %`; a dash for NaN.
 
-    Args:
-      value: what to tell.
-      percent: whether it is a share from 0 to 1.
-      unit: what to put after it.
-      digits: how many after the point; a share of all is `100 %` in any case.
+    With `percent` it is a share from 0 to 1, else followed by `unit`; a share of all is
+    `100 %` with any number of digits after the point.
     """
     if math.isnan(value):
         return "-"
     if not percent:
         return f"{value:.{digits}f}{unit}"
     return "100 %" if value == 1.0 else f"{100 * value:.{digits}f} %"
-
-
-def without_nan(value: Any) -> Any:
-    """Return dictionaries and lists with None for NaN and what is infinite."""
-    if isinstance(value, dict):
-        return {name: without_nan(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

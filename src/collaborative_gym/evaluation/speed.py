@@ -1,11 +1,9 @@
 """How fast the environments are, beside the bare physics they run on."""
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -17,6 +15,8 @@ from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
+from collaborative_gym.evaluation.play import OnProgress
+from collaborative_gym.evaluation.table import to_json
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Task
@@ -24,10 +24,10 @@ from collaborative_gym.tasks.task import Task
 Actions = dict[str, np.ndarray]
 
 _ROUNDS = 11
-"""Alternations of bare physics and environment, whose median counts."""
+"""Rounds in which bare physics and environment take turns; their median counts."""
 
 _STEPS = 8
-"""Control steps of one round."""
+"""Control steps of a round."""
 
 _MEMORY_ENVS = 1024
 """Worlds whose memory is measured."""
@@ -35,62 +35,38 @@ _MEMORY_ENVS = 1024
 
 @dataclass(frozen=True)
 class Rates:
-    """Control steps of one world per second, with one kind of actions.
+    """Control steps of one world per second, with one kind of actions."""
 
-    Attributes:
-      bare: of `mujoco.batch` alone, from the same states with the same controls.
-      env: of `VectorEnv.step`, with its resets.
-      ratio: the median of the rounds' env / bare.
-    """
-
-    bare: float
-    env: float
-    ratio: float
+    bare: float  # of `mujoco.batch` alone, from the same states with the same controls
+    env: float  # of `VectorEnv.step`, with its resets
+    ratio: float  # median of the rounds' env / bare
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What was measured in one environment.
+    """Speed of one environment."""
 
-    Attributes:
-      environment: its id.
-      expert: with the scripted expert's actions; of robots that hold still where there
-        is no expert.
-      random: with random actions, under which arms crash.
-      single_rate: steps per second of one PettingZoo environment, with its resets.
-      reset_ms: time of one world's reset, in ms.
-      make_s: time to make the first PettingZoo environment of a process, in s.
-      kb_per_env: memory per world, in kB.
-    """
-
-    environment: str
-    expert: Rates
-    random: Rates
-    single_rate: float
-    reset_ms: float
-    make_s: float
-    kb_per_env: float
+    environment: str  # its id
+    expert: Rates  # with the expert; where there is none, with robots that hold still
+    random: Rates  # with random actions, under which arms crash
+    single_rate: float  # steps per second of a PettingZoo environment, with resets
+    reset_ms: float  # time of one world's reset
+    make_s: float  # time to make the first PettingZoo environment of a process
+    kb_per_env: float  # memory per world
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What was measured in one run.
+    """Speeds measured in one run."""
 
-    Attributes:
-      machine: what the numbers depend on besides the environments.
-      num_envs: worlds that were stepped together.
-      num_threads: physics threads.
-      environments: what was measured of each.
-    """
-
-    machine: dict[str, str | int]
-    num_envs: int
-    num_threads: int
+    machine: dict[str, str | int]  # processor and versions
+    num_envs: int  # worlds that were stepped together
+    num_threads: int  # physics threads
     environments: tuple[Speed, ...]
 
     def to_json(self) -> str:
         """Return everything as JSON."""
-        return json.dumps(asdict(self), indent=2) + "\n"
+        return to_json(self)
 
 
 def benchmark(
@@ -98,7 +74,7 @@ def benchmark(
     num_envs: int = 256,
     *,
     num_threads: int = 0,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Benchmark:
     """Return how fast environments are here and now.
 
@@ -132,7 +108,7 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     return Speed(
         environment=env_id,
         expert=_compare(env, num_threads, lambda _: usual()),
-        random=_compare(env, num_threads, lambda rng: _random(env, rng)),
+        random=_compare(env, num_threads, lambda rng: _random(env, rng, num_envs)),
         single_rate=_single_rate(single),
         reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
         make_s=_in_fresh_process(_time_to_make, env_id),
@@ -165,7 +141,7 @@ def _compare(
             env.sim.set_state(before)
             env.step(actions[-1])
         env.set_state(start)
-        env_times.append(_time(partial(_play, env, actions)))
+        env_times.append(_time(lambda own=actions: [env.step(each) for each in own]))
         bare_times.append(sum(_roll(bare, *each) for each in rounds))
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
@@ -176,14 +152,9 @@ def _compare(
     )
 
 
-def _play(env: VectorEnv, actions: Sequence[Actions]) -> None:
-    for each in actions:
-        env.step(each)
-
-
-def _random(env: VectorEnv, rng: np.random.Generator) -> Actions:
+def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions:
     return {
-        agent: rng.uniform(-1, 1, (env.num_envs, *space.shape))
+        agent: rng.uniform(-1, 1, (*num_envs, *space.shape))
         for agent, space in env.single_action_spaces.items()
     }
 
@@ -198,21 +169,13 @@ def _single_rate(env: PettingZooEnv) -> float:
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     count = min(100, env.vector_env.task.config.max_episode_steps)
-    actions = [
-        {
-            agent: rng.uniform(-1, 1, space.shape).astype(np.float32)
-            for agent, space in env.action_spaces.items()
-        }
-        for _ in range(count)
-    ]
-
-    def step() -> None:
-        for action in actions:
-            if not env.agents:  # A side has won, which ends the episode early.
-                env.reset()
-            env.step(action)
-
-    return count / _time(step)
+    actions = [_random(env.vector_env, rng) for _ in range(count)]
+    started = time.perf_counter()
+    for action in actions:
+        if not env.agents:  # A side has won, which ends the episode early.
+            env.reset()
+        env.step(action)
+    return count / (time.perf_counter() - started)
 
 
 def _time(call: Callable[[], object]) -> float:
@@ -231,12 +194,7 @@ def _memory_per_env(env_id: str) -> float:
     before = _resident_kb()
     env = VectorEnv(make_task(env_id), _MEMORY_ENVS, num_threads=1)
     env.reset(seed=0)
-    env.step(
-        {
-            agent: np.zeros((_MEMORY_ENVS, *space.shape))
-            for agent, space in env.single_action_spaces.items()
-        }
-    )
+    env.step(env.idle())
     return (_resident_kb() - before) / _MEMORY_ENVS
 
 

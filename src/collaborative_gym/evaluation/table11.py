@@ -1,25 +1,17 @@
 """Table 11 of the 2023 thesis that defined the environments, beside our baselines."""
 
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from collaborative_gym.errors import UnknownName, check_callback, check_count, unknown
-from collaborative_gym.evaluation.play import evaluate, part_of
-from collaborative_gym.evaluation.report import (
-    Report,
-    Statistic,
-    format_number,
-    without_nan,
-)
-from collaborative_gym.evaluation.table import markdown_table
+from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
+from collaborative_gym.evaluation.report import Report, format_number
+from collaborative_gym.evaluation.table import markdown_table, to_json
 from collaborative_gym.policies import load_policy
 from collaborative_gym.policies.policy import is_shipped
 from collaborative_gym.tasks.registry import make_task
-
-MEASURES = ("mean_reward", "completion", "performance")
-"""What the thesis gives of each environment."""
 
 COLUMNS = {
     "ours": ("baseline", "paper"),
@@ -27,10 +19,10 @@ COLUMNS = {
     "expert": ("expert", "paper"),
     "random": ("random", "paper"),
 }
-"""Policy and randomization of what stands beside the thesis's numbers."""
+"""Policy and randomization of the columns beside the thesis's numbers."""
 
 _AS_GOOD_AS_ALL = 0.9995
-"""A share of at least this reads 100.0 %; where the thesis has it, equal is enough."""
+"""Least share that reads 100.0 %; where the thesis has one, an equal one is enough."""
 
 _LEAST_ON_DEFAULT = {"completion": 0.98, "performance": 0.95}
 """The least that counts as good on `default`, which the thesis lacks. Our choice."""
@@ -41,22 +33,16 @@ NOTE = (
     " ours are stricter: Poke needs the stick threaded through the ring, Lift both"
     " grips held, Pass robot_2's grip."
 )
-"""What decides a cell, and what must be known to compare."""
+"""Note below the table: what decides a cell, and how the success rules differ."""
 
 
 @dataclass(frozen=True)
 class Thesis:
-    """A line of the thesis's table, over 200 trials.
+    """A line of the thesis's table, over 200 trials."""
 
-    Attributes:
-      mean_reward: sum over all steps and both robots.
-      completion: share of the trials that reached the goal, 0 to 1.
-      performance: share of the steps at the goal, 0 to 1.
-    """
-
-    mean_reward: float
-    completion: float
-    performance: float
+    mean_reward: float  # sum over all steps and both robots
+    completion: float  # share of the trials that reached the goal
+    performance: float  # share of the steps at the goal
 
 
 THESIS: Mapping[str, Thesis] = {
@@ -73,40 +59,31 @@ THESIS: Mapping[str, Thesis] = {
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """An environment's line of the thesis, and what we measured.
+class Line:
+    """An environment's line of the thesis, and our reports by column of `COLUMNS`.
 
-    Attributes:
-      environment: its id.
-      thesis: the thesis's line.
-      reports: by column of `COLUMNS`; those of a baseline that is not shipped are
-        missing.
+    A baseline that is not shipped has no report.
     """
 
     environment: str
     thesis: Thesis
     reports: Mapping[str, Report]
 
-    def statistic(self, column: str, measure: str) -> Statistic | None:
-        """Return what was measured, None where there is no baseline."""
+    def mean(self, column: str, measure: str) -> float:
+        """Return the mean of our report, NaN where there is no baseline."""
         report = self.reports.get(column)
-        return None if report is None else getattr(report, measure)
+        return math.nan if report is None else getattr(report, measure).mean
 
     def verdicts(self) -> dict[tuple[str, str], bool]:
         """Return whether ours is good enough, by column and measure."""
         verdicts = {}
-        for measure in MEASURES:
-            ours = self.statistic("ours", measure)
-            bound = getattr(self.thesis, measure)
+        for measure, bound in asdict(self.thesis).items():
+            ours = self.mean("ours", measure)
             is_enough = measure != "mean_reward" and bound >= _AS_GOOD_AS_ALL
-            verdicts["ours", measure] = ours is not None and (
-                ours.mean > bound or (is_enough and ours.mean == bound)
-            )
+            verdicts["ours", measure] = ours > bound or (is_enough and ours == bound)
         for measure, bound in _LEAST_ON_DEFAULT.items():
-            ours = self.statistic("ours_on_default", measure)
-            verdicts["ours_on_default", measure] = (
-                ours is not None and ours.mean >= bound
-            )
+            column = "ours_on_default"
+            verdicts[column, measure] = self.mean(column, measure) >= bound
         return verdicts
 
 
@@ -115,14 +92,14 @@ class Table11:
     """The thesis's numbers beside those of the baselines, the experts and chance.
 
     Attributes:
-      episodes: how many were played for each number of ours.
-      seed: which episodes.
-      comparisons: one per environment.
+      episodes: number of episodes for each number of ours.
+      seed: of the episodes.
+      comparisons: one line for each environment.
     """
 
     episodes: int
     seed: int
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Line, ...]
 
     @property
     def is_passed(self) -> bool:
@@ -139,40 +116,29 @@ class Table11:
 
     def _verdicts(self) -> list[bool]:
         return [
-            is_passed
-            for comparison in self.comparisons
-            for is_passed in comparison.verdicts().values()
+            passes for line in self.comparisons for passes in line.verdicts().values()
         ]
 
     def lines(self, reward_digits: int = 2) -> list[list[str]]:
-        """Return what people read: environment, measure, thesis, then `COLUMNS`.
+        """Return cells for people: environment, measure, thesis, then `COLUMNS`.
 
-        There is a line per environment and measure. A dash stands where there is no
-        baseline; PASS or FAIL follows what is judged.
-
-        Args:
-          reward_digits: digits of rewards after the point.
+        There is a line per environment and measure, with so many digits of rewards. A
+        dash stands where there is no baseline; PASS or FAIL follows what is judged.
         """
         lines = []
-        for comparison in self.comparisons:
-            verdicts = comparison.verdicts()
-            for measure in MEASURES:
+        for line in self.comparisons:
+            verdicts = line.verdicts()
+            for measure, bound in asdict(line.thesis).items():
                 is_share = measure != "mean_reward"
                 digits = 2 if is_share else reward_digits
-                values = [getattr(comparison.thesis, measure)]
-                for column in COLUMNS:
-                    statistic = comparison.statistic(column, measure)
-                    values.append(math.nan if statistic is None else statistic.mean)
-                cells = [
-                    format_number(value, percent=is_share, digits=digits)
-                    for value in values
-                ]
-                for i, column in enumerate(COLUMNS, start=1):
+                cells = []
+                for column in ("thesis", *COLUMNS):
+                    value = bound if column == "thesis" else line.mean(column, measure)
+                    cell = format_number(value, percent=is_share, digits=digits)
                     if (column, measure) in verdicts:
-                        word = "PASS" if verdicts[column, measure] else "FAIL"
-                        cells[i] += f" {word}"
-                name = measure.replace("_", " ")
-                lines.append([comparison.environment, name, *cells])
+                        cell += " PASS" if verdicts[column, measure] else " FAIL"
+                    cells.append(cell)
+                lines.append([line.environment, measure.replace("_", " "), *cells])
         return lines
 
     def to_markdown(self) -> str:
@@ -192,25 +158,26 @@ class Table11:
     def to_json(self) -> str:
         """Return all statistics and verdicts as JSON, with null for NaN."""
         environments = {}
-        for comparison in self.comparisons:
-            entry: dict[str, object] = {"thesis": asdict(comparison.thesis)}
+        for line in self.comparisons:
+            entry: dict[str, Any] = {"thesis": line.thesis}
             for column in COLUMNS:
-                report = comparison.reports.get(column)
-                entry[column] = None if report is None else report.summary()
-            verdicts: dict[str, dict[str, bool]] = {}
-            for (column, measure), is_passed in comparison.verdicts().items():
-                verdicts.setdefault(column, {})[measure] = is_passed
-            environments[comparison.environment] = entry | {"passed": verdicts}
-        content = {
-            "table": "table11",
-            "episodes": self.episodes,
-            "seed": self.seed,
-            "verdict": self.verdict,
-            "is_passed": self.is_passed,
-            "note": NOTE,
-            "environments": environments,
-        }
-        return json.dumps(without_nan(content), indent=2) + "\n"
+                report = line.reports.get(column)
+                entry[column] = report and report.summary()
+            entry["passed"] = {}
+            for (column, measure), is_passed in line.verdicts().items():
+                entry["passed"].setdefault(column, {})[measure] = is_passed
+            environments[line.environment] = entry
+        return to_json(
+            {
+                "table": "table11",
+                "episodes": self.episodes,
+                "seed": self.seed,
+                "verdict": self.verdict,
+                "is_passed": self.is_passed,
+                "note": NOTE,
+                "environments": environments,
+            }
+        )
 
 
 def reproduce_table11(
@@ -219,18 +186,18 @@ def reproduce_table11(
     *,
     env_ids: Sequence[str] | None = None,
     num_threads: int = 0,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Table11:
     """Play the baselines, the experts and random actions beside the thesis's numbers.
 
     The numbers are the same for any `num_threads`.
 
     Args:
-      episodes: how many per environment and policy.
-      seed: which episodes.
-      env_ids: which of the table's environments; None for all eight.
+      episodes: number per environment and policy.
+      seed: of the episodes.
+      env_ids: environments of the table; None for all eight.
       num_threads: physics threads, 0 for one per CPU.
-      on_progress: called as the work goes on with the share that is done, 0 to 1.
+      on_progress: called with the share that is done, 0 to 1.
 
     Raises:
       KeyError: if an environment is not in the table.
@@ -255,7 +222,8 @@ def reproduce_table11(
             if shipped or policy != "baseline"
         ]
     reports: dict[str, dict[str, Report]] = {}
-    for i, (env_id, column) in enumerate(jobs):
+    parts = parts_of(on_progress, [1] * len(jobs))
+    for (env_id, column), part in zip(jobs, parts, strict=True):
         policy, randomization = COLUMNS[column]
         reports.setdefault(env_id, {})[column] = evaluate(
             make_task(env_id, randomization=randomization),
@@ -263,15 +231,12 @@ def reproduce_table11(
             episodes=episodes,
             seed=seed,
             num_threads=num_threads,
-            on_progress=part_of(on_progress, i, len(jobs)),
+            on_progress=part,
         )
-    comparisons = [
-        Comparison(env_id, THESIS[env_id], columns)
-        for env_id, columns in reports.items()
-    ]
-    return Table11(episodes, seed, tuple(comparisons))
+    lines = [Line(env_id, THESIS[env_id], own) for env_id, own in reports.items()]
+    return Table11(episodes, seed, tuple(lines))
 
 
 def column_names() -> list[str]:
-    """Return how people read the names of `COLUMNS`."""
+    """Return the names of `COLUMNS` for people."""
     return [column.replace("_", " ") for column in COLUMNS]

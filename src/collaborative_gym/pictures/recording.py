@@ -2,15 +2,15 @@
 
 import io
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from importlib import import_module
 from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from collaborative_gym.envs.arguments import check_episodes
@@ -24,8 +24,9 @@ from collaborative_gym.errors import (
     shown,
     unknown,
 )
+from collaborative_gym.evaluation.play import OnProgress
 from collaborative_gym.files import naming, replacing
-from collaborative_gym.pictures.rendering import check_renderer
+from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.policies import AnyPolicy, Policy, as_policy
 from collaborative_gym.policies.match import name_players, standing
 from collaborative_gym.scene.surroundings import LARGEST
@@ -34,34 +35,19 @@ from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT
 
 _SAME_SPREAD = 0.01
-"""Differences of the robots' nearness that a picture does not show, in m."""
+"""Difference of the robots' nearness that a picture does not show, in m."""
 
 _HOLD = 1.0
-"""How long a film shows what came of an episode, in s."""
+"""Time for which a film shows the end of an episode, in s."""
 
 _LONGEST = 36_000.0
-"""Greatest length of a film, in s, that can be asked for."""
+"""Greatest length of a film, in s."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
 
 Frames = Iterator[np.ndarray]
 """Pictures, (height, width, 3) uint8."""
-
-
-@dataclass(frozen=True)
-class _Format:
-    """A kind of video file.
-
-    Attributes:
-      write: writes frames at a rate in 1/s to a path, whole or not at all.
-      shots: frames per control step, so that the video plays in real time.
-      size: default width and height in pixels.
-    """
-
-    write: Callable[[Path, Frames, int], None]
-    shots: int
-    size: tuple[int, int]
 
 
 def record(
@@ -74,7 +60,7 @@ def record(
     seed: int = 0,
     only_episodes: Sequence[int] | None = None,
     size: tuple[int, int] | None = None,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Path:
     """Write a video of a seed's episodes, in real time, and return its path.
 
@@ -85,14 +71,13 @@ def record(
     Args:
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
-      policy: a name for `load_policy`, a function from observations to actions, or one
-        of these for each agent. Several are shown side by side, in the same
+      policy: as `evaluate` takes it. Several are shown side by side, in the same
         episodes; the first one decides when the next start comes. Each picture says
         the time, who plays, and whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
-      seconds: how long the film of the first episodes lasts at least, up to 36,000;
-        None for 10. An episode that has begun by then is shown to its end.
-      seed: which episodes.
+      seconds: least length of the film of the first episodes, up to 36,000; None for
+        10. An episode that has begun by then is shown to its end.
+      seed: of the episodes.
       only_episodes: indices of the seed's episodes to show instead of the first ones,
         such as the worst ones that a report names.
       size: width and height in pixels, of each policy's picture; None for 1280 x 720,
@@ -119,8 +104,13 @@ def record(
     seconds = check_number("seconds", seconds, above=0.0, at_most=_LONGEST)
     check_kind("output", output, (str, Path), "path")
     output = Path(output)
-    kind = _format(output)
-    width, height = _sides(kind.size if size is None else size)
+    suffix = output.suffix.lower()
+    if suffix not in _FORMATS:
+        raise ValueError(
+            f"cannot record to {output.name!r}: {unknown('format', suffix, _FORMATS)}"
+        )
+    write, shots, usual = _FORMATS[suffix]
+    width, height = _sides(usual if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
     check_callback("on_progress", on_progress)
@@ -135,22 +125,17 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            cast.append(_Player(world, act, players, kind.shots, (width, height)))
+            cast.append(_Player(world, act, players, shots, (width, height)))
         frames = _film(cast, seconds, seed, only_episodes, on_progress)
-        kind.write(output, frames, round(kind.shots / CONTROL_DT))
+        write(output, frames, round(shots / CONTROL_DT))
     return output
 
 
 def check_ready() -> None:
-    """Raise if no videos and pictures can be made here.
-
-    Raises:
-      ImportError: if the extra `video` is not installed.
-      RuntimeError: if no off-screen renderer can start; says what to install.
-    """
+    """Raise ImportError or RuntimeError if no videos and pictures can be made here."""
     for module in ("imageio_ffmpeg", "PIL"):
         _import(module)
-    check_renderer()
+    Camera(mujoco.MjSpec().compile(), 64, 64).close()
 
 
 def picture(
@@ -163,38 +148,29 @@ def picture(
     """Return a picture of the robots together, in a seed's first episode.
 
     It shows the moment, up to the first success, at which their tool centre points are
-    nearest to one another.
-
-    Args:
-      env: an environment id, a task's name, or a task.
-      policy: as `evaluate` takes it.
-      seed: which episode.
-      size: width and height in pixels.
+    nearest to one another. The arguments are those of `evaluate`.
 
     Returns:
-      (height, width, 3) uint8.
+      (height, width, 3) uint8, of `size` (width, height) in pixels.
 
     Raises:
       KeyError: if a name is unknown.
       RuntimeError: if no off-screen renderer can start; says what to install.
     """
     width, height = _sides(size)
-    vector_env = VectorEnv(as_task(env), 1, seed=seed, num_threads=1)
-    act = as_policy(policy, vector_env)
-    observations, infos = vector_env.reset()
-    best, least = vector_env.get_state(), _spread(vector_env)
-    while not infos["success"][0]:
-        observations, _, _, _, infos = vector_env.step(act(observations))
-        if infos["ended"][0]:
-            break
-        spread = _spread(vector_env)
-        if spread < least + _SAME_SPREAD:
-            best, least = vector_env.get_state(), min(spread, least)
-    vector_env.set_state(best)
-    width, height = size
-    pixels = vector_env.render(width=width, height=height)
-    vector_env.close()
-    return pixels
+    with closing(VectorEnv(as_task(env), 1, seed=seed, num_threads=1)) as world:
+        act = as_policy(policy, world)
+        observations, infos = world.reset()
+        best, least = world.get_state(), _spread(world)
+        while not infos["success"][0]:
+            observations, _, _, _, infos = world.step(act(observations))
+            if infos["ended"][0]:
+                break
+            spread = _spread(world)
+            if spread < least + _SAME_SPREAD:
+                best, least = world.get_state(), min(spread, least)
+        world.set_state(best)
+        return world.render(width=width, height=height)
 
 
 def contact_sheet(
@@ -203,68 +179,33 @@ def contact_sheet(
     output: str | Path,
     columns: int = 4,
 ) -> Path:
-    """Write pictures of one size side by side into a PNG, and return its path.
+    """Write labelled pictures of one size side by side into a PNG, and return its path.
 
-    Args:
-      pictures: (height, width, 3) uint8 each.
-      labels: what to write above each picture.
-      output: the file.
-      columns: pictures in a row.
+    Pictures are (height, width, 3) uint8 each, `columns` of them in a row.
 
     Raises:
       ImportError: if the extra `video` is not installed.
     """
-    image_module, draw = _import("PIL.Image"), _import("PIL.ImageDraw")
-    font = _import("PIL.ImageFont").load_default(size=pictures[0].shape[0] / 18)
+    image = _import("PIL.Image")
     height, width = pictures[0].shape[:2]
+    font = _import("PIL.ImageFont").load_default(size=height / 18)
     band, gap = height // 11, width // 80
+    right, down = width + gap, height + band + gap
     rows = -(-len(pictures) // columns)
-    sheet = image_module.new(
-        "RGB",
-        (columns * (width + gap) + gap, rows * (height + band + gap) + gap),
-        "white",
-    )
-    pen = draw.Draw(sheet)
+    sheet = image.new("RGB", (columns * right + gap, rows * down + gap), "white")
+    pen = _import("PIL.ImageDraw").Draw(sheet)
     for i, (pixels, label) in enumerate(zip(pictures, labels, strict=True)):
-        x = gap + i % columns * (width + gap)
-        y = gap + i // columns * (height + band + gap)
+        x, y = gap + i % columns * right, gap + i // columns * down
         pen.text((x + width // 2, y + band // 2), label, "black", font, anchor="mm")
-        sheet.paste(image_module.fromarray(pixels), (x, y + band))
+        sheet.paste(image.fromarray(pixels), (x, y + band))
     output = Path(output)
     with replacing(output) as partial:
         _save(sheet, partial, output, format="PNG")
     return output
 
 
-class _Painter:
-    """Draws a world, but only again when something has moved far enough to be seen.
-
-    Experts hold still at the goal, and without a graphics card drawing takes most of
-    the time.
-    """
-
-    def __init__(self, env: VectorEnv, size: tuple[int, int]):
-        self._env = env
-        self._size = size
-        self._frame: np.ndarray | None = None
-        self._drawn = np.zeros(0)
-
-    def __call__(self) -> np.ndarray:
-        sim = self._env.sim
-        places = np.concatenate([sim.qpos[0], sim.mocap_pos[0].ravel()])
-        if self._frame is None or np.abs(places - self._drawn).max() > _VISIBLE:
-            self._frame = self._env.render(width=self._size[0], height=self._size[1])
-            self._drawn = places
-        return self._frame
-
-
 def _sides(size: Any) -> tuple[int, int]:
-    """Return a picture's width and height.
-
-    Raises:
-      TypeError: if they are not two integers.
-      ValueError: if one is below 1, or above the largest that can be drawn.
-    """
+    """Return a picture's width and height, checked."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
         raise TypeError(f"size must be a width and a height, got {shown(size)}")
     width, height = size
@@ -281,7 +222,11 @@ def _spread(env: VectorEnv) -> float:
 
 
 class _Player:
-    """A policy that plays one world, and its camera."""
+    """A policy that plays one world, and its camera.
+
+    The camera draws only when something has moved far enough to be seen: experts hold
+    still at the goal, and without a graphics card drawing takes most of the time.
+    """
 
     def __init__(
         self,
@@ -292,7 +237,8 @@ class _Player:
         size: tuple[int, int],
     ):
         self._env, self._policy, self._players = env, policy, players
-        self._shots, self._draw = shots, _Painter(env, size)
+        self._shots, self._size = shots, size
+        self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._frames: list[np.ndarray] = []
         env.watch(lambda: self._frames.append(self._draw()), shots)
 
@@ -306,20 +252,29 @@ class _Player:
     def start(self, seed: int, episode: int) -> list[np.ndarray]:
         """Start an episode and return its first picture."""
         self._observations, self._infos = self._env.reset(seed, [episode])
-        return [_labelled(self._draw(), self._caption())]
+        return self._labelled([self._draw()])
 
     def step(self) -> list[np.ndarray]:
         """Do a control step and return its pictures; after the end all stands still."""
         if self._infos["ended"][0]:
-            return [_labelled(self._draw(), self._caption())] * self._shots
+            return self._labelled([self._draw()]) * self._shots
         self._frames.clear()
         actions = self._policy(self._observations)
         self._observations, *_, self._infos = self._env.step(actions)
-        return [_labelled(frame, self._caption()) for frame in self._frames]
+        return self._labelled(self._frames)
 
-    def _caption(self) -> str:
+    def _draw(self) -> np.ndarray:
+        sim = self._env.sim
+        places = np.concatenate([sim.qpos[0], sim.mocap_pos[0].ravel()])
+        if np.abs(places - self._drawn).max() > _VISIBLE:
+            self._frame = self._env.render(width=self._size[0], height=self._size[1])
+            self._drawn = places
+        return self._frame
+
+    def _labelled(self, frames: Iterable[np.ndarray]) -> list[np.ndarray]:
         seconds = self._infos["step"][0] * CONTROL_DT
-        return f"{seconds:.1f} s  {standing(self._players, self._infos)}"
+        label = f"{seconds:.1f} s  {standing(self._players, self._infos)}"
+        return [_labelled(frame, label) for frame in frames]
 
 
 def _film(
@@ -327,16 +282,11 @@ def _film(
     seconds: float,
     seed: int,
     episodes: Sequence[int] | None,
-    on_progress: Callable[[float], object] | None,
+    on_progress: OnProgress,
 ) -> Frames:
     """Yield the players' pictures side by side, one start after the other.
 
-    Args:
-      cast: who plays.
-      seconds: how long the film of the first episodes lasts at least.
-      seed: which episodes.
-      episodes: those that are shown, to the last; None for the first ones.
-      on_progress: called after each step with the share that is done.
+    The film shows all `episodes`, or the first ones for at least so many seconds.
     """
     played = 0.0
     for i, episode in enumerate(count() if episodes is None else episodes):
@@ -361,7 +311,7 @@ def _film(
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     """Return a frame with a text in its corner, as large as its width allows.
 
-    What stands behind two spaces comes below, if there is no room for it.
+    If there is no room for all in a line, the part after two spaces comes below.
     """
     picture = _import("PIL.Image").fromarray(frame)
     pen = _import("PIL.ImageDraw").Draw(picture)
@@ -402,7 +352,7 @@ def _write_mp4(output: Path, frames: Frames, rate: int) -> None:
 
 
 def _feed(encoder: subprocess.Popen[bytes], frames: Iterable[np.ndarray]) -> None:
-    """Give an encoder frames to their end, or until it ends, which its status tells."""
+    """Give an encoder frames to their end, or until the encoder itself ends."""
     assert encoder.stdin is not None
     for frame in frames:
         try:
@@ -434,27 +384,13 @@ def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
         partial.write_bytes(content.getvalue())
 
 
-_FORMATS = {
-    ".mp4": _Format(_write_mp4, shots=2, size=(1280, 720)),
-    ".gif": _Format(_write_gif, shots=1, size=(416, 234)),
-}
-
-
-def _format(output: Path) -> _Format:
-    suffix = output.suffix.lower()
-    if suffix not in _FORMATS:
-        raise ValueError(
-            f"cannot record to {output.name!r}: {unknown('format', suffix, _FORMATS)}"
-        )
-    return _FORMATS[suffix]
+_FORMATS = {".mp4": (_write_mp4, 2, (1280, 720)), ".gif": (_write_gif, 1, (416, 234))}
+"""Writers of a kind of video file, pictures per control step, so that it plays in real
+time, and default sizes in pixels."""
 
 
 def _import(name: str) -> Any:
-    """Return a module of the extra `video`.
-
-    Raises:
-      ImportError: if it is not installed; says how to.
-    """
+    """Return a module of the extra `video`; raise ImportError if it is missing."""
     try:
         return import_module(name)
     except ImportError as error:

@@ -22,22 +22,18 @@ _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
 
 _drawn_in: set[int] = set()
-"""The process that has drawn, and those forked off since that tried to."""
+"""Ids of the process that has drawn, and of forks of it that tried to."""
 
 _inherited: list[Any] = []
-"""Renderers of a process that this one was forked off from, which are never freed."""
+"""Renderers of the parent of this forked process, which are never freed."""
 
 
 class Camera:
     """An off-screen renderer that looks through a world's `overview` camera.
 
     Any thread may use it. A graphics context belongs to one thread, so that all of a
-    process's pictures are drawn in the same one, one after the other.
-
-    Args:
-      model: the world, from `Scene.compile_to_draw`.
-      width: of the pictures, in pixels.
-      height: of the pictures, in pixels.
+    process's pictures are drawn in the same one, one after the other. The model is that
+    of `World.drawn_model`; sides are in pixels.
 
     Raises:
       TypeError: if a side is not an integer.
@@ -63,11 +59,7 @@ class Camera:
         self._free = weakref.finalize(self, _free, self._renderer, os.getpid())
 
     def picture(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:
-        """Return a world as a (height, width, 3) uint8 picture.
-
-        Args:
-          qpos: its positions.
-          mocap_pos: the places of its targets.
+        """Return a world as a (height, width, 3) uint8 picture, by qpos and mocap_pos.
 
         Raises:
           RuntimeError: in a process that was forked off since the first picture.
@@ -92,23 +84,12 @@ def overview(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where the `overview` camera stands and what it looks at, (3,) in m each.
 
-    Args:
-      model: the world.
-      data: its state, whose camera is current.
+    The camera of `data` must be current.
     """
     camera = data.camera(CAMERA)
     forward = -camera.xmat.reshape(3, 3)[:, 2]
     distance = np.dot(model.stat.center - camera.xpos, forward)
     return camera.xpos, camera.xpos + distance * forward
-
-
-def check_renderer() -> None:
-    """Raise if no pictures can be drawn here.
-
-    Raises:
-      RuntimeError: if no renderer can start; says what to install.
-    """
-    Camera(mujoco.MjSpec().compile(), 64, 64).close()
 
 
 def _start(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
@@ -124,7 +105,7 @@ def _start(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
 
 
 def _in_thread(job: Callable[..., T], *arguments: Any) -> T:
-    """Return what a job returns that is done in the thread that draws.
+    """Return the result of a job that is done in the thread that draws.
 
     Raises:
       RuntimeError: in a process that was forked off since pictures were drawn: graphics

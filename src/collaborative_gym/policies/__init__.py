@@ -1,4 +1,4 @@
-"""What turns observations into actions."""
+"""Policies, which turn observations into actions."""
 
 from collaborative_gym.policies.policy import (
     AnyPolicy,

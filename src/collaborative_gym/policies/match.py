@@ -1,4 +1,4 @@
-"""Who plays a world, and how the match stands, in a few words."""
+"""The players of a world, and the standing of their match, in a few words."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,23 +11,18 @@ Sides = Mapping[str, tuple[str, ...]]
 
 
 def name_players(policy: AnyPolicy, sides: Sides) -> dict[str, str]:
-    """Return who plays each side, by its name.
+    """Return the name of each side's policy, or the last part of its path.
 
-    That is the name of the policy, or the last part of a path. With several sides it
-    comes after the agents, such as "robot_1 expert".
+    With several sides it comes after the agents, such as "robot_1 expert".
     """
     players = {}
     for side, agents in sides.items():
-        if isinstance(policy, Mapping):
-            own = {agent: _short(policy[agent]) for agent in agents}
+        given = [policy[a] if isinstance(policy, Mapping) else policy for a in agents]
+        names = [Path(name_policy(each)).name for each in given]
+        if len(set(names)) > 1:
+            players[side] = " ".join(map("{}={}".format, agents, names))
         else:
-            own = dict.fromkeys(agents, _short(policy))
-        if len(set(own.values())) > 1:
-            players[side] = " ".join(f"{agent}={name}" for agent, name in own.items())
-        elif len(sides) > 1:
-            players[side] = f"{'+'.join(agents)} {own[agents[0]]}"
-        else:
-            players[side] = own[agents[0]]
+            players[side] = f"{'+'.join(agents)} " * (len(sides) > 1) + names[0]
     return players
 
 
@@ -35,11 +30,8 @@ def standing(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
     """Return how an episode stands, such as "robot_1 expert 2 : 1 robot_2 main".
 
     Where there is one side, that is who plays, and whether the goal is met. At the end
-    of an episode of several sides a second line has the winner.
-
-    Args:
-      players: by side, from `name_players`.
-      infos: of the last step or reset of a batch of one world.
+    of an episode of several sides a second line has the winner. Players are those of
+    `name_players`, and infos of the last step or reset of a batch of one world.
     """
     if len(players) == 1:
         [player] = players.values()
@@ -47,15 +39,15 @@ def standing(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
     points = _points(players, infos)
     if len(players) == 2:
         (first, one), (second, other) = zip(players.values(), points, strict=True)
-        told = f"{first} {one} : {other} {second}"
+        text = f"{first} {one} : {other} {second}"
     else:
         pairs = zip(players.values(), points, strict=True)
-        told = ", ".join(f"{player} {own}" for player, own in pairs)
-    return f"{told}\n{result(players, infos)}" if infos["ended"][0] else told
+        text = ", ".join(f"{player} {own}" for player, own in pairs)
+    return f"{text}\n{result(players, infos)}" if infos["ended"][0] else text
 
 
 def result(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
-    """Return who has won an episode of several sides, at its end."""
+    """Return the winner of an episode of several sides, at its end."""
     points = dict(zip(players, map(float, _points(players, infos)), strict=True))
     best = [side for side, own in points.items() if own == max(points.values())]
     return "draw" if len(best) > 1 else f"{players[best[0]]} wins"
@@ -64,7 +56,3 @@ def result(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
 def _points(players: Mapping[str, str], infos: Mapping[str, Any]) -> list[str]:
     score = infos["metrics"]["score"]
     return [f"{float(score[side][0]):g}" for side in players]
-
-
-def _short(policy: AnyPolicy) -> str:
-    return Path(name_policy(policy)).name

@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from collaborative_gym.blocks import Layout
+from collaborative_gym.blocks import Layout, split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.files import check_regular, replacing
@@ -21,55 +22,43 @@ from collaborative_gym.math import Array
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 
 OBSERVATION_LIMIT = 5.0
-"""Networks see observations in standard deviations, cut off at this many."""
+"""Bound of the networks' inputs, in standard deviations of the observations."""
 
 _FORMATS = 2, 3
-"""Numbers of the file formats; a file of another one is refused.
-
-The former has only the sizes of observations and actions, the latter all blocks."""
+"""Numbers of the file formats; others are refused. The former has only the sizes of
+observations and actions, the latter all blocks."""
 
 _KEY = "collaborative_gym"
-"""Where a file's digest and, right after it, its description are in its metadata."""
+"""Entry of a file's metadata with its digest and, right after it, its description."""
 
 _DIGEST_LENGTH = 64
 
 _TRAINING = b"collaborative_gym training"
-"""Begins the checkpoints of training runs."""
+"""Beginning of the checkpoints of training runs."""
 
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "relu": lambda x: np.maximum(x, 0.0),
     "elu": lambda x: np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0))),
     "tanh": np.tanh,
 }
-"""What may stand between the layers."""
+"""Functions between the layers."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A network of a policy: from some agents' observations to their actions.
+    """A network of a policy: from some agents' observations to their actions."""
 
-    Attributes:
-      agents: whose observations it sees, one after the other, and whom it commands.
-      weights: name of its weights. Parts of one name share them.
-      index: its number among the parts that share its weights. It gets this number
-        after the observations, one-hot. None where it has weights of its own.
-      count: how many parts share its weights, where it has an index.
-    """
-
-    agents: tuple[str, ...]
-    weights: str
-    index: int | None = None
-    count: int = 0
+    agents: tuple[str, ...]  # in the order of their observations and actions
+    weights: str  # name of its weights; parts of one name share them
+    index: int | None = None  # among parts that share weights; a one-hot input
+    count: int = 0  # number of parts that share its weights, where it has an index
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What a network has learned.
+    """Weights of a network, and mean and standard deviation of its inputs; float32.
 
-    Attributes:
-      mean: of its inputs, (n,) float32.
-      std: of its inputs, (n,) float32.
-      layers: a weight (outputs, inputs) and a bias (outputs,) each, float32.
+    Each layer has a weight (outputs, inputs) and a bias (outputs,).
     """
 
     mean: np.ndarray
@@ -78,7 +67,7 @@ class Weights:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Number of its inputs, and of what comes out of each layer."""
+        """Numbers of its inputs, and of the outputs of each layer."""
         return len(self.mean), *(len(bias) for _, bias in self.layers)
 
 
@@ -89,20 +78,15 @@ class NetworkPolicy:
 
     Args:
       parts: its networks.
-      weights: by name.
-      activation: one of `ACTIVATIONS`.
+      weights: of the networks, by name.
+      activation: one of `ACTIVATIONS`, between their layers.
       identity: the environment that it is for.
       layout: the blocks of observations and the parts of actions.
-      metadata: what else people should know of it, such as mode, seed and steps; must
-        fit into JSON.
+      metadata: how it was trained, such as mode, seed and steps; must fit into JSON.
 
     Attributes:
-      agents: whom it commands.
-      identity: the environment that it is for.
-      layout: the blocks of observations and the parts of actions.
-      metadata: how it was trained.
-      weights: of its networks, by name.
-      activation: between their layers.
+      agents: the agents that it commands.
+      weights, activation, identity, layout, metadata: as given.
 
     Raises:
       ValueError: if the parts do not fit the weights or the sizes; when it is called,
@@ -134,23 +118,16 @@ class NetworkPolicy:
             _check_widths(self.weights[part.weights], *self._widths(part))
 
     def __call__(self, observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
-        """Return actions by agent, (num_envs, k) float32 in [-1, 1].
-
-        It looks at the observations of its own agents alone.
-        """
+        """Return actions of its agents, (num_envs, k) float32 in [-1, 1] each."""
         actions = {}
         for part in self._parts:
             weights = self.weights[part.weights]
-            rows = np.concatenate(
-                [self._rows(agent, observations[agent]) for agent in part.agents],
-                axis=1,
-            )
+            seen = [self._rows(agent, observations[agent]) for agent in part.agents]
+            rows = np.concatenate(seen, axis=1)
             if part.index is not None:
                 rows = with_index(rows, part.index, part.count)
             out = np.clip(self._forward(rows, weights), -1.0, 1.0)
-            sizes = [self._outputs[agent] for agent in part.agents]
-            blocks = np.split(out, np.cumsum(sizes)[:-1], axis=1)
-            actions |= dict(zip(part.agents, blocks, strict=True))
+            actions |= split_columns(out, {a: self._outputs[a] for a in part.agents})
         return actions
 
     def _rows(self, agent: str, observation: Array) -> np.ndarray:
@@ -187,15 +164,12 @@ class NetworkPolicy:
           ValueError: if it has no network for one of them, or one that commands others
             too.
         """
-        missing = [agent for agent in agents if agent not in self.agents]
-        parts = [
-            part for part in self._parts if not set(part.agents).isdisjoint(agents)
-        ]
-        if missing:
+        if missing := [agent for agent in agents if agent not in self.agents]:
             raise ValueError(
                 f"this policy commands {_and(self.agents)}, not {_and(missing)}; name"
                 " another for that, as in --policy robot_1=A robot_2=B"
             )
+        parts = [part for part in self._parts if set(part.agents) & set(agents)]
         for part in parts:
             if not set(part.agents) <= set(agents):
                 raise ValueError(
@@ -207,14 +181,9 @@ class NetworkPolicy:
         return served
 
     def check(self, env: VectorEnv, *, any_env: bool = False) -> None:
-        """Raise unless the policy is for this environment.
+        """Raise ValueError unless the policy is for this environment; say what differs.
 
-        Args:
-          env: what it is to play. Episodes may start and last as they like.
-          any_env: whether the environment may be another one with the same blocks.
-
-        Raises:
-          ValueError: says what differs.
+        Starts and lengths of episodes may differ; with `any_env` all but the blocks.
         """
         here = Identity.of(env.task)
         differences = here.differences(self.identity, ignore=ON_PLAYING)
@@ -249,10 +218,7 @@ class NetworkPolicy:
             tensors |= {f"{name}/mean": weights.mean, f"{name}/std": weights.std}
             for i, (weight, bias) in enumerate(weights.layers):
                 tensors |= {f"{name}/{i}/weight": weight, f"{name}/{i}/bias": bias}
-        tensors = {
-            name: np.ascontiguousarray(tensor, np.float32)
-            for name, tensor in tensors.items()
-        }
+        tensors = {n: np.ascontiguousarray(t, np.float32) for n, t in tensors.items()}
         # What was read without blocks is written so too, and keeps its digest.
         has_names = self.layout.has_names
         parts = [asdict(part) for part in self._parts]
@@ -323,7 +289,7 @@ class NetworkPolicy:
 
 
 def _other(path: str | Path) -> str:
-    """Return which kind of other file it is, and what to do with it, if that shows."""
+    """Return the kind of another file and what to do with it, if it is known."""
     with open(path, "rb") as file:
         if file.read(len(_TRAINING)) == _TRAINING:
             return "a checkpoint of a training run; give the run's folder"
@@ -347,18 +313,14 @@ def _other(path: str | Path) -> str:
 
 
 def with_index(observations: np.ndarray, i: int, count: int) -> np.ndarray:
-    """Return observations followed by a one-hot that tells the i-th of `count`."""
+    """Return observations followed by a one-hot for the i-th of `count`."""
     one_hot = np.zeros((len(observations), count), observations.dtype)
     one_hot[:, i] = 1.0
     return np.concatenate([observations, one_hot], axis=1)
 
 
 def check_activation(name: str) -> None:
-    """Raise unless it is the name of an activation.
-
-    Raises:
-      ValueError: names those that exist.
-    """
+    """Raise ValueError unless it is the name of an activation."""
     if name not in ACTIVATIONS:
         raise ValueError(unknown("activation", name, ACTIVATIONS))
 
@@ -375,17 +337,11 @@ def _weights(tensors: Mapping[str, np.ndarray], name: str) -> Weights:
 def _check_widths(weights: Weights, inputs: int, outputs: int) -> None:
     """Raise ValueError unless the layers lead from so many numbers to so many."""
     shapes: list[tuple[int, ...]] = [(inputs,), (inputs,)]
-    width = inputs
-    for weight, _ in weights.layers:
-        shapes += [(len(weight), width), (len(weight),)]
-        width = len(weight)
-    arrays = [
-        weights.mean,
-        weights.std,
-        *(a for layer in weights.layers for a in layer),
-    ]
+    for before, after in pairwise([inputs, *(len(w) for w, _ in weights.layers)]):
+        shapes += [(after, before), (after,)]
+    arrays = weights.mean, weights.std, *chain(*weights.layers)
     found = [array.shape for array in arrays]
-    if found != shapes or width != outputs:
+    if found != shapes or shapes[-1] != (outputs,):
         raise ValueError(
             f"a network from {inputs} to {outputs} numbers has arrays of shapes {found}"
         )

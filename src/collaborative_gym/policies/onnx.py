@@ -1,48 +1,47 @@
 """Networks of other libraries, in files of ONNX."""
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
 
+from collaborative_gym.blocks import split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.files import check_regular
 from collaborative_gym.math import Array
 
 SUFFIX = ".onnx"
-"""Of the files."""
+"""Suffix of the files."""
 
 MOST_SECONDS = 10.0
-"""How long a file may take to load, and its network for the actions of one control
-step. Networks of robots need milliseconds; a loop in a file may never end."""
+"""Time limit for loading a file, and for its network's actions of one control step.
+Networks of robots need milliseconds; a loop in a file may never end."""
 
 _CPU = ["CPUExecutionProvider"]
 
 _QUIET = 4
-"""The runtime writes nothing beside its errors, which are raised."""
+"""Level of logging at which the runtime writes nothing; its errors are raised."""
 
 _DTYPES = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
     "tensor(float16)": np.float16,
 }
-"""What inputs observations are given to, by ONNX Runtime's names."""
+"""Types of an input that takes observations, by ONNX Runtime's names."""
 
 _T = TypeVar("_T")
 
 
 class OnnxNetwork:
-    """A network that gets observations of some robots side by side.
+    """A network from the observations of some robots, side by side, to their actions.
 
-    Its first input is those of all robots that it commands, (num_envs, n) of floats, in
-    the order of the agents, and its first output their actions, (num_envs, k), in the
-    same order. Actions outside of -1 to 1 are clipped.
-
-    Args:
-      path: the file.
+    Its first input has the observations in the order of the agents, (num_envs, n) of
+    floats, and its first output the actions in the same order, (num_envs, k). Actions
+    outside of -1 to 1 are clipped.
 
     Raises:
       ImportError: if ONNX Runtime is not installed.
@@ -86,17 +85,16 @@ class OnnxNetwork:
           ValueError: if the network does not take their observations, or gives more or
             fewer actions.
         """
-        spaces = env.single_observation_spaces, env.single_action_spaces
-        sees, does = (sum(own[agent].shape[0] for agent in agents) for own in spaces)
-        ends = np.cumsum([spaces[1][agent].shape[0] for agent in agents])[:-1]
-        who = " and ".join(agents)
+        layout = env.world.definition.layout
+        sizes = {agent: layout.action_sizes[agent] for agent in agents}
+        sees = sum(layout.observation_sizes[agent] for agent in agents)
+        shape, who = (env.num_envs, sum(sizes.values())), " and ".join(agents)
         dtype = self._check_input(env.num_envs, sees, who)
 
         def act(observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
             rows = [np.asarray(observations[agent], dtype) for agent in agents]
             actions = self._run(np.concatenate(rows, axis=1))
-            actions = np.clip(actions, -1.0, 1.0)
-            return dict(zip(agents, np.split(actions, ends, axis=1), strict=True))
+            return split_columns(np.clip(actions, -1.0, 1.0), sizes)
 
         try:
             given = self._run(np.zeros((env.num_envs, sees), dtype)).shape
@@ -107,19 +105,15 @@ class OnnxNetwork:
                 f"{self.path} does not take the {sees} numbers that {who} observe:"
                 f" {_last_line(error)}"
             ) from error
-        if given != (env.num_envs, does):
+        if given != shape:
             raise ValueError(
                 f"{self.path} returns an array of shape {given} for {env.num_envs}"
-                f" worlds; the actions of {who} have shape {(env.num_envs, does)}"
+                f" worlds; the actions of {who} have shape {shape}"
             )
         return act
 
     def _check_input(self, num_envs: int, sees: int, who: str) -> Any:
-        """Return the dtype of the first input.
-
-        Raises:
-          ValueError: if observations do not fit it.
-        """
+        """Return the dtype of the first input; raise ValueError if it does not fit."""
         first = self._session.get_inputs()[0]
         if first.type not in _DTYPES:
             raise ValueError(
@@ -141,57 +135,46 @@ class OnnxNetwork:
         return _DTYPES[first.type]
 
     def _run(self, rows: np.ndarray) -> np.ndarray:
-        """Return what the network makes of rows."""
+        """Return the network's first output."""
         options = self._options()
         options.log_severity_level = _QUIET
         given = {self._session.get_inputs()[0].name: rows}
 
-        def end() -> None:
-            options.terminate = True
-
-        def run() -> np.ndarray:
-            return np.asarray(self._session.run(None, given, options)[0])
-
-        return self._in_time(run, end)
+        return self._in_time(
+            lambda: np.asarray(self._session.run(None, given, options)[0]),
+            lambda: setattr(options, "terminate", True),
+        )
 
     def _in_time(
         self, work: Callable[[], _T], end: Callable[[], object] = lambda: None
     ) -> _T:
-        """Return what a function returns that may never end.
+        """Return the result of `work`, which may never end.
 
-        It runs in a thread of its own, so that Ctrl-C is heard meanwhile.
-
-        Args:
-          work: the function.
-          end: called when it takes too long; what does not heed it is left behind.
+        It runs in a thread of its own, so that Ctrl-C is heard meanwhile. After
+        `MOST_SECONDS`, `end` is called, and a thread that goes on is left behind.
 
         Raises:
-          TimeoutError: if it takes more than `MOST_SECONDS`.
+          TimeoutError: if it takes that long.
         """
-        found: list[_T] = []
-        errors: list[Exception] = []
+        answer: Future[_T] = Future()
 
         def run() -> None:
             try:
-                found.append(work())
+                answer.set_result(work())
             except Exception as error:
-                errors.append(error)
+                answer.set_exception(error)
 
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
+        Thread(target=run, daemon=True).start()
         try:
-            thread.join(MOST_SECONDS)
-        finally:
-            if thread.is_alive():
-                end()
-        if thread.is_alive():
+            return answer.result(MOST_SECONDS)
+        except TimeoutError:
             raise TimeoutError(
                 f"{self.path} gave no answer within {MOST_SECONDS:g} s, where networks"
                 " of robots take milliseconds; it may have a loop that never ends"
-            )
-        if errors:
-            raise errors[0]
-        return found[0]
+            ) from None
+        finally:
+            if not answer.done():
+                end()
 
 
 def _last_line(error: Exception) -> str:

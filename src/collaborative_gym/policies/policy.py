@@ -7,12 +7,13 @@ from typing import Any, cast
 import numpy as np
 from gymnasium.spaces import Box
 
+from collaborative_gym.blocks import split_columns
+from collaborative_gym.envs.gymnasium import SingleAgent
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, check_flag, look_up, shown, unknown
 from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
-from collaborative_gym.policies.predicting import predicting
 from collaborative_gym.policies.scripted import (
     RandomPolicy,
     expert_policy,
@@ -26,33 +27,33 @@ Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 """From observations to actions, both by agent, with one row per world."""
 
 AnyPolicy = str | Path | Policy | Mapping[str, str | Path | Policy]
-"""A policy, or what `load_policy` finds it by, or one of these for each agent."""
+"""A policy, or its name or path for `load_policy`, or one of these for each agent."""
 
 SHIPPED = {
     "baseline": Path(__file__).parents[1] / "baselines",
     "ego": Path(__file__).parents[1] / "egos",
 }
-"""Folders of each kind's policies: a baseline does its task with itself, and an ego
+"""Folders of shipped policies by kind: a baseline does its task with itself, and an ego
 with partners of many kinds."""
 
 POLICY_FILE = "policy.safetensors"
-"""Name of the policy in the folder of a training run."""
+"""Policy in the folder of a training run."""
 
 _FIRST = (
     "after its first validation: there is one every --validation-interval steps, and"
     " one at the end"
 )
-"""When a training run has a policy."""
+"""Moment from which on a training run has a policy, for errors."""
 
 _PLAYERS = "players"
-"""Where the folder of a run with several players has a policy for each."""
+"""Folder, in that of a run with several players, of a policy for each."""
 
 
 def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) -> Any:
     """Return a policy, ready to play.
 
-    A network of a file sees only the observations of the agents that it commands. If
-    several agents have the same file, it is loaded once.
+    A network of a file sees only the observations of its own agents. If several agents
+    have the same file, it is loaded once.
 
     Args:
       policy: one of these, or a dictionary with one for each agent, such as
@@ -90,9 +91,9 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     own = getattr(env, "unwrapped", env)
     vector_env = getattr(own, "vector_env", own)
     if vector_env is None:
-        found = None
-        if isinstance(policy, str | Path) and policy not in _NAMES:
-            found = None if _style(policy) else _load_file(policy)
+        found, is_name = None, policy in _NAMES or _style(policy)
+        if isinstance(policy, str | Path) and not is_name:
+            found = _load_file(policy)
         if not isinstance(found, NetworkPolicy):
             raise TypeError(f"{shown(policy)} needs an environment; pass env too")
         return found
@@ -111,7 +112,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
 
 
 def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Policy:
-    """Return what `load_policy` does, for a `VectorEnv`.
+    """Return a policy as `load_policy` does, for a `VectorEnv`.
 
     Raises:
       Exception: as `load_policy` does.
@@ -119,22 +120,9 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
     any_env = check_flag("any_env", any_env)
     if not isinstance(policy, Mapping):
         return commanding(env.agents, policy, env, any_env)
-    for agent in policy:
-        if agent not in env.agents:
-            raise UnknownName(unknown("agent", agent, env.agents))
-    groups: dict[object, list[str]] = {}
-    for agent in env.agents:
-        if agent not in policy:
-            raise ValueError(
-                f"there is no policy for the agent {agent}; name one for each of"
-                f' {", ".join(env.agents)}, "idle" for one that holds still'
-            )
-        given = policy[agent]
-        same = Path(given) if isinstance(given, str | Path) else id(given)
-        groups.setdefault(same, []).append(agent)
     leaders = [
-        (commanding(agents, policy[agents[0]], env, any_env), agents)
-        for agents in groups.values()
+        (commanding(agents, given, env, any_env), agents)
+        for given, agents in group_agents(policy, env)
     ]
     return lambda observations: {
         agent: actions
@@ -143,8 +131,58 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
     }
 
 
+def group_agents(policy: AnyPolicy, env: VectorEnv) -> list[tuple[Any, list[str]]]:
+    """Return each policy once, with the agents that it commands.
+
+    Raises:
+      KeyError: if there is no such agent.
+      ValueError: if an agent has no policy.
+    """
+    if not isinstance(policy, Mapping):
+        return [(policy, list(env.agents))]
+    for agent in policy:
+        look_up("agent", agent, dict.fromkeys(env.agents))
+    groups: dict[object, tuple[Any, list[str]]] = {}
+    for agent in env.agents:
+        if agent not in policy:
+            raise ValueError(
+                f"there is no policy for the agent {agent}; name one for each of"
+                f' {", ".join(env.agents)}, "idle" for one that holds still'
+            )
+        given = policy[agent]
+        same = Path(given) if isinstance(given, str | Path) else id(given)
+        groups.setdefault(same, (given, []))[1].append(agent)
+    return list(groups.values())
+
+
+def named_policies(
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+) -> dict[str, AnyPolicy]:
+    """Return policies by the names of a dictionary, or else by their own.
+
+    Raises:
+      TypeError: if they are neither a list nor a dictionary.
+      ValueError: if two have one name.
+    """
+    if isinstance(policies, Mapping):
+        return {str(name): policy for name, policy in policies.items()}
+    if isinstance(policies, str) or not isinstance(policies, Sequence):
+        raise TypeError(
+            "policies must be a list of policies, or a dictionary with a name for each,"
+            f" got {shown(policies)}"
+        )
+    names = [name_policy(policy) for policy in policies]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(
+                f"{names.count(name)} policies are named {name!r}; give each once, or"
+                " in Python a dictionary with a name for each"
+            )
+    return dict(zip(names, policies, strict=True))
+
+
 def name_policy(policy: AnyPolicy) -> str:
-    """Return what to call a policy, as the command line takes it if it can."""
+    """Return the name of a policy, as the command line takes it if it can."""
     if isinstance(policy, Mapping):
         return " ".join(f"{agent}={name_policy(own)}" for agent, own in policy.items())
     if isinstance(policy, str | Path):
@@ -153,7 +191,7 @@ def name_policy(policy: AnyPolicy) -> str:
 
 
 def split_word(word: str) -> tuple[str, str]:
-    """Return the seat, if any, and the policy that "robot_2=FILE" or "FILE" names."""
+    """Return the seat, if any, and the policy of "robot_2=FILE" or "FILE"."""
     seat, _, policy = word.partition("=")
     return (seat, policy) if policy and seat.isidentifier() else ("", word)
 
@@ -161,7 +199,7 @@ def split_word(word: str) -> tuple[str, str]:
 def commanding(
     agents: Sequence[str], policy: Any, env: VectorEnv, any_env: bool
 ) -> Policy:
-    """Return what commands these agents, and maybe others.
+    """Return the policy of these agents, and maybe of others.
 
     Raises:
       Exception: as `load_policy` does.
@@ -178,7 +216,7 @@ def commanding(
     if callable(policy):
         return cast(Policy, policy)
     if hasattr(policy, "predict"):
-        return predicting(policy, env)
+        return _predicting(policy, env)
     raise TypeError(
         f"policy must be one of {', '.join(map(repr, _NAMES))}, a path, a function from"
         " observations to actions, or one of these for each agent, got"
@@ -187,19 +225,24 @@ def commanding(
 
 
 def read_policy(policy: Any, env: VectorEnv) -> Any:
-    """Return the networks that a name or a path stands for, and anything else as it is.
+    """Return the networks of a name or a path, and anything else as it is.
 
     Raises:
       Exception: as `load_policy` does.
     """
     if not isinstance(policy, str | Path) or policy in _BY_ENV or _style(policy):
         return policy
-    return _shipped(str(policy), env) if policy in SHIPPED else _load_file(policy)
+    if policy not in SHIPPED:
+        return _load_file(policy)
+    robots = ", ".join(robot.name for robot in env.task.robots.values())
+    title = f"{type(env.task).__name__} with {robots}"
+    return _load_shipped(str(policy), find_env(env.task), title)
 
 
 def _style(policy: object) -> str:
     """Return the style in an expert's name, such as "expert:late", or else nothing."""
-    return str(policy).removeprefix(_STYLED) if str(policy).startswith(_STYLED) else ""
+    kind, _, style = str(policy).partition(":")
+    return style if kind == "expert" else ""
 
 
 def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
@@ -239,12 +282,12 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
 
 
 def player_file(name: str) -> Path:
-    """Return where the policy of a player is in the folder of its run."""
+    """Return the path of a player's policy in the folder of its run."""
     return Path(_PLAYERS, f"{name}.safetensors")
 
 
 def shipped_file(kind: str, env_id: str) -> Path:
-    """Return where an environment's policy of a kind is, if it is shipped."""
+    """Return the path of an environment's policy of a kind, if it is shipped."""
     return SHIPPED[kind] / f"{env_id}.safetensors"
 
 
@@ -258,24 +301,43 @@ def shipped_kinds(env_id: str) -> list[str]:
     return [kind for kind in SHIPPED if is_shipped(kind, env_id)]
 
 
-def _shipped(kind: str, env: VectorEnv) -> NetworkPolicy:
-    env_id = find_env(env.task)
-    if env_id is None:
-        robots = ", ".join(robot.name for robot in env.task.robots.values())
-        raise _none_shipped(kind, f"{type(env.task).__name__} with {robots}")
-    return _load_shipped(kind, env_id)
-
-
-def _load_shipped(kind: str, env_id: str) -> NetworkPolicy:
-    if not is_shipped(kind, env_id):
-        raise _none_shipped(kind, env_id)
+def _load_shipped(kind: str, env_id: str | None, title: str = "") -> NetworkPolicy:
+    """Return an environment's policy of a kind; `title` names one without an id."""
+    if env_id is None or not is_shipped(kind, env_id):
+        raise FileNotFoundError(
+            f"no {kind} is shipped for {env_id or title}; give the path of a policy"
+            " that you trained"
+        )
     return NetworkPolicy.load(shipped_file(kind, env_id))
 
 
-def _none_shipped(kind: str, env: str) -> FileNotFoundError:
-    return FileNotFoundError(
-        f"no {kind} is shipped for {env}; give the path of a policy that you trained"
-    )
+def _predicting(model: Any, env: VectorEnv) -> Policy:
+    """Return the deterministic policy of a model of Stable-Baselines3, for all robots.
+
+    Observations go through the model's `VecNormalize`, if it has one, as it is then.
+    A model that was trained with it and loaded from a file needs it, as in
+    `PPO.load(path, VecNormalize.load(...))`.
+
+    Raises:
+      ValueError: if the model's spaces are not those of all robots side by side.
+    """
+    agents = SingleAgent(env)
+    for name in ("observation_space", "action_space"):
+        given, own = getattr(model, name).shape, getattr(agents, name).shape
+        if given != own:
+            raise ValueError(
+                f"the model's {name.replace('_', ' ')} has shape {given}; that of all"
+                f" robots of {env.task.name} side by side is {own}"
+            )
+    normalizer = model.get_vec_normalize_env()
+
+    def act(observations: Mapping[str, Array]) -> dict[str, Array]:
+        rows = agents.joined(observations)
+        if normalizer is not None:
+            rows = normalizer.normalize_obs(rows)
+        return agents.split(model.predict(rows, deterministic=True)[0])
+
+    return act
 
 
 def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -292,12 +354,10 @@ def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray]:
     """Return a policy over all agents' observations and actions, side by side."""
-    sizes = [space.shape[0] for space in env.single_observation_spaces.values()]
-    ends = np.cumsum(sizes)[:-1]
+    sizes = env.world.definition.layout.observation_sizes
 
     def act(observations: np.ndarray) -> np.ndarray:
-        blocks = np.split(np.asarray(observations), ends, axis=1)
-        actions = policy(dict(zip(env.agents, blocks, strict=True)))
+        actions = policy(split_columns(np.asarray(observations), sizes))
         return np.concatenate([actions[agent] for agent in env.agents], axis=1)
 
     return act
@@ -311,9 +371,7 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
     "frozen": frozen_policy,
 }
 
-_STYLED = "expert:"
-
 SCRIPTED = tuple(_BY_ENV)
-"""Names of the policies that every task has."""
+"""Names of every task's policies."""
 
 _NAMES = (*SHIPPED, *SCRIPTED)

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from collaborative_gym.blocks import split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
@@ -15,15 +16,14 @@ STYLES = {
 }
 """Styles of every task's expert; tasks may have more of their own."""
 
-_LATE = 20  # control steps
+_LATE = 20
+"""Control steps for which a late expert holds still."""
 
 
 def expert_policy(env: VectorEnv, style: str = ""):
     """Return the task's scripted expert, which looks at the worlds' state.
 
-    Args:
-      env: what it plays.
-      style: one of `STYLES` or of the task's `styles`, or its usual way.
+    Its style is one of `STYLES` or of the task's `styles`, or empty for the usual one.
 
     Raises:
       KeyError: if there is no such style; names those that exist.
@@ -43,19 +43,19 @@ def expert_policy(env: VectorEnv, style: str = ""):
 
 
 def idle_policy(env: VectorEnv):
-    """Return what holds still with an open grip."""
+    """Return a policy that holds still with an open grip."""
     still = env.idle()
     return lambda observations: still
 
 
 def gripping_policy(env: VectorEnv):
-    """Return what holds still and grips what comes within reach of its hand."""
+    """Return a policy that holds still and grips things within reach of its hand."""
     still = env.idle(grips=True)
     return lambda observations: still
 
 
 def frozen_policy(env: VectorEnv):
-    """Return what holds still and keeps what it holds."""
+    """Return a policy that holds still and keeps what it holds."""
     if not env.task.gripping:
         return idle_policy(env)
     able = {grip.agent for grip in env.scene.grips}
@@ -69,9 +69,7 @@ class RandomPolicy:
 
     def __init__(self, env: VectorEnv):
         self._env = env
-        self._sizes = {
-            agent: space.shape[0] for agent, space in env.single_action_spaces.items()
-        }
+        self._sizes = env.world.definition.layout.action_sizes
         size = env.task.config.max_episode_steps, sum(self._sizes.values())
         self._actions = EpisodeDraws(env.num_envs, size, Stream.POLICY)
 
@@ -80,5 +78,4 @@ class RandomPolicy:
         progress = self._env.progress
         actions = self._actions.now(progress)
         now = actions[np.arange(len(actions)), progress["step"]]
-        ends = np.cumsum(list(self._sizes.values()))[:-1]
-        return dict(zip(self._sizes, np.split(now, ends, axis=1), strict=True))
+        return split_columns(now, self._sizes)

@@ -1,1 +1,1 @@
-"""Every policy in every seat with every other: who wins, and who fits whom."""
+"""Every policy in every seat with every other: winners, and partners that fit."""

@@ -1,4 +1,4 @@
-"""The picture of a tournament: who did how well with whom."""
+"""The picture of a tournament: matrices of results, and ratings."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +11,8 @@ from collaborative_gym.evaluation.figure import (
     open_axes,
     save_figure,
 )
-from collaborative_gym.evaluation.report import Statistic
+from collaborative_gym.evaluation.report import Statistic, is_share
 from collaborative_gym.tournaments.result import (
-    SHARES,
     Tournament,
     format_measure,
     short_names,
@@ -27,20 +26,11 @@ _CELL = 0.62
 """Size of a matrix's cell, in inches."""
 
 _MOST_NUMBERS = 16
-"""Players up to whom numbers are readable in the cells."""
+"""Number of players up to which numbers in the cells are readable."""
 
 
 def draw_tournament(tournament: Tournament, path: str | Path) -> None:
-    """Draw a tournament's matrices into a PNG or SVG file, whole or not at all.
-
-    Args:
-      tournament: what came of it.
-      path: the file.
-
-    Raises:
-      ImportError: if the extra `train` is not installed.
-      OSError: if the file cannot be written.
-    """
+    """Draw `tournament_figure` into a PNG or SVG file, whole or not at all."""
     save_figure(tournament_figure(tournament), path)
 
 
@@ -78,32 +68,26 @@ def _draw_matrix(
 ) -> None:
     matrix = tournament.matrices[measure]
     means = np.array([[matrix[row][col].mean for col in players] for row in players])
-    is_share = measure in SHARES
-    ends = (0.0, 1.0) if is_share else (None, None)
+    ends = (0.0, 1.0) if is_share(measure) else (None, None)
     drawn = axes.imshow(means, cmap="cividis", vmin=ends[0], vmax=ends[1])
     labels = [short_names(tournament.players)[player] for player in players]
     axes.set_xticks(range(len(players)), labels, rotation=45, ha="right")
     axes.set_yticks(range(len(players)), labels if is_first else [])
-    rows, *columns = tournament.turns if len(tournament.seats) > 2 else tournament.seats
-    if len(tournament.seats) > 2:
-        rows, columns = "in one seat", ["all others"]
-    axes.set_xlabel(columns[0])
+    rows, columns = "in one seat", "all others"
+    if len(tournament.seats) == 2:
+        rows, columns = tournament.seats
+    axes.set_xlabel(columns)
     if is_first:
         axes.set_ylabel(rows)
-    axes.set_title(f"{measure} (%)" if is_share else measure)
+    axes.set_title(f"{measure} (%)" if is_share(measure) else measure)
     # White on what is dark: cividis grows lighter.
     is_dark = np.asarray(drawn.norm(means)) < 0.5
     for place, mean in np.ndenumerate(means):
         if len(players) <= _MOST_NUMBERS and not np.isnan(mean):
-            axes.text(
-                place[1],
-                place[0],
-                format_measure(measure, mean).removesuffix(" %"),
-                color="white" if is_dark[place] else "black",
-                ha="center",
-                va="center",
-                fontsize=8,
-            )
+            colour = "white" if is_dark[place] else "black"
+            number = format_measure(measure, mean).removesuffix(" %")
+            how = {"ha": "center", "va": "center", "fontsize": 8}
+            axes.text(place[1], place[0], number, color=colour, **how)
 
 
 def _draw_ratings(axes: "Axes", tournament: Tournament, players: list[str]) -> None:

@@ -1,11 +1,13 @@
-"""The tournament: which pairings there are, and how they are played and kept."""
+"""The tournament: its players and pairings, and how they are played and kept."""
 
 import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +18,77 @@ from collaborative_gym.errors import (
     check_flag,
     check_kind,
     look_up,
+    naming,
     shown,
 )
-from collaborative_gym.evaluation.play import part_of, play_episodes, worlds_for
-from collaborative_gym.evaluation.report import without_nan
+from collaborative_gym.evaluation.play import (
+    OnProgress,
+    parts_of,
+    play_episodes,
+    worlds_for,
+)
+from collaborative_gym.evaluation.table import without_nan
 from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
-from collaborative_gym.policies import AnyPolicy, as_policy
-from collaborative_gym.policies.policy import POLICY_FILE
+from collaborative_gym.policies import AnyPolicy, Policy, as_policy
+from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.onnx import SUFFIX
+from collaborative_gym.policies.policy import (
+    POLICY_FILE,
+    commanding,
+    group_agents,
+    named_policies,
+    read_policy,
+)
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import ON_STATE, Identity
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.tournaments.players import Player, enter
 from collaborative_gym.tournaments.result import Pairing, Tournament
 
 PAIRINGS = "pairings"
-"""Name of the folder, in that of a tournament, with a file for each pairing."""
+"""Folder, in that of a tournament, of a file for each pairing."""
 
 _FORMAT = 1
-"""Number of the files' format; a file of another one is refused."""
+"""Number of the files' format; others are refused."""
+
+_LONGEST_NAME = 200
+"""Letters of a player's name: more than a column of a table has room for."""
 
 _KEPT = ("return", "completion", "performance", "time_to_success", "score")
 _KEPT += ("length", "diverged")
-"""What is kept of an episode, the first five by side where there are several."""
+"""Columns of a kept pairing, the first five by side where there are several."""
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy under a name of its own.
+
+    Attributes:
+      name: of the player.
+      policies: by agent.
+      mark: names of scripted policies and digests of trained ones, which differ from
+        those of other policies under the same name. None where there is a function,
+        since nobody can say whether it is the same one.
+    """
+
+    name: str
+    policies: Mapping[str, Policy]
+    mark: str | None
+
+    def misfit(self, agents: Collection[str]) -> str:
+        """Return why it cannot command these agents and no others; empty if it can."""
+        for policy in {id(own): own for own in self.policies.values()}.values():
+            asked = [agent for agent in agents if self.policies[agent] is policy]
+            if asked and isinstance(policy, NetworkPolicy):
+                try:
+                    policy.serving(asked)
+                except ValueError as error:
+                    return str(error)
+        return ""
+
+
+_Cast = Mapping[str, Player]
+"""The player of each seat."""
 
 
 def tournament(
@@ -54,7 +104,7 @@ def tournament(
     any_env: bool = False,
     output: str | Path | None = None,
     on_pairing: Callable[[Pairing], object] | None = None,
-    on_progress: Callable[[float], object] | None = None,
+    on_progress: OnProgress = None,
 ) -> Tournament:
     """Let every policy play in every seat with every other, and with itself.
 
@@ -65,16 +115,16 @@ def tournament(
     any `num_envs` and `num_threads`.
 
     A policy file can command the agents that it has networks for. Pairings in which it
-    would have to command others are left out, and the result says why. The same holds
-    for pairings that would divide the robots that one network commands together. All
-    files are read before the first game.
+    would have to command others, or only some of the robots that one network commands
+    together, are left out, and the result says why. All files are read before the first
+    game.
 
     Args:
       env: an environment id, a task's name, or a task.
       policies: whatever `load_policy` takes, each under the name that the command line
         has for it; or a dictionary of policies by names of your own.
-      episodes: how many each pairing plays.
-      seed: which episodes.
+      episodes: number of episodes of each pairing.
+      seed: of the episodes.
       seats: the seats that each player takes in turn, while another has the rest;
         "all", or names of some.
       groups: players that are training runs of one kind, by the kind's name. None for
@@ -116,34 +166,27 @@ def tournament(
             "episodes": episodes,
             "seed": seed,
         }
-        kept = _Kept(None if output is None else output, settings)
-        kept.check(casts)
-        pairings = []
-        for i, cast in enumerate(casts):
-            pairing = kept.read(cast)
-            if pairing is None:
-                part = part_of(on_progress, i, len(casts))
-                pairing = _play(world, cast, all_seats, settings, part)
-                kept.write(cast, pairing)
+        kept = _Kept(output, settings)
+        pairings = [kept.read(cast) for cast in casts]
+        parts = parts_of(on_progress, [1] * len(casts))
+        for i, (cast, part) in enumerate(zip(casts, parts, strict=True)):
+            if pairings[i] is None:
+                pairings[i] = played = _play(world, cast, all_seats, settings, part)
+                kept.write(cast, played)
                 if on_pairing is not None:
-                    on_pairing(pairing)
-            pairings.append(pairing)
-            if on_progress is not None:
-                on_progress((i + 1) / len(casts))
+                    on_pairing(played)
+            if part is not None:
+                part(1.0)
     return Tournament(
         world.task.name,
         settings,
         all_seats,
         turns,
         names,
-        tuple(pairings),
+        tuple(filter(None, pairings)),
         kinds,
         left_out,
     )
-
-
-_Cast = Mapping[str, Player]
-"""Who sits in each seat."""
 
 
 def _seats(env: VectorEnv) -> dict[str, tuple[str, ...]]:
@@ -201,20 +244,15 @@ def _casts(
     """Return all that can be played, and why the others cannot, by their titles."""
     casts: dict[tuple[str, ...], _Cast] = {}
     left_out: dict[str, str] = {}
-    playing: set[str] = set()
-    for turn in turns:
-        for one in players:
-            for other in players:
-                cast = {seat: one if seat == turn else other for seat in seats}
-                key = tuple(player.name for player in cast.values())
-                reasons = _misfits(cast, seats)
-                if reasons:
-                    left_out[" + ".join(key)] = "; ".join(reasons.values())
-                else:
-                    casts[key] = cast
-                    playing |= set(key)
+    for turn, one, other in product(turns, players, players):
+        cast = {seat: one if seat == turn else other for seat in seats}
+        key = tuple(player.name for player in cast.values())
+        if reason := _misfits(cast, seats):
+            left_out[" + ".join(key)] = reason
+        else:
+            casts[key] = cast
     for player in players:
-        if player.name not in playing:
+        if not any(player.name in key for key in casts):
             agents = [agent for own in seats.values() for agent in own]
             raise ValueError(
                 f"player {player.name!r} cannot play any of the pairings:"
@@ -223,14 +261,14 @@ def _casts(
     return list(casts.values()), left_out
 
 
-def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
-    """Return why players of a cast cannot command the robots of their seats."""
+def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> str:
+    """Return why players of a cast cannot command the robots of their seats, if so."""
     agents: dict[str, list[str]] = {}
     for seat, player in cast.items():
         agents.setdefault(player.name, []).extend(seats[seat])
     by_name = {player.name: player for player in cast.values()}
     found = {name: by_name[name].misfit(own) for name, own in agents.items()}
-    return {name: f"{name!r}: {reason}" for name, reason in found.items() if reason}
+    return "; ".join(f"{name!r}: {why}" for name, why in found.items() if why)
 
 
 def _play(
@@ -238,20 +276,16 @@ def _play(
     cast: _Cast,
     seats: Mapping[str, tuple[str, ...]],
     settings: Mapping[str, Any],
-    on_progress: Callable[[float], object] | None,
+    on_progress: OnProgress,
 ) -> Pairing:
     team = {
         agent: player.policies[agent]
         for seat, player in cast.items()
         for agent in seats[seat]
     }
-    rows, _ = play_episodes(
-        env,
-        as_policy(team, env, any_env=True),  # The players have been checked.
-        settings["episodes"],
-        settings["seed"],
-        on_progress=on_progress,
-    )
+    policy = as_policy(team, env, any_env=True)  # The players have been checked.
+    episodes, seed = settings["episodes"], settings["seed"]
+    rows, _ = play_episodes(env, policy, episodes, seed, on_progress)
     columns = {
         name: tuple(float(row[name]) for row in rows)
         for name in rows[0]
@@ -261,27 +295,21 @@ def _play(
 
 
 class _Kept:
-    """The pairings that a folder has.
+    """The pairings in a tournament's folder, if there is one, with these settings."""
 
-    Args:
-      folder: of the tournament, or None to keep nothing.
-      settings: of what is to be played.
-    """
-
-    def __init__(self, folder: Any, settings: Mapping[str, Any]):
+    def __init__(self, folder: str | Path | None, settings: Mapping[str, Any]):
         self._folder, self._settings = None, settings
         if folder is not None:
             check_kind("output", folder, (str, Path), "a folder's name")
             self._folder = Path(folder) / PAIRINGS
             check_writable(self._folder / "any.json")
 
-    def check(self, casts: Sequence[_Cast]) -> None:
-        """Raise ValueError if the folder's results of these are of something else."""
-        for cast in casts:
-            self.read(cast)
-
     def read(self, cast: _Cast) -> Pairing | None:
-        """Return what the folder has of a pairing, if anything."""
+        """Return the pairing of a cast, if the folder has it.
+
+        Raises:
+          ValueError: if its file is damaged, or of something else.
+        """
         if self._folder is None or None in _marks(cast).values():
             return None
         path = self._folder / _file_name(cast)
@@ -323,7 +351,7 @@ class _Kept:
         """Keep a pairing, whole or not at all."""
         if self._folder is not None:
             content = {"format": _FORMAT, **self._settings, "players": _marks(cast)}
-            content |= {"columns": without_nan(dict(pairing.columns))}
+            content["columns"] = without_nan(pairing.columns)
             write_text(self._folder / _file_name(cast), sealed(content, indent=None))
 
 
@@ -332,8 +360,59 @@ def _marks(cast: _Cast) -> dict[str, str | None]:
 
 
 def _file_name(cast: _Cast) -> str:
-    """Return a name that tells people who played, and that no other pairing has."""
+    """Return a name with those of the players, which no other pairing has."""
     names = [player.name for player in cast.values()]
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")
     digest = hashlib.sha256(json.dumps(names).encode()).hexdigest()[:8]
     return f"{words}-{digest}.json"
+
+
+def enter(
+    policies: Sequence[AnyPolicy] | Mapping[str, AnyPolicy],
+    env: VectorEnv,
+    *,
+    any_env: bool = False,
+) -> list[Player]:
+    """Return the players, with all policies read from their files.
+
+    Raises:
+      Exception: as `load_policy` and `named_policies` do; names the player.
+      ValueError: if there are fewer than two.
+    """
+    named = named_policies(policies)
+    if len(named) < 2:
+        listed = ", ".join(named) or "none"
+        raise ValueError(
+            f"a tournament needs two policies or more, got {len(named)} ({listed})"
+        )
+    for name in named:
+        if not 0 < len(name) <= _LONGEST_NAME:
+            raise ValueError(
+                "a player's name, which its policy gives or you, must have 1 to"
+                f" {_LONGEST_NAME} letters, got {shown(name)}"
+            )
+    return [_enter(name, policy, env, any_env) for name, policy in named.items()]
+
+
+def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
+    policies: dict[str, Policy] = {}
+    marks: dict[str, str | None] = {}
+    with naming(f"player {name!r}"):
+        for given, agents in group_agents(policy, env):
+            own = read_policy(given, env)
+            if isinstance(own, NetworkPolicy):
+                own.check(env, any_env=any_env)
+            else:
+                own = commanding(agents, own, env, any_env)
+            policies |= dict.fromkeys(agents, own)
+            marks |= dict.fromkeys(agents, _mark(given, own))
+    mark = "; ".join(f"{agent} {marks[agent]}" for agent in env.agents)
+    return Player(name, policies, None if None in marks.values() else mark)
+
+
+def _mark(given: Any, found: Policy) -> str | None:
+    if isinstance(found, NetworkPolicy):
+        return found.digest
+    if isinstance(given, str | Path) and Path(given).suffix == SUFFIX:
+        return hashlib.sha256(Path(given).read_bytes()).hexdigest()
+    return str(given) if isinstance(given, str | Path) else None

@@ -6,32 +6,30 @@ from itertools import permutations
 import numpy as np
 
 _MEAN = 1500.0
-"""The mean of all players' ratings; only differences say anything."""
+"""Mean of all players' ratings; only differences say anything."""
 
 _SCALE = 400.0 / np.log(10.0)
 """Elo's scale: 400 points more are ten times the chances (Elo, 1978)."""
 
 _PRIOR = 1.0
-"""Games that each player is imagined to have drawn with an average one, our choice. So
-a player that won all of its games has a finite rating, which grows with their number.
-"""
+"""Games that each player has drawn, as we assume, with an average one; our choice. So a
+player that won all of its games has a finite rating, which grows with their number."""
 
 _NEAR = 1e-10
-"""Newton's method ends where no strength changes by more."""
+"""Change of the strengths at which Newton's method ends."""
 
 
 def bradley_terry(points: np.ndarray) -> np.ndarray:
     """Return the ratings on Elo's scale, (..., players), with a mean of 1500.
 
-    They are those of the model of Bradley and Terry (1952) under which these results
-    are likeliest: player i beats player j with the probability
-    1 / (1 + 10^((r_j - r_i) / 400)). A draw is half a win. Unlike Elo's own updates,
-    they do not depend on the order of games. One drawn game with an average player
-    is added for each player, so that the likeliest ratings are always finite.
+    They are the likeliest ones in the model of Bradley and Terry (1952), in which
+    player i beats player j with the probability 1 / (1 + 10^((r_j - r_i) / 400)).
+    Unlike Elo's own updates, they do not depend on the order of games. One drawn game
+    with an average player is added for each player, so that all ratings are finite.
 
     Args:
-      points: what each player, a row, took from each other, a column, in all games: a
-        win is 1, a draw 0.5; (..., players, players). The diagonal does not count.
+      points: of each player, a row, against each other, a column, in all games: 1 for
+        a win, 0.5 for a draw; (..., players, players). The diagonal does not count.
     """
     return _fit(points)[0]
 
@@ -40,10 +38,8 @@ def rated(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the ratings and their standard errors, (players,) each.
 
     The errors are those of the curvature of the likelihood, as if games did not depend
-    on one another. So a player that won all of its games has one, too.
-
-    Args:
-      points: as `bradley_terry` takes them, (players, players).
+    on one another. So a player that won all of its games has one, too. `points` are
+    those of `bradley_terry`, (players, players).
     """
     ratings, curvature = _fit(points)
     centred = np.eye(len(points)) - 1.0 / len(points)
@@ -79,9 +75,7 @@ def cyclic_triples(
 ) -> list[tuple[str, str, str]]:
     """Return triples of players in which each beats the next, and the last the first.
 
-    Args:
-      names: the players'.
-      beats: whether a player, a row, beats another, a column.
+    A row of `beats` says which players, in columns, a player beats.
     """
     return [
         (names[i], names[j], names[k])

@@ -1,33 +1,24 @@
-"""What came of a tournament: matrices, standings, ratings; JSON and CSV."""
+"""The results of a tournament: matrices, standings, ratings; JSON and CSV."""
 
-import csv
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.evaluation.intervals import jackknifed
-from collaborative_gym.evaluation.report import (
-    Statistic,
-    format_number,
-    without_nan,
-)
+from collaborative_gym.evaluation.report import Statistic, format_number, is_share
+from collaborative_gym.evaluation.table import to_csv, to_json
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tournaments.ratings import cyclic_triples, rated
 
-SHARES = ("points", "completion", "performance")
-"""Measures from 0 to 1."""
-
 _Z = 1.96
-"""Standard errors on either side of a rating that hold 95 %."""
+"""Standard errors on either side of a rating's 95 % interval."""
 
 SERVED = 0.9
-"""Performance from which on one partner's answer serves another; our choice."""
+"""Least performance of an answer to one partner that serves another; our choice."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +26,7 @@ class Pairing:
     """Episodes of one player in one seat with another, or itself, in all other seats.
 
     Attributes:
-      players: who sat in each seat, by its name.
+      players: names by seat.
       columns: of the episodes, in order, by the names of a `Report`'s rows.
     """
 
@@ -44,7 +35,7 @@ class Pairing:
 
     @property
     def title(self) -> str:
-        """Who plays, such as "expert + idle"."""
+        """Names of the players, such as "expert + idle"."""
         return " + ".join(self.players.values())
 
     @property
@@ -55,7 +46,7 @@ class Pairing:
 
 @dataclass(frozen=True)
 class Standing:
-    """How one player did.
+    """Results of one player.
 
     Attributes:
       self_play: with itself in all seats, by measure.
@@ -64,10 +55,8 @@ class Standing:
       by_seat: its cross-play in each seat, by seat and measure.
       worst: the other player with whom, or against whom, it does worst; None if it
         played with nobody else.
-      wins: against others; this and the next three only if players are opponents.
-      draws: against others.
-      losses: against others.
-      rating: as `bradley_terry` gives it.
+      wins, draws, losses: counts against others; only if players are opponents.
+      rating: as `bradley_terry` gives it; likewise.
     """
 
     self_play: dict[str, Statistic]
@@ -83,20 +72,20 @@ class Standing:
 
 @dataclass(frozen=True)
 class Tournament:
-    """How every policy did in every seat with every other.
+    """Results of every policy in every seat with every other.
 
     If the task has several sides, seats are sides. Pairings are then compared by
     `points` (1 for an episode that was won, 0.5 for a draw, 0 for one that was lost)
     and by `score`, the difference to the best other side. Otherwise seats are robots,
     and pairings are compared by their common `completion`, `performance` and `return`.
 
-    Intervals are 95 % intervals, as `Statistic` has them: of a single pairing over its
-    episodes, of a mean over other players over these, of a group's means over its runs.
-    Those of ratings say how sure the games make them.
+    Intervals are of 95 %, as `Statistic` has them: of a single pairing over its
+    episodes, of a mean over other players over these, of a group's means over its runs,
+    and of a rating over games.
 
     Attributes:
       environment: the environment's id or the task's name.
-      settings: what was played: the environment's whole `identity`, `episodes`, `seed`.
+      settings: the environment's whole `identity`, `episodes` and `seed`.
       seats: the agents of each seat, by its name.
       turns: the seats that each player took in turn, with others in the rest.
       players: their names, in the order in which they were given.
@@ -116,7 +105,7 @@ class Tournament:
 
     @property
     def title(self) -> str:
-        """What was played: the environment and its arms."""
+        """The environment and its arms."""
         return Identity.from_dict(self.settings["identity"]).title
 
     @property
@@ -126,7 +115,7 @@ class Tournament:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """What pairings are compared by; the first counts most."""
+        """Measures of a pairing; the first counts most."""
         if self.is_divided:
             return "points", "score"
         return "completion", "performance", "return"
@@ -139,7 +128,7 @@ class Tournament:
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """By measure, that of each episode, (turns, players, players, episodes).
+        """Values of the episodes by measure, (turns, players, players, episodes).
 
         The first player has the seat whose turn it is, the second all others. NaN where
         they cannot play together.
@@ -184,7 +173,7 @@ class Tournament:
 
     @cached_property
     def standings(self) -> dict[str, Standing]:
-        """How each player did, by its name."""
+        """Results of each player, by its name."""
         return {name: self._standing(i) for i, name in enumerate(self.players)}
 
     @cached_property
@@ -217,11 +206,10 @@ class Tournament:
     def conventions(self) -> dict[str, list[list[str]]]:
         """Partners that need the same answer, by the seat that answers.
 
-        The answer that is known of a partner is its own policy in that seat. Each list
-        begins with a player whose answer reaches a performance of `SERVED` with all
-        that follow. So the players that come first in their lists need answers of
-        their own. One that was not served by itself either is alone. The order is that
-        of the players. Empty if they are opponents.
+        The answer to a partner is its own policy in that seat. Each list begins with a
+        player whose answer reaches a performance of `SERVED` with all that follow. So
+        the first players of the lists need answers of their own. One that is not served
+        by itself either is alone. Empty if the players are opponents.
         """
         if self.is_divided:
             return {}
@@ -237,9 +225,9 @@ class Tournament:
 
     @cached_property
     def group_means(self) -> dict[str, dict[str, Statistic]]:
-        """What training runs of one kind come to, by the kind and what is told of them.
+        """Means of training runs of one kind, by the kind and the name of the mean.
 
-        Of opponents it is their mean `rating`. Else, of each measure, such as
+        For opponents it is their `rating`. Else, for each measure, such as
         `completion`: `completion of self-play`, `completion of cross-play` with one
         another, and their difference, `completion lost`. The intervals are over runs.
         """
@@ -249,26 +237,21 @@ class Tournament:
         }
 
     def _shown(self, measure: str) -> np.ndarray:
-        """Return the values that a matrix shows."""
+        """Return the values in a matrix: of two seats, the first player's turns."""
         values = self.values[measure]
         return values[:1] if len(self.seats) == 2 else values
 
     def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
-        """Return that of a pairing, whose rows are seats and columns episodes."""
-        means = list(_mean(values))
-        if self.is_one_episode:
-            means = means[:1]
-        return Statistic.of(means, is_share=measure in SHARES)
+        """Return the statistic of a pairing over its episodes, (seats, episodes)."""
+        means = _mean(values)[: 1 if self.is_one_episode else None]
+        return Statistic.of(list(means), is_share=is_share(measure))
 
     def _over_others(
         self, measure: str, values: np.ndarray, own: np.ndarray | None = None
     ) -> Statistic:
-        """Return that of a mean over other players.
+        """Return the statistic of a player's mean over (seats, others, episodes).
 
-        Args:
-          measure: what it is of.
-          values: with each of the others, (seats, others, episodes).
-          own: with itself, (1, episodes), from which the others' are taken away.
+        With `own`, its values with itself, (1, episodes), that of the difference.
         """
         means = _mean(values)
         if len(means) == 1:  # Nothing is known of others, so it is over episodes.
@@ -277,7 +260,7 @@ class Tournament:
         of_each = _mean(_mean(np.moveaxis(values, -1, 0)))
         if own is not None:
             return Statistic.of(list(float(_mean(own[0])) - of_each))
-        return Statistic.of(list(of_each), is_share=measure in SHARES)
+        return Statistic.of(list(of_each), is_share=is_share(measure))
 
     def _standing(self, i: int) -> Standing:
         others = np.arange(len(self.players)) != i
@@ -292,31 +275,24 @@ class Tournament:
         standing = Standing(
             self_play={name: self._statistic(name, rows) for name, rows in own.items()},
             cross_play={n: self._over_others(n, rows) for n, rows in cross.items()},
-            gap={
-                name: self._over_others(name, rows, own[name])
-                for name, rows in cross.items()
-                if not self.is_divided
-            },
+            gap={},
             by_seat={
-                turn: {
-                    name: self._over_others(name, rows[s : s + 1])
-                    for name, rows in cross.items()
-                }
+                turn: {n: self._over_others(n, rows[[s]]) for n, rows in cross.items()}
                 for s, turn in enumerate(self.turns)
             },
             worst=None if worst is None else self.players[worst],
         )
         if not self.is_divided:
-            return standing
+            less = {n: self._over_others(n, r, own[n]) for n, r in cross.items()}
+            return replace(standing, gap=less)
         points = cross["points"]
-        counts = (int((points == point).sum()) for point in (1.0, 0.5, 0.0))
-        wins, draws, losses = counts
+        wins, draws, losses = (int((points == each).sum()) for each in (1.0, 0.5, 0.0))
         rating = self.ratings[self.players[i]]
         return replace(standing, wins=wins, draws=draws, losses=losses, rating=rating)
 
     @property
     def _points(self) -> np.ndarray:
-        """What rows took from columns, (players, players)."""
+        """Points of rows against columns, (players, players)."""
         own = self._shown("points")
         lost = np.swapaxes(1.0 - own, 1, 2)
         return (np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)).sum(-1)
@@ -325,7 +301,7 @@ class Tournament:
         if self.is_divided:
             ratings = [self.ratings[self.players[i]].mean for i in runs]
             return {"rating": Statistic.of(ratings)}
-        told = {}
+        means = {}
         for measure, values in self.values.items():
             cells = _mean(_mean(np.moveaxis(values[:, runs][:, :, runs], -1, 0)))
             whole = _selves_and_others(cells)
@@ -334,50 +310,40 @@ class Tournament:
                 for i in range(len(runs))
             ]
             for i, name in enumerate(("of self-play", "of cross-play", "lost")):
-                is_share = measure in SHARES and name != "lost"
-                found = jackknifed(
-                    [each[i] for each in left], whole[i], is_share=is_share
-                )
+                is_mean = is_share(measure) and name != "lost"
+                own = [each[i] for each in left]
+                found = jackknifed(own, whole[i], is_share=is_mean)
                 ends = found.low, found.high
-                told[f"{measure} {name}"] = Statistic(
-                    whole[i], *ends, whole[i], whole[i]
-                )
-        return told
+                mean = Statistic(whole[i], *ends, whole[i], whole[i])
+                means[f"{measure} {name}"] = mean
+        return means
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN."""
-        content = {each: getattr(self, each) for each in self.__dataclass_fields__}
-        derived = ["measures", "matrices", "standings", "group_means"]
-        derived.append("cycles" if self.is_divided else "conventions")
-        content |= {each: getattr(self, each) for each in derived}
-        return json.dumps(without_nan(_plain(content)), indent=1) + "\n"
+        names = [each.name for each in fields(self)]
+        names += ["measures", "matrices", "standings", "group_means"]
+        names.append("cycles" if self.is_divided else "conventions")
+        return to_json({name: getattr(self, name) for name in names}, indent=1)
 
     def to_csv(self) -> str:
         """Return the matrices as rows: seat, its player, the others', and measures."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
         ends = ("", "_low", "_high")
         names = [f"{measure}{end}" for measure in self.measures for end in ends]
-        writer.writerow(["seat", "player", "others", "episodes", *names])
-        turns = self.turns[: len(self._shown(self.measures[0]))]
-        for s, i, j in np.ndindex(len(turns), len(self.players), len(self.players)):
-            cells: list[Any] = []
+        rows = []
+        for s, i, j in np.ndindex(self._shown(self.measures[0]).shape[:3]):
+            start = self.turns[s], self.players[i], self.players[j]
+            row: list[Any] = [*start, self.settings["episodes"]]
             for measure in self.measures:
-                one = self._statistic(measure, self.values[measure][s : s + 1, i, j])
-                cells += [one.mean, one.low, one.high]
-            cells = ["" if math.isnan(cell) else cell for cell in cells]
-            start = turns[s], self.players[i], self.players[j]
-            writer.writerow([*start, self.settings["episodes"], *cells])
-        return text.getvalue()
+                one = self._statistic(measure, self.values[measure][[s], i, j])
+                row += [one.mean, one.low, one.high]
+            rows.append(row)
+        return to_csv(["seat", "player", "others", "episodes", *names], rows)
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return what to call players in tables, if that still tells them apart.
+    """Return short names of players for tables, by their names.
 
-    It is the last part of a path, and the style of an expert.
-
-    Args:
-      names: the players'.
+    They are the last parts of paths, and the styles of experts, where these differ.
     """
     bare = {
         name: name.removesuffix("/policy.safetensors").removesuffix(".safetensors")
@@ -391,8 +357,8 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
 
 
 def format_measure(measure: str, value: float) -> str:
-    """Return a number of a measure for people, such as "97 %"; a dash for NaN."""
-    if measure in SHARES:
+    """Return a number for people, such as "97 %"; a dash for NaN."""
+    if is_share(measure):
         return "-" if math.isnan(value) else f"{100 * value:.0f} %"
     return format_number(value, digits=1 if abs(value) < 100 else 0)
 
@@ -408,29 +374,14 @@ def format_estimate(measure: str, statistic: Statistic) -> str:
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """Return the mean over the first axis of what is not NaN; NaN where all is."""
+    """Return the mean over the first axis without NaN; NaN where all is NaN."""
     known = ~np.isnan(values)
     total = np.where(known, values, 0.0).sum(0)
     return np.where(known.any(0), total / np.maximum(known.sum(0), 1), math.nan)
 
 
 def _selves_and_others(cells: np.ndarray) -> tuple[float, float, float]:
-    """Return the means with oneself, with others, and their difference.
-
-    Args:
-      cells: of rows with columns, (runs, runs).
-    """
+    """Return the means of self-play and of cross-play in (runs, runs), and the gap."""
     is_self = np.eye(len(cells), dtype=bool)
     own, others = (float(_mean(cells[which])) for which in (is_self, ~is_self))
     return own, others, own - others
-
-
-def _plain(value: Any) -> Any:
-    """Return values as plain dictionaries and lists."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value

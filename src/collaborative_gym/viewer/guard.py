@@ -1,6 +1,7 @@
 """A page's server. It answers no other page, and takes only its users' input."""
 
 import asyncio
+import errno
 import ipaddress
 import logging
 import re
@@ -15,10 +16,8 @@ import viser
 from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
-from collaborative_gym.viewer.address import is_loopback
-
 PULL = "cmd/ctrl"
-"""What to hold down while the mouse pulls at a body."""
+"""Key to hold down while the mouse pulls at a body."""
 
 _PROTOCOL = f"viser-v{viser.__version__}"
 """The WebSocket protocol by which viser's own page talks to it."""
@@ -39,6 +38,9 @@ _PIXELS = 2**16
 _HOST = re.compile(r"(?:\[(.+)\]|([^:\[\]]+))(?::\d+)?", re.ASCII)
 """A request's `Host`: an IPv6 address in brackets, or else a name, and a port."""
 
+_LAST_PORT = 65535
+"""The greatest port."""
+
 _LOGGER = logging.getLogger(__name__)
 _LOGGER.addHandler(logging.NullHandler())  # Who scans ports must not fill a terminal.
 
@@ -51,26 +53,20 @@ def start_server(
     """Return a server that listens at an address, and answers its own pages alone.
 
     A web page may send requests to every server that its reader's browser reaches. So
-    all are refused, with status 403, unless `Host` is what this server is called, and
+    all are refused, with status 403, unless `Host` is a name of this server, and
     `Origin`, which browsers send with each WebSocket, is the same. Messages that no
-    page of ours sends are dropped.
+    page of ours sends are dropped. The names are `localhost`, loopback addresses and
+    `host`; where other machines reach it also this machine's name and all numeric
+    addresses, which no foreign page can turn to another machine as it can a name.
 
-    A link is a path of the page that says what it is to show. The page connects by the
-    same path, and only then the link takes effect: a mere request, which other pages
-    can cause, changes nothing.
-
-    Args:
-      host: the address. Its names are `localhost`, loopback addresses and the address
-        itself; where other machines reach it also this machine's name and all numeric
-        addresses, which no foreign page can turn to another machine as it can a name.
-      port: the port.
-      links: how the paths of links begin.
-      on_link: takes a link and returns what shows what it says; raises a KeyError or
-        ValueError for one that says what cannot be shown.
+    A link is a path of the page, which begins with `links`, that says what to show. It
+    takes effect only when the page connects by the same path: a mere request, which
+    other pages can cause, changes nothing. `on_link` returns a function that shows a
+    link; it raises a KeyError or ValueError for one that cannot be shown.
 
     Raises:
-      RuntimeError: if the installed viser starts its server in a way that is not known
-        here, so that it would be unguarded.
+      RuntimeError: if the installed viser starts its server in an unknown way, so that
+        it would be unguarded.
     """
     guard = _Guard(host, links, on_link)
     # viser has no option for this, and listens as soon as it is made.
@@ -91,12 +87,7 @@ def start_server(
 
 
 class _Guard:
-    """What keeps strangers out of one server.
-
-    Attributes:
-      has_served: whether it guards a server.
-      gui: the inputs of its pages.
-    """
+    """The guard of one server against strangers; `gui` are the inputs of its pages."""
 
     def __init__(
         self, host: str, links: str, on_link: Callable[[str], Callable[[], object]]
@@ -145,8 +136,8 @@ class _Guard:
     def enter(self, transport: asyncio.Transport) -> None:
         """Count a connection in, and end one if there are too many.
 
-        That is the oldest that has asked for nothing: a program that opens many and
-        keeps silent does not lock tabs out. Where all are tabs, it is the new one.
+        That is the oldest without a request: a program that opens many and keeps silent
+        does not lock tabs out. Where all are tabs, it is the new one.
         """
         self._open += 1
         self._silent[transport] = None
@@ -161,7 +152,7 @@ class _Guard:
         self._silent.pop(transport, None)
 
     def takes(self, sent: "_Input | _Drag | _Camera") -> bool:
-        """Return whether a message fits what the page has."""
+        """Return whether a message fits the inputs of the page."""
         if not isinstance(sent, _Input):
             return True
         inputs = getattr(self.gui, "_gui_input_handle_from_uuid", {})
@@ -171,7 +162,7 @@ class _Guard:
         )
 
     def _follow(self, connection: Any, request: Request) -> Response | None:
-        """Show what a link says once a page connects by it; refuse all else."""
+        """Show a link once a page connects by it; refuse all else."""
         try:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:
@@ -202,7 +193,7 @@ class _Guard:
         return None
 
     def _is_ours(self, host: str) -> bool:
-        """Return whether a request's `Host` is what this server is called."""
+        """Return whether a request's `Host` is a name of this server."""
         parts = _HOST.fullmatch(host)
         if parts is None:
             return False
@@ -215,7 +206,7 @@ class _Guard:
 
 
 class _Connection(websockets.ServerConnection):
-    """A connection that reads only what a page of ours sends."""
+    """A connection that reads only the messages of our pages."""
 
     guard: _Guard
 
@@ -306,3 +297,41 @@ def _fits(own: Any, value: bool | float | str) -> bool:
 
 _READER = msgspec.msgpack.Decoder(_Input | _Drag | _Camera)
 _WRITER = msgspec.msgpack.Encoder()
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches an address."""
+    found = socket.getaddrinfo(host, None)
+    return all(ipaddress.ip_address(where[0]).is_loopback for *_, where in found)
+
+
+def name_for_browser(host: str) -> str:
+    """Return an address as a browser on this machine wants it."""
+    if host in ("0.0.0.0", "::"):
+        return "localhost"
+    return f"[{host}]" if ":" in host else host
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the first port from this one on where nobody listens; 0 stays 0.
+
+    Raises:
+      OSError: if it cannot listen there, other than because somebody does.
+      ValueError: if there is no such port, or this machine does not have the address.
+    """
+    if not 0 <= port <= _LAST_PORT:
+        raise ValueError(f"port must be between 0 and {_LAST_PORT}, got {port}")
+    for candidate in range(port, _LAST_PORT + 1):
+        try:
+            family, *_, address = socket.getaddrinfo(host, candidate)[0]
+            socket.create_server(address, family=family).close()
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                continue
+            fault = f"cannot listen on {host}, port {candidate}: {error.strerror}"
+            is_foreign = error.errno == errno.EADDRNOTAVAIL
+            if is_foreign or isinstance(error, socket.gaierror):
+                raise ValueError(f"{fault}; give an address of this machine") from error
+            raise OSError(fault) from error
+        return candidate
+    raise OSError(f"all ports of {host} from {port} on are taken")

@@ -1,4 +1,4 @@
-"""Showing a policy at work, in real time."""
+"""The call that shows a policy at work, in real time."""
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -14,31 +14,30 @@ from collaborative_gym.viewer.session import Session
 
 def view(
     env: str | Task,
-    tell: Callable[[str], object],
+    say: Callable[[str], object],
     *,
     warn: Callable[[str], object],
     policy: AnyPolicy = "expert",
     any_env: bool = False,
     seed: int = 0,
     web: bool = False,
-    host: str = "127.0.0.1",
-    port: int = 8080,
+    address: tuple[str, int] = ("127.0.0.1", 8080),
 ) -> None:
-    """Let a policy play one episode after the other, until the viewer is closed.
+    """Show a policy in one episode after the other, until the viewer is closed.
 
-    It shows in a window, or else on a web page. The page's server has no password: who
-    reaches it may watch and control.
+    It shows in a window, or else on a web page. The page's server has no password:
+    whoever reaches it may watch and control.
 
     Args:
       env: an environment id, a task's name, or a task.
-      tell: takes what the user needs to know, such as where the page is.
-      warn: takes what should alarm the user, such as that the policy failed.
+      say: called with news for the user, such as where the page is.
+      warn: called with what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
-      seed: which episodes.
+      seed: of the episodes.
       web: whether to show a page even if a window can be opened.
-      host: address that the page's server listens on.
-      port: its port; the next free one is taken if it is in use.
+      address: host and port of the page's server; if the port is in use, the next free
+        one is taken.
 
     Raises:
       ImportError: if a page is needed and the extra `view` is not installed.
@@ -46,27 +45,28 @@ def view(
       OSError: if the server cannot listen there.
     """
     task = as_task(env)
-    tell(f"building the world of {task.name} ...")
+    say(f"building the world of {task.name} ...")
     world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
     with closing(world):
         act = as_policy(policy, world, any_env=any_env)
         is_shared = not isinstance(policy, Mapping)
         policies = dict.fromkeys(world.agents, policy) if is_shared else policy
         session = Session(world, act, warn, policies=policies)
-        face = None if web else _window(session, tell)
+        face = None if web else _window(session, say)
         if face is None:
-            face = _page(session, any_env, host, port)
+            face = _page(session, any_env, *address)
             if face.is_public:
                 warn(
-                    f"WARNING: the viewer listens on {host}. Everyone who reaches this"
-                    " machine can watch and control it; there is no password."
+                    f"WARNING: the viewer listens on {address[0]}. Everyone who"
+                    " reaches this machine can watch and control it; there is no"
+                    " password."
                 )
-            tell(f"open {face.url} in a browser; Ctrl-C ends it")
+            say(f"open {face.url} in a browser; Ctrl-C ends it")
         with closing(face):
             session.run(face.refresh)
 
 
-def _window(session: Session, tell: Callable[[str], object]) -> Any:
+def _window(session: Session, say: Callable[[str], object]) -> Any:
     """Return a window, or None where none can be opened, and say so."""
     # Imported here because a page needs no windowing system.
     from collaborative_gym.viewer.window import Window
@@ -74,7 +74,7 @@ def _window(session: Session, tell: Callable[[str], object]) -> Any:
     try:
         return Window(session)
     except RuntimeError as error:
-        tell(f"{error}; showing it in the browser instead")
+        say(f"{error}; showing it in the browser instead")
         return None
 
 

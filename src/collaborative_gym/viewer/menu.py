@@ -1,4 +1,4 @@
-"""What a viewer may play: environments, arms, policies and starts."""
+"""The choices of a viewer: environments, arms, policies and starts."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -17,21 +17,12 @@ from collaborative_gym.tasks.registry import list_envs, make_task
 from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
 
 LINK = "/play/"
-"""How the paths of links begin."""
+"""Beginning of the paths of links."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What plays, by names.
-
-    Attributes:
-      env: an environment id, or a task's name.
-      robots: the arms, in the order of the agents.
-      policies: who commands each of them.
-      randomization: how starts are drawn.
-      seed: which series of episodes.
-      episode: index of the episode within it.
-    """
+    """An episode and its policies, by names; arms and policies in the agents' order."""
 
     env: str
     robots: tuple[str, ...]
@@ -42,17 +33,17 @@ class Choice:
 
     @property
     def link(self) -> str:
-        """The path of a page's address that opens this start."""
+        """Path of a page's address that opens this start."""
         return LINK + urlencode(vars(self), doseq=True)
 
 
 class Menu:
-    """What may be chosen: what the package has, and what a viewer was started with.
+    """The choices: those of the package, and the world and policies of a viewer.
 
-    Args:
-      env: the world that a viewer was started with.
-      policies: who commands each of its agents, as `evaluate` takes it.
-      any_env: whether a trained policy may play another environment than its own.
+    With `any_env`, trained policies may play other environments than their own.
+
+    Attributes:
+      envs, robots, randomizations: names of the choices.
     """
 
     def __init__(
@@ -72,24 +63,12 @@ class Menu:
         own = env.task.config.randomization
         if own not in RANDOMIZATIONS.values():
             self._randomizations["own"] = own
-
-    @property
-    def envs(self) -> tuple[str, ...]:
-        """The environments."""
-        return tuple(dict.fromkeys([*list_envs(), self._task.name]))
-
-    @property
-    def robots(self) -> tuple[str, ...]:
-        """The arms."""
-        return tuple(self._robots)
-
-    @property
-    def randomizations(self) -> tuple[str, ...]:
-        """The ways to draw starts."""
-        return tuple(self._randomizations)
+        self.envs = tuple(dict.fromkeys([*list_envs(), env.task.name]))
+        self.robots = tuple(self._robots)
+        self.randomizations = tuple(self._randomizations)
 
     def policies(self, choice: Choice) -> tuple[str, ...]:
-        """Return who may command the arms of a choice."""
+        """Return the names of policies for the arms of a choice."""
         # A viewer that was started with shipped ones also goes where there are none.
         given = [name for name in self._policies if name not in SHIPPED]
         names = [*given, *self._styles(choice)]
@@ -97,12 +76,7 @@ class Menu:
         return tuple(dict.fromkeys(names))
 
     def chosen(self, env: VectorEnv, policies: Mapping[str, AnyPolicy]) -> Choice:
-        """Return what plays, by names.
-
-        Args:
-          env: the world.
-          policies: who commands each agent.
-        """
+        """Return the choice that plays, by its world and the policy of each agent."""
         own = env.task.config.randomization
         names = {value: name for name, value in self._randomizations.items()}
         return Choice(
@@ -121,21 +95,27 @@ class Menu:
         """
         return self._able(replace(choice, env=env, robots=self._usual(env)))
 
-    def armed(self, choice: Choice, i: int, robot: str) -> Choice:
-        """Return the choice of another arm for one of the agents.
+    def drawn(self, choice: Choice, randomization: str) -> Choice:
+        """Return the choice of other starts."""
+        return replace(choice, randomization=randomization)
+
+    def led(self, choice: Choice, policy: str, i: int) -> Choice:
+        """Return the choice of another policy for the agent i."""
+        return replace(choice, policies=_put(choice.policies, i, policy))
+
+    def armed(self, choice: Choice, robot: str, i: int) -> Choice:
+        """Return the choice of another arm for the agent i.
 
         The same policies go on if they can play with it; else the expert plays.
         """
-        robots = list(choice.robots)
-        robots[i] = robot
         given = self._policies if self._any_env else ()
-        return self._able(replace(choice, robots=tuple(robots)), given)
+        return self._able(replace(choice, robots=_put(choice.robots, i, robot)), given)
 
     def read(self, link: str) -> Choice:
-        """Return the choice of a link; what it does not say is as usual.
+        """Return the choice of a link; parts that it lacks are the usual ones.
 
         Raises:
-          KeyError: if it names what may not be chosen.
+          KeyError: if it names something else than a choice.
           ValueError: if it is not a link, or its numbers do not fit.
         """
         parts = parse_qs(link.removeprefix(LINK), strict_parsing=True)
@@ -164,11 +144,9 @@ class Menu:
     def load(
         self, choice: Choice, env: VectorEnv
     ) -> tuple[VectorEnv, Policy, dict[str, AnyPolicy]]:
-        """Return a world, what plays it, and who commands each agent.
+        """Return the world of a choice, its policy, and the policy of each agent.
 
-        Args:
-          choice: what to play.
-          env: the world that plays now, which is returned if it is the one.
+        The world is `env`, the present one, where that is the one of the choice.
 
         Raises:
           Exception: as `make_vec` and `load_policy` do.
@@ -194,9 +172,7 @@ class Menu:
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
         """Return the choice with the expert for each policy that cannot play there.
 
-        Args:
-          choice: what to play.
-          given: which can, besides the scripted and the shipped ones.
+        Policies of `given` can, besides the scripted and the shipped ones.
         """
         able = {*SCRIPTED, *self._styles(choice), *given} - SHIPPED.keys()
         able.update(self._shipped(choice))
@@ -216,11 +192,15 @@ class Menu:
         """Return the kinds of shipped policies that can play."""
         playing = set()
         if (choice.env, choice.robots) == (self._task.name, _arms(self._task)):
-            # Who plays already may go on, shipped for this environment or not.
+            # Policies that play already may go on, shipped for this environment or not.
             playing = SHIPPED.keys() & self._policies.keys()
         if choice.robots == self._usual(choice.env):
             playing.update(shipped_kinds(choice.env))
         return [kind for kind in SHIPPED if kind in playing]
+
+
+def _put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:
+    return *names[:i], name, *names[i + 1 :]
 
 
 def _arms(task: Task) -> tuple[str, ...]:
@@ -228,4 +208,4 @@ def _arms(task: Task) -> tuple[str, ...]:
 
 
 def _one_of(kind: str, given: str, names: tuple[str, ...]) -> str:
-    return look_up(kind, given, {name: name for name in names})
+    return look_up(kind, given, dict(zip(names, names, strict=True)))

@@ -1,20 +1,33 @@
-"""A page's panel: the controls, what may be chosen, and what is measured."""
+"""A page's panel: the controls, the choices, and the measures."""
 
 import html
 import json
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from itertools import cycle
 from typing import Any
 
+import numpy as np
 import viser
 
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.viewer.menu import Choice, Menu
-from collaborative_gym.viewer.plots import Plots
 from collaborative_gym.viewer.reading import Reading
-from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
+from collaborative_gym.viewer.session import FASTEST, SLOWEST, Frame, Session
 from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
+
+_PAUSE = 0.5
+"""Time between two pictures of a chart, in s of the user's time."""
+
+_COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
+
+_HEIGHT = 200
+"""Height of a chart, in pixels."""
+
+_MEASURED = "measured"
+"""Title of the chart of measures."""
 
 _LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
 """Texts by which a tab finds the panel and a box in it."""
@@ -33,9 +46,9 @@ const bar = parts.findLast(part => part.textContent == %s);
 if (!window.isKnown && matchMedia("(max-width: 36em)").matches && bar) bar.click();
 window.isKnown = true;
 """
-"""What a tab does once it has the panel: it takes its title, unticks the shadows if it
-draws without a graphics card, where a picture takes a second with them, and on a phone
-folds the panel, which would hide the arms."""
+"""Script of a tab that has the panel. It sets the title, unticks the shadows if there
+is no graphics card, where a picture takes a second with them, and on a phone folds the
+panel, which would hide the arms."""
 
 _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
@@ -43,18 +56,11 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
 .mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
 }</style>"""
-"""What a thumb can hit: buttons, tabs, boxes and sliders; some have other sizes."""
+"""Sizes of buttons, tabs, boxes and sliders that a thumb can hit."""
 
 
 class Panel:
-    """The panel of all tabs, which share its controls.
-
-    Args:
-      server: the page's server.
-      session: what it controls.
-      menu: what may be chosen.
-      on_view: takes the camera that is chosen.
-    """
+    """The panel of all tabs, which share its controls; `on_view` gets a view."""
 
     def __init__(
         self,
@@ -85,12 +91,12 @@ class Panel:
 
     @property
     def view(self) -> str:
-        """The camera that is chosen."""
+        """The chosen camera."""
         return self._view.value
 
     @property
     def looks(self) -> dict[str, bool]:
-        """What is to be drawn besides the shapes, as `Stage.refresh` takes it."""
+        """The arguments of `Stage.refresh`."""
         return {name: box.value for name, box in self._looks.items()}
 
     def refresh(self) -> None:
@@ -117,7 +123,7 @@ class Panel:
         self._view.options = views
 
     def play(self, choice: Choice) -> None:
-        """Let the session play what is chosen."""
+        """Let the session play a choice."""
         self._session.change(
             lambda env: self._menu.load(choice, env), choice.seed, choice.episode
         )
@@ -169,36 +175,22 @@ class Panel:
         return self._menu.chosen(self._session.env, self._session.policies)
 
     def _offer(self) -> None:
-        """Offer what may be chosen beside what plays now."""
+        """Offer the choices beside the present one."""
         menu, choice, env = self._menu, self._choice, self._session.env
         self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
             old.remove()
+        asked: list[tuple[str, Iterable[str], str, Any]] = [
+            ("Environment", menu.envs, choice.env, menu.moved),
+            ("Starts", menu.randomizations, choice.randomization, menu.drawn),
+        ]
+        for i, agent in enumerate(env.agents):
+            arm, policy = choice.robots[i], choice.policies[i]
+            armed, led = partial(menu.armed, i=i), partial(menu.led, i=i)
+            asked.append((f"{agent}, arm", menu.robots, arm, armed))
+            asked.append((f"{agent}, policy", menu.policies(choice), policy, led))
         with self._choices:
-            offers = [
-                self._ask("Environment", menu.envs, choice.env, menu.moved),
-                self._ask(
-                    "Starts",
-                    menu.randomizations,
-                    choice.randomization,
-                    lambda now, name: replace(now, randomization=name),
-                ),
-            ]
-            for i, agent in enumerate(env.agents):
-                offers += [
-                    self._ask(
-                        f"{agent}, arm",
-                        menu.robots,
-                        choice.robots[i],
-                        lambda now, name, i=i: menu.armed(now, i, name),
-                    ),
-                    self._ask(
-                        f"{agent}, policy",
-                        menu.policies(choice),
-                        choice.policies[i],
-                        lambda now, name, i=i: _led(now, i, name),
-                    ),
-                ]
+            offers = [self._ask(*each) for each in asked]
             self._link = self._gui.add_html("")
             offers.append(self._link)
         self._offers = offers
@@ -217,7 +209,7 @@ class Panel:
         value: str,
         change: Callable[[Choice, str], Choice],
     ) -> Any:
-        """Offer names; whoever chooses one changes what plays."""
+        """Offer names, of which a user can choose one to play."""
         box = self._gui.add_dropdown(
             label, list(dict.fromkeys([*options, value])), initial_value=value
         )
@@ -229,15 +221,8 @@ _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</
 
 
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:
-    """Do something when a user changes an input, but not when the program does."""
+    """Call a function when a user, but not the program, changes an input."""
     box.on_update(lambda event: event.client and do(event.target.value))
-
-
-def _led(choice: Choice, i: int, policy: str) -> Choice:
-    """Return the choice of another policy for one of the agents."""
-    policies = list(choice.policies)
-    policies[i] = policy
-    return replace(choice, policies=tuple(policies))
 
 
 def _heading(task: Task, reading: Reading) -> str:
@@ -266,3 +251,59 @@ def _table(rows: Iterable[tuple[str, str]]) -> str:
     # Figures of equal width, so that nothing trembles.
     style = "width:100%;font-variant-numeric:tabular-nums"
     return _STYLE % f'<table style="{style}">{lines}</table>'
+
+
+class Plots:
+    """Charts over an episode's time, one of each agent's reward and one of measures."""
+
+    def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle):
+        self._gui, self._tab = gui, tab
+        self._charts: dict[tuple[str, ...], viser.GuiUplotHandle] = {}
+        self._drawn: Frame | None = None
+        self._next = 0.0
+
+    def refresh(self, film: Sequence[Frame]) -> None:
+        """Draw an episode so far, unless it was drawn just now."""
+        now = time.monotonic()
+        if film[-1] is self._drawn or now < self._next:
+            return
+        self._drawn, self._next = film[-1], now + _PAUSE
+        rows = [_curves(frame) for frame in film]
+        titles = {(title, *curves): title for title, curves in rows[0].items()}
+        if titles.keys() != self._charts.keys():
+            for chart in self._charts.values():
+                chart.remove()
+            self._charts = {key: self._add(*key) for key in titles}
+        times = np.array([frame.reading.time for frame in film])
+        for key, title in titles.items():
+            # A start has no reward yet.
+            first = int(title != _MEASURED and len(rows) > 1)
+            curves = np.array([list(row[title].values()) for row in rows[first:]])
+            self._charts[key].data = (times[first:], *np.ascontiguousarray(curves.T))
+
+    def _add(self, title: str, *names: str) -> viser.GuiUplotHandle:
+        series: list[Any] = [
+            {"label": name, "stroke": color, "width": 2}
+            for name, color in zip(names, cycle(_COLORS), strict=False)
+        ]
+        with self._tab:
+            return self._gui.add_uplot(
+                (np.zeros(1),) * (1 + len(names)),
+                ({"label": "time, s"}, *series),
+                title=title,
+                scales={"x": {"time": False}},
+                height=_HEIGHT,
+            )
+
+
+def _curves(frame: Frame) -> Mapping[str, Mapping[str, float]]:
+    """Return the numbers of a control step, by chart and by name."""
+    reading = frame.reading
+    charts = {f"reward of {agent}": own for agent, own in reading.rewards.items()}
+    units = {name: f", {unit}" for name, unit in reading.units.items()}
+    charts[_MEASURED] = {
+        f"{name}{units.get(name, '')}": value
+        for name, value in reading.measures.items()
+        if not isinstance(value, bool)
+    }
+    return {title: curves for title, curves in charts.items() if curves}

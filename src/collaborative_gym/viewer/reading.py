@@ -1,4 +1,4 @@
-"""What a viewer's panel says about the present state."""
+"""The texts and numbers of a viewer's panel."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,39 +14,22 @@ from collaborative_gym.timing import CONTROL_DT
 
 @dataclass(frozen=True)
 class Reading:
-    """What a viewer says about one world.
+    """The state of one world for people, by side, by agent or by name."""
 
-    Attributes:
-      episode: index of the episode within its seed.
-      seed: its seed.
-      time: since its start, in s.
-      players: who plays each side, by its name.
-      scores: the points of each side, by its name; of a single one there are none.
-      success: whether each side's goal is met now.
-      returns: what each side has earned since the start.
-      rewards: the last control step's named terms, by agent; at a start 0.
-      measures: distances and whatever else the task measures, by name.
-      units: of these measures that have one, as far as the task names them.
-      previous: how the last episode ended that is over, a sentence, or empty.
-      has_ended: whether this one is over.
-      trouble: why it cannot go on, a sentence; empty where it can.
-      is_loading: whether another world is being made in its place.
-    """
-
-    episode: int
+    episode: int  # index within its seed
     seed: int
-    time: float
-    players: Mapping[str, str]
-    scores: Mapping[str, float]
-    success: Mapping[str, bool]
-    returns: Mapping[str, float]
-    rewards: Mapping[str, Mapping[str, float]]
-    measures: Mapping[str, float | bool]
-    units: Mapping[str, str]
-    previous: str
-    has_ended: bool
-    trouble: str = ""
-    is_loading: bool = False
+    time: float  # since the start, in s
+    players: Mapping[str, str]  # names of the sides' policies
+    scores: Mapping[str, float]  # points; a single side has none
+    success: Mapping[str, bool]  # whether the goal is met now
+    returns: Mapping[str, float]  # sums of rewards since the start
+    rewards: Mapping[str, Mapping[str, float]]  # named terms of the last step
+    measures: Mapping[str, float | bool]  # distances and the like
+    units: Mapping[str, str]  # of the measures that have one
+    previous: str  # end of the episode before, a sentence, or empty
+    has_ended: bool  # whether this episode is over
+    trouble: str = ""  # why it cannot go on, a sentence, or empty
+    is_loading: bool = False  # whether another world is being made
 
     @property
     def rows(self) -> list[tuple[str, str]]:
@@ -80,33 +63,28 @@ def read(
     before: Reading | None,
     players: Mapping[str, str],
 ) -> Reading:
-    """Return the reading of a batch of one world.
+    """Return the reading of one world after a step or reset with these infos.
 
-    Args:
-      env: the world.
-      infos: of its last step or reset.
-      before: the reading of the step before, or None.
-      players: who plays each side, by its name.
+    `before` is the reading of the step before, or None.
     """
-    place = env.progress
-    has_begun = place["step"][0] > 0  # At a start no success counts.
+    seed, episode, step = (int(env.progress[n][0]) for n in ("seed", "episode", "step"))
     rewards = {
         agent: {name: float(term[0]) for name, term in named.items()}
         for agent, named in infos["reward_terms"].items()
     }
-    earned = before.returns if before is not None and place["step"][0] > 1 else {}
+    earned = before.returns if before is not None and step > 1 else {}
     success = _by_side(env.sides, infos["success"])
     points = infos["metrics"].get("score", {})
     measures = list(_measures(env.facts, env.task.units))
-    scores = {side: float(own[0]) for side, own in points.items()}
     previous = "" if before is None else before.previous
     return Reading(
-        episode=int(place["episode"][0]),
-        seed=int(place["seed"][0]),
-        time=float(place["step"][0]) * env.control_dt,
+        episode=episode,
+        seed=seed,
+        time=step * env.control_dt,
         players=players,
-        scores=scores,
-        success={side: bool(has_begun and is_met[0]) for side, is_met in success},
+        scores={side: float(own[0]) for side, own in points.items()},
+        # At a start no success counts.
+        success={side: bool(step > 0 and is_met[0]) for side, is_met in success},
         returns={
             side: earned.get(side, 0.0)
             + sum(sum(rewards.get(agent, {}).values()) for agent in agents)
@@ -120,9 +98,9 @@ def read(
     )
 
 
-def _by_side(sides: Iterable[str], told: Any) -> list[tuple[str, Any]]:
-    """Return a value for each side; a single side has no name in it."""
-    return [(side, told[side] if isinstance(told, Mapping) else told) for side in sides]
+def _by_side(sides: Iterable[str], given: Any) -> list[tuple[str, Any]]:
+    """Return a value for each side, from a mapping or from the single side's value."""
+    return [(s, given[s] if isinstance(given, Mapping) else given) for s in sides]
 
 
 def _measures(
@@ -158,11 +136,11 @@ def _sum_up(
         results.append(f"over after {infos['step'][0] * CONTROL_DT:.1f} s")
     for (side, time), (_, earned) in zip(times, returns, strict=True):
         if has_diverged:
-            told = "the physics diverged"
+            end = "the physics diverged"
         elif np.isnan(time[0]):
-            told = "no success"
+            end = "no success"
         else:
-            told = f"success after {time[0]:.1f} s"
+            end = f"success after {time[0]:.1f} s"
         name = f"{side} " if len(times) > 1 else ""
-        results.append(f"{name}{told}, return {earned[0]:z.1f}")
+        results.append(f"{name}{end}, return {earned[0]:z.1f}")
     return f"episode {metrics['episode'][0]}: {'; '.join(results)}"

@@ -1,4 +1,4 @@
-"""One world that a policy plays in real time, and what its viewers ask for."""
+"""One world that a policy plays in real time, and the requests of its viewers."""
 
 import threading
 import time
@@ -21,50 +21,45 @@ SLOWEST, FASTEST = 0.1, 4.0
 """Bounds of the speed, in simulated seconds per second."""
 
 _PICTURES = 60
-"""How often a second to draw at most, of the user's time."""
+"""Most pictures per second, of the user's time."""
 
 _LAG = 0.1
-"""How late the world may be and still catch up, in s."""
+"""Longest delay that the world catches up, in s."""
 
 _HOLD = 1.0
-"""How long the end of an episode is shown before the next begins, of the user's time
-in s."""
+"""Time for which the end of an episode is shown, of the user's time in s."""
 
 Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
-"""From the world that plays to another, its policy, and who commands each agent."""
+"""From the present world to another, its policy, and the policy of each agent."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """An episode after a control step.
-
-    Attributes:
-      state: from which it goes on.
-      reading: what to say about it.
-    """
+    """An episode after a control step: its state and its reading."""
 
     state: EnvState
     reading: Reading
 
 
 class Session:
-    """A world that a policy plays in real time until it is told to end.
+    """A world that a policy plays in real time until `end`.
 
     The world belongs to the thread that calls `run`. Everything else may be used by any
-    thread; what is asked for happens at the end of the control step under way, which is
-    then played without waiting.
+    thread; requests take effect at the end of the present control step, which is then
+    played without waiting.
 
     Args:
       env: the world, a batch of one that does not reset itself, so that the end of an
         episode is seen.
-      policy: who commands the robots. Where it fails, the session says so and pauses.
-      warn: takes what went wrong, a sentence.
-      policies: who commands each agent, as `evaluate` takes it; None for the policy.
+      policy: commands the robots. Where it fails, the session says so and pauses.
+      warn: called with a sentence about what went wrong.
+      policies: the policy of each agent, as `evaluate` takes it; None for `policy`.
 
     Attributes:
       env: the world.
-      policies: who commands each agent.
-      reading: what to say about the present state.
+      policies: the policy of each agent.
+      is_paused: whether time stands still.
+      reading: of the present state.
       film: the episode so far, a frame for its start and for each control step. Later
         frames are of a future that may differ once time goes on again.
       perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
@@ -88,7 +83,7 @@ class Session:
         self._policy = policy
         self._warn = warn
         self._speed = 1.0
-        self._is_paused = False
+        self.is_paused = False
         self._has_ended = False
         self._requests: deque[Callable[[], None]] = deque()
         self._asked = threading.Event()
@@ -98,13 +93,7 @@ class Session:
         self._previous: list[Frame] = []
         self._players = name_players(self.policies, env.sides)
         self._observations, infos = env.reset()
-        self.reading = read(env, infos, None, self._players)
-        self.film.append(Frame(env.get_state(), self.reading))
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether time stands still."""
-        return self._is_paused
+        self._roll_on(infos, None)
 
     @property
     def speed(self) -> float:
@@ -113,11 +102,6 @@ class Session:
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        """Set the speed.
-
-        Raises:
-          ValueError: if it is out of bounds.
-        """
         if not SLOWEST <= speed <= FASTEST:
             raise ValueError(
                 f"speed must be between {SLOWEST} and {FASTEST}, got {speed}"
@@ -126,18 +110,17 @@ class Session:
 
     def pause(self) -> None:
         """Let time stand still."""
-        self._is_paused = True
+        self.is_paused = True
         self._asked.set()
 
     def play(self) -> None:
         """Let time go on."""
-        self._is_paused = False
+        self.is_paused = False
         self._asked.set()
 
     def step(self) -> None:
         """Do one control step and pause."""
-        self._is_paused = True
-        self._ask(self._step)
+        self._ask(self._step, pauses=True)
 
     def reset(self) -> None:
         """Start the same episode again, with the same bits."""
@@ -149,21 +132,16 @@ class Session:
 
     def seek(self, step: int) -> None:
         """Pause, and go to a control step of the film, or to its last."""
-        self._is_paused = True
-        self._ask(lambda: self._go_to(step))
+        self._ask(lambda: self._go_to(step), pauses=True)
 
     def back(self) -> None:
-        """Pause, and go to the end of what was played before this episode, if any."""
-        self._is_paused = True
-        self._ask(self._go_back)
+        """Pause, and go to the end of the episode before, if there is any."""
+        self._ask(self._go_back, pauses=True)
 
     def change(self, load: Load, seed: int, episode: int) -> None:
         """Start an episode of another world, or with other policies.
 
-        Args:
-          load: called in the session's thread; where it fails, all stays as it is.
-          seed: the episode's seed.
-          episode: its index.
+        `load` is called in the session's thread; where it fails, all stays as it is.
         """
         self._ask(lambda: self._change(load, seed, episode))
 
@@ -175,9 +153,8 @@ class Session:
     def run(self, refresh: Callable[[], object]) -> None:
         """Play until `end`.
 
-        Args:
-          refresh: called whenever there may be something new to draw, also while
-            paused, and in this thread, so that it may read the world.
+        `refresh` is called in this thread, so that it may read the world, whenever
+        there may be something new to draw, also while paused.
         """
         self._refresh = refresh
         self._due = time.perf_counter()
@@ -188,19 +165,20 @@ class Session:
         finally:
             self.env.watch(None)
 
-    def _ask(self, request: Callable[[], None]) -> None:
+    def _ask(self, request: Callable[[], None], *, pauses: bool = False) -> None:
+        self.is_paused |= pauses
         self._requests.append(request)
         self._asked.set()
 
     def _go_on(self) -> None:
-        """Do what is asked for, or else the next control step, or else wait."""
+        """Grant a request, or else do the next control step, or else wait."""
         self._asked.clear()
-        request = self._requests.popleft() if self._requests else None
         if self._requests:
-            self._asked.set()
-        if request is not None:
+            request = self._requests.popleft()
+            if self._requests:
+                self._asked.set()
             request()
-        elif self._is_paused or time.perf_counter() < self._ended + _HOLD:
+        elif self.is_paused or time.perf_counter() < self._ended + _HOLD:
             self._draw()
             self._asked.wait(1 / _PICTURES)
             self._due = time.perf_counter()
@@ -209,9 +187,12 @@ class Session:
 
     def _start(self, *episode: Any) -> None:
         """Start an episode, by its seed and index, or the next one."""
+        self._begin(self.env.reset(*episode), self.reading)
+
+    def _begin(self, begun: tuple[Any, Any], before: Reading | None) -> None:
         self._spring.forget()
-        self._observations, infos = self.env.reset(*episode)
-        self._roll_on(read(self.env, infos, self.reading, self._players))
+        self._observations, infos = begun
+        self._roll_on(infos, before)
         self._draw()
 
     def _change(self, load: Load, seed: int, episode: int) -> None:
@@ -228,15 +209,13 @@ class Session:
             env.watch(self._after_physics, env.substeps)
             self.env, self._spring, self.perturb = env, Spring(env), None
             self.film, self._previous = [], []
-        self._spring.forget()
         self._policy, self.policies = policy, policies
         self._players = name_players(policies, env.sides)
-        self._observations, infos = begun
-        self._roll_on(read(env, infos, None, self._players))
-        self._draw()
+        self._begin(begun, None)
 
-    def _roll_on(self, reading: Reading) -> None:
+    def _roll_on(self, infos: Mapping[str, Any], before: Reading | None) -> None:
         """Show a new state, and film it; a start begins a new film."""
+        reading = read(self.env, infos, before, self._players)
         step = self.env.progress["step"][0]
         if step == 0:
             if len(self.film) > 1:
@@ -273,19 +252,17 @@ class Session:
                 raise
             self._stop("the policy", error)
             return
-        self._roll_on(read(self.env, infos, self.reading, self._players))
-        if self._is_paused:
+        self._roll_on(infos, self.reading)
+        if self.is_paused:
             self._draw()
 
     def _stop(self, what: str, error: Exception) -> None:
-        """Pause, and say what failed and why; to play on is to try again."""
-        location = location_of(error)
-        trouble = (
-            f"{type(error).__name__}: {error}{f' ({location})' if location else ''}"
-        )
+        """Pause, and warn of a failure; to play on is to try again."""
+        where = location_of(error)
+        trouble = f"{type(error).__name__}: {error}{f' ({where})' if where else ''}"
         self.reading = replace(self.reading, trouble=trouble, is_loading=False)
         self._warn(f"{what} failed: {trouble}")
-        self._is_paused = True
+        self.is_paused = True
         self._draw()
 
     def _after_physics(self) -> None:

@@ -13,7 +13,7 @@ _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 """A geom of this colour takes its material's."""
 
 _FLOOR = 40.0
-"""Half width of what is drawn of an endless plane, in m."""
+"""Half width of the drawn part of an endless plane, in m."""
 
 _SQUARE = 1.0
 """Side of the squares in which a plane is coloured, in m."""
@@ -40,11 +40,9 @@ _KIND = mujoco.mjtGeom
 
 
 class _Surface(NamedTuple):
-    """Triangles, whose light is smooth where they share a corner.
+    """Corners (n, 3) in m, and their indices in each triangle, seen from outside.
 
-    Attributes:
-      vertices: the corners, (corners, 3) in m.
-      faces: the indices of their corners, (triangles, 3), seen from outside.
+    The light is smooth where triangles share a corner.
     """
 
     vertices: np.ndarray
@@ -56,11 +54,7 @@ def add_geom(
 ) -> list[Any]:
     """Add a geom to a page's scene and return its nodes; an unseen one has none.
 
-    Args:
-      scene: the page's scene.
-      name: of the nodes, below that of the geom's body.
-      model: the world.
-      geom: id of the geom.
+    The nodes' names begin with `name`, below that of the geom's body.
 
     Raises:
       ValueError: if geoms of its kind cannot be drawn.
@@ -142,12 +136,10 @@ def _box(half: np.ndarray) -> _Surface:
 
 
 def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Surface:
-    """Return what a line makes that is turned about z.
+    """Return the surface of a line that is turned about z.
 
-    Args:
-      profile: radius and height of its points from below, (points, 2) in m. Where a
-        point comes twice, there is an edge.
-      sectors: in how many the turn is divided.
+    The line has (points, 2) radii and heights from below, in m. Where a point comes
+    twice, there is an edge.
     """
     here = np.arange(sectors)
     angles = 2 * np.pi * here / sectors

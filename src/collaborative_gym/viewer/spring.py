@@ -7,11 +7,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 
 
 class Spring:
-    """The force of a user's pull, beside what else acts on the bodies.
-
-    Args:
-      env: the world, a batch of one.
-    """
+    """The force of a user's pull on a batch of one world, beside all other forces."""
 
     def __init__(self, env: VectorEnv):
         self._sim, self._model = env.sim, env.model
@@ -24,11 +20,9 @@ class Spring:
         self._pulled = None
 
     def pull(self, perturb: mujoco.MjvPerturb | None) -> None:
-        """Let this pull, and no other, act from now on.
+        """Let MuJoCo's spring, and no other, act from now on; None lets go.
 
-        Args:
-          perturb: MuJoCo's spring, or None to let go. Where its `localmass` is 0 it is
-            new, and is told what mass it pulls at.
+        Where its `localmass` is 0 it is new, and gets the mass at which it pulls.
         """
         forces = self._sim.xfrc_applied[0]
         if self._pulled is not None:

@@ -1,6 +1,6 @@
 """The world on a page: shapes, lights, labels, contact forces and cameras."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mujoco
@@ -10,7 +10,6 @@ import viser
 from collaborative_gym import math
 from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.policies import name_policy
-from collaborative_gym.viewer import cameras
 from collaborative_gym.viewer.guard import PULL
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import add_geom
@@ -19,31 +18,42 @@ _SKY = (230, 235, 240)
 """Colour of the page's sky, into which the floor fades."""
 
 _HAZE = (15.0, 40.0)
-"""Distances at which things begin to fade, and at which they have, in m."""
+"""Distances at which things begin to fade and have faded, in m."""
 
 _ABOVE = 0.2
-"""How far above an arm its label is, in m."""
+"""Height of a label above its arm, in m."""
 
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
 NEWTONS_PER_METRE = 100.0
-"""The contact force whose arrow is 1 m long."""
+"""Contact force whose arrow is 1 m long."""
 
 _WEAK = 0.5
-"""Contact forces below this are not drawn, in N."""
+"""Least contact force that is drawn, in N."""
+
+_FROM: Mapping[str, tuple[float, float, float]] = {
+    "front": (1.0, 0.0, 0.4),
+    "back": (-1.0, 0.0, 0.4),
+    "left": (0.0, -1.0, 0.4),
+    "right": (0.0, 1.0, 0.4),
+    # Not quite upright, where it would have no upper side.
+    "above": (0.01, 0.0, 1.0),
+}
+"""Directions from the middle of the arms to a camera."""
+
+_HANDS = "hands"
+"""View of the hands alone."""
+
+_MARGIN = 0.4
+"""Margin of a picture around the middles of an arm's parts, in m."""
 
 
 class Stage:
     """A session's world in a page's scene, which is cleared before.
 
-    Args:
-      server: the page's server.
-      session: what is shown, until it plays another world.
-
-    Attributes:
-      env: the world.
-      views: names of the places where a camera may stand.
+    It shows this world until the session plays another. `views` are the names of the
+    places of a camera, the task's own first.
 
     Raises:
       ValueError: if the world has something that the page cannot draw.
@@ -51,14 +61,20 @@ class Stage:
 
     def __init__(self, server: viser.ViserServer, session: Session):
         self.env, self._session, self._server = session.env, session, server
-        self._model = model = self.env.scene.compile_to_draw()
+        self._model = model = self.env.world.drawn_model
         self._data = mujoco.MjData(model)
         self._pulls: dict[int, mujoco.MjvPerturb] = {}
         self._move()
         mujoco.mj_forward(model, self._data)
-        self.views = cameras.views(model)
+        own = [model.camera(i).name for i in range(model.ncam)]
+        views = [CAMERA, *filter(None, own), _HANDS, *_FROM]
+        self.views = tuple(dict.fromkeys(views))
         self._arms = {
-            agent: [i for i in range(model.nbody) if _is_of(agent, model.body(i).name)]
+            agent: [
+                i
+                for i in range(model.nbody)
+                if model.body(i).name.startswith(f"{agent}/")
+            ]
             for agent in self.env.agents
         }
         scene = server.scene
@@ -82,13 +98,7 @@ class Stage:
         camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
 
     def refresh(self, *, labels: bool, forces: bool, shadows: bool) -> None:
-        """Show the present state.
-
-        Args:
-          labels: whether a label over each arm says who plays it.
-          forces: whether contact forces are arrows.
-          shadows: whether there are any.
-        """
+        """Show the present state, with a policy's name over each arm if `labels`."""
         self._move()
         data = self._data
         with self._server.atomic():
@@ -97,10 +107,13 @@ class Stage:
             for agent, label in self._labels.items():
                 label.visible = labels
                 if labels:
-                    label.text = (
-                        f"{agent}: {name_policy(self._session.policies[agent])}"
+                    name = name_policy(self._session.policies[agent])
+                    label.text, places = (
+                        f"{agent}: {name}",
+                        data.xpos[self._arms[agent]],
                     )
-                    label.position = self._above(agent)
+                    top = places[:, 2].max() + _ABOVE
+                    label.position = np.append(places[0, :2], top)
             self._forces.visible = forces
             if forces:
                 self._forces.points = _arrows(self.env.model, self.env.sim.data(0))
@@ -108,38 +121,43 @@ class Stage:
                 light.cast_shadow = shadows
 
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
-        """Let a tab look from one of `views`, so that the arms are in view.
-
-        Returns:
-          Where its camera stands, (3,) in m.
-        """
-        arms = np.concatenate(
-            [self._data.xpos[bodies] for bodies in self._arms.values()]
-        )
-        hands = self._data.site_xpos[
-            [self._model.site(f"{agent}/tcp").id for agent in self._arms]
-        ]
-        eye, target = cameras.stand(
-            view,
-            self._model,
-            self._data,
-            arms=arms,
-            hands=hands,
-            aspect=client.camera.aspect,
-        )
+        """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
+        eye, target = self._place(view, client.camera.aspect)
         client.camera.position, client.camera.look_at = eye, target
         return eye
 
+    def _place(self, view: str, aspect: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a camera stands so that the arms are in view, and its target."""
+        model, data = self._model, self._data
+        own, looked_at = overview(model, data)
+        if view == _HANDS:
+            shown = data.site_xpos[[model.site(f"{a}/tcp").id for a in self._arms]]
+        else:
+            shown = np.concatenate([data.xpos[own] for own in self._arms.values()])
+        if view == CAMERA:
+            eye, target = own, looked_at
+        elif view in (_HANDS, *_FROM):
+            target = (shown.min(axis=0) + shown.max(axis=0)) / 2
+            eye = target + np.array(_FROM.get(view, own - looked_at))
+        else:
+            camera = data.camera(view)
+            return camera.xpos, camera.xpos - camera.xmat.reshape(3, 3)[:, 2]
+        back = (eye - target) / np.linalg.norm(eye - target)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        away = shown - target
+        slope = np.tan(np.radians(model.camera(CAMERA).fovy[0]) / 2)
+        wide = (np.abs(away @ right) + _MARGIN) / (slope * aspect)
+        high = (np.abs(away @ np.cross(back, right)) + _MARGIN) / slope
+        needed = float(np.max(away @ back + np.maximum(wide, high)))
+        nearest = np.linalg.norm(eye - target) if view == CAMERA else 0.0
+        return target + max(needed, nearest) * back, target
+
     def _move(self) -> None:
-        """Bring what is drawn to where the world is."""
+        """Move the drawn bodies to the world's state."""
         sim, data = self.env.sim, self._data
         data.qpos[:], data.mocap_pos[:] = sim.qpos[0], sim.mocap_pos[0]
         mujoco.mj_kinematics(self._model, data)
-
-    def _above(self, agent: str) -> np.ndarray:
-        """Return the place of an arm's label, (3,) in m."""
-        places = self._data.xpos[self._arms[agent]]
-        return np.append(places[0, :2], places[:, 2].max() + _ABOVE)
 
     def _add_bodies(self, scene: viser.SceneApi) -> dict[int, viser.FrameHandle]:
         """Draw all bodies, and return the frames of those that move."""
@@ -162,7 +180,7 @@ class Stage:
         return frames
 
     def _puller(self, body: int, frame: viser.FrameHandle) -> Callable[[Any], Any]:
-        """Return what follows the mice that pull at a body."""
+        """Return the callback of the mice that pull at a body."""
 
         # Not a plain function: those may be called out of order.
         async def pull(event: viser.SceneNodeDragEvent) -> None:
@@ -186,10 +204,6 @@ class Stage:
                     session.perturb = None
 
         return pull
-
-
-def _is_of(agent: str, body: str) -> bool:
-    return body.startswith(f"{agent}/")
 
 
 def _arrows(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:

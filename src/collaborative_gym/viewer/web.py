@@ -1,4 +1,4 @@
-"""A web page onto a session: the world, the controls and what is measured."""
+"""A web page onto a session: the world, the controls and the measures."""
 
 import io
 from collections.abc import Callable
@@ -7,8 +7,12 @@ from contextlib import redirect_stdout
 import numpy as np
 import viser
 
-from collaborative_gym.viewer.address import free_port, is_loopback, name_for_browser
-from collaborative_gym.viewer.guard import start_server
+from collaborative_gym.viewer.guard import (
+    free_port,
+    is_loopback,
+    name_for_browser,
+    start_server,
+)
 from collaborative_gym.viewer.menu import LINK, Menu
 from collaborative_gym.viewer.panel import Panel
 from collaborative_gym.viewer.session import Session
@@ -16,19 +20,13 @@ from collaborative_gym.viewer.stage import Stage
 
 
 class Page:
-    """A web server whose page shows a session and forwards what its users do.
+    """A web server whose page shows a session and passes on what its users do.
 
-    Any number of browsers may watch; they share the controls. The session does not
-    notice whether any does.
-
-    Args:
-      session: what is shown.
-      menu: what may be chosen.
-      host: address to listen on.
-      port: the port; where it is taken, or 0, the next one that is free.
+    Any number of browsers may watch; they share the controls. Where the port is taken,
+    or 0, it listens on the next one that is free.
 
     Attributes:
-      url: where the page is.
+      url: of the page.
       is_public: whether other machines may reach it.
 
     Raises:
@@ -77,9 +75,9 @@ class Page:
     def _join(self, client: viser.ClientHandle) -> None:
         """Place a new tab's camera, and again when its picture gets another shape.
 
-        The first size that a tab tells may be that of a page not yet laid out. A tab
-        may also take the first camera of all tabs after its own. Whoever has moved the
-        camera keeps it.
+        The first size of a tab may be that of a page not yet laid out. A tab may also
+        take the first camera of all tabs after its own. A camera that a user has moved
+        stays.
         """
         if client.client_id not in self._server.get_clients():
             return  # It has left already.
@@ -100,6 +98,6 @@ class Page:
         client.camera.on_update(follow)
 
     def _open(self, link: str) -> Callable[[], object]:
-        """Return what plays what a link says."""
+        """Return a function that plays the choice of a link."""
         choice = self._menu.read(link)
         return lambda: self._panel.play(choice)

@@ -5,6 +5,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterable
+from copy import copy
 
 import glfw  # MuJoCo's window stands on it.
 import mujoco
@@ -14,10 +15,10 @@ from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 
 _FASTER = 1.25
-"""How many times faster a key makes it."""
+"""Factor of the speed for one press of a key."""
 
 _PATIENCE = 5.0
-"""How long to wait for the last picture, in s."""
+"""Longest time to wait for the last picture, in s."""
 
 _HELP = (
     ("Space", "pause, or go on"),
@@ -31,10 +32,7 @@ _HELP = (
 
 
 class Window:
-    """A window that shows a session and forwards what its user does.
-
-    Args:
-      session: what is shown; it ends when the window is closed.
+    """A window that shows a session, which ends with it, and passes on the user's keys.
 
     Raises:
       RuntimeError: if no window can be opened; says why.
@@ -46,7 +44,7 @@ class Window:
         from mujoco import viewer
 
         self._session = session
-        self._model = model = session.env.scene.compile_to_draw()
+        self._model = model = copy(session.env.world.drawn_model)
         model.vis.global_.fovy = model.camera(CAMERA).fovy[0]
         self._data = mujoco.MjData(model)
         others = set(threading.enumerate())
@@ -118,11 +116,7 @@ def _text(place: int, rows: Iterable[tuple[str, str]]) -> tuple[int, int, str, s
 
 
 def _check_display() -> None:
-    """Raise if no window can be opened, because MuJoCo would wait for one for ever.
-
-    Raises:
-      RuntimeError: says why.
-    """
+    """Raise RuntimeError if no window can be opened; MuJoCo would wait for ever."""
     variables = ("DISPLAY", "WAYLAND_DISPLAY")
     if sys.platform == "linux" and not any(map(os.environ.get, variables)):
         raise RuntimeError("there is no display to open a window on")

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.cards.card import ReportCard, report_card
-from collaborative_gym.cards.picture import draw_card
-from collaborative_gym.evaluation.robustness import DISTURBANCES, measure_robustness
+from collaborative_gym.cards import ReportCard, draw_card, report_card
+from collaborative_gym.evaluation.play import DISTURBANCES, measure_robustness
 from collaborative_gym.tasks.registry import disturbed
 from collaborative_gym.tasks.task import RANDOMIZATIONS
 

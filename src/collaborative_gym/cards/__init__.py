@@ -1,1 +1,0 @@
-"""Report cards: how good policies are, on one page."""
