@@ -14,16 +14,16 @@ from collaborative_gym.policies.policy import commanding, read_policy, split_wor
 from collaborative_gym.tasks.task import Task
 
 Latest = Callable[[str], NetworkPolicy]
-"""Gives a member's policy as it is now."""
+"""Returns a member's policy as it is now."""
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """What one rollout and one update brought.
+    """The results of one rollout and one update.
 
     Attributes:
       episodes: a row for each episode that ended and was played in full, as
-        `evaluation.episode_row` gives it.
+        `evaluation.episode_row` returns it.
       updates: by learner, the numbers that `display.UPDATE` names.
       seated: who sat in each seat meanwhile, by name, for each row of `episodes`.
     """
@@ -34,7 +34,7 @@ class Iteration:
 
 
 class Pool:
-    """Policies that are given, each as likely as the others.
+    """Guests of whom each is as likely as the others.
 
     Args:
       casting: who sits where.
@@ -66,7 +66,7 @@ class Pool:
         found = []
         has_guests = any(None in cast for cast in self._casting.casts)
         for cast in dict.fromkeys(self._casting.casts):
-            # Games of a member with itself tell nothing about it.
+            # Games of a member with itself say nothing about it.
             if member not in cast or (has_guests and None not in cast):
                 continue
             choices = [
@@ -74,17 +74,19 @@ class Pool:
                 for seat, name in zip(self._casting.seats, cast, strict=True)
             ]
             own = list(self._casting.seats)[cast.index(member)]
-            for i in range(max(map(len, choices))):
-                found.append((tuple(each[i % len(each)] for each in choices), own))
+            found += [
+                (tuple(each[i % len(each)] for each in choices), own)
+                for i in range(max(map(len, choices)))
+            ]
         return found
 
     def study(
         self, iteration: Iteration, steps: int, latest: Latest
     ) -> list[tuple[str, str | None]]:
-        """Take note of what an iteration brought; return who is to begin anew.
+        """Learn from an iteration who is to begin anew.
 
         Args:
-          iteration: what it brought.
+          iteration: its results.
           steps: environment steps done so far.
           latest: members' policies.
 
@@ -94,7 +96,7 @@ class Pool:
         return []
 
     def publish(self) -> None:
-        """Write what people may want to know of the guests."""
+        """Write files about the guests."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on."""
@@ -115,8 +117,7 @@ class Pool:
 
     def _names(self, seat: str) -> list[str]:
         """Return who may be drawn for a seat."""
-        bound = {name: split_word(name)[0] for name in self.policies}
-        return [name for name, own in bound.items() if own in ("", seat)]
+        return [name for name in self.policies if split_word(name)[0] in ("", seat)]
 
 
 def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str, Any]:
@@ -134,10 +135,10 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
     """
     kind = "opponent" if len(task.sides) > 1 else "partner"
     free = dict.fromkeys(seat for _, seat in casting.guests())
+    found: dict[str, Any] = {}
     given = [word for word in words if word != LEAGUE] if free else []
     if not given:
-        return {}
-    found = {}
+        return found
     with closing(VectorEnv(task, 1, num_threads=1, strain=True)) as env:
         for word in given:
             own, name = split_word(word)

@@ -1,4 +1,4 @@
-"""How well members do together with those with whom they learn."""
+"""Validations of members beside those with whom they learn."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
 
 Pairing = tuple[tuple[str, ...], str]
-"""Who sits in each seat, by name, and the seat that is looked at."""
+"""Who sits in each seat, by name, and the seat that is validated."""
 
 
 def validate(
@@ -28,9 +28,9 @@ def validate(
     seed: int,
     num_threads: int,
 ) -> dict[str, float]:
-    """Return means over episodes that all pairings share as evenly as they can.
+    """Return means over episodes, which all pairings share evenly.
 
-    They are those of the seat that is looked at: `return`, `completion`, `performance`,
+    They are those of the seat that is validated: `return`, `completion`, `performance`,
     and against opponents `points`, 1 for a game that is won and 0.5 for a draw.
 
     Args:
@@ -38,8 +38,8 @@ def validate(
       casting: whose seats there are.
       policies: by name, of all who sit somewhere.
       pairings: who plays with whom.
-      episodes: how many at least.
-      seed: which ones.
+      episodes: least number of episodes.
+      seed: of the episodes.
       num_threads: physics threads, 0 for one per CPU.
     """
     each = math.ceil(episodes / len(pairings))
@@ -58,13 +58,16 @@ def validate(
             return actions
 
         rows, _ = play_episodes(env, act, episodes, seed)
-    views = [
-        _view(row, pairings[row["episode"] % len(pairings)][1], casting, task)
-        for row in rows
-    ]
-    return {
-        name: math.fsum(view[name] for view in views) / len(views) for name in views[0]
-    }
+    is_divided, sums = len(task.sides) > 1, {}
+    for row in rows:
+        _, seat = pairings[row["episode"] % len(pairings)]
+        before = f"{seat}/" if is_divided else ""
+        for name in ("return", "completion", "performance"):
+            sums.setdefault(name, []).append(float(row[f"{before}{name}"]))
+        if is_divided:
+            own = points(row, seat, list(casting.seats))
+            sums.setdefault("points", []).append(own)
+    return {name: math.fsum(each) / len(rows) for name, each in sums.items()}
 
 
 def points(row: Mapping[str, Any], side: str, sides: Sequence[str]) -> float:
@@ -72,16 +75,3 @@ def points(row: Mapping[str, Any], side: str, sides: Sequence[str]) -> float:
     own = row[f"{side}/score"]
     best = max(row[f"{other}/score"] for other in sides if other != side)
     return 0.5 * ((own > best) + (own >= best))
-
-
-def _view(
-    row: Mapping[str, Any], seat: str, casting: Casting, task: Task
-) -> dict[str, float]:
-    """Return an episode's results as the player in a seat sees them."""
-    is_divided = len(task.sides) > 1
-    prefix = f"{seat}/" if is_divided else ""
-    names = ("return", "completion", "performance")
-    view = {name: float(row[f"{prefix}{name}"]) for name in names}
-    if is_divided:
-        view["points"] = points(row, seat, list(casting.seats))
-    return view
