@@ -24,7 +24,6 @@ from collaborative_gym.learning.pool import Iteration, Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.sac import SACLearner
 from collaborative_gym.learning.settings import Settings, first_policy
-from collaborative_gym.learning.validation import validate
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.rng import validation_seed
@@ -331,18 +330,15 @@ class Run:
 
     def _validate(self) -> Mapping[str, float]:
         """Return the means of a validation beside those with whom the run learns."""
-        episodes = self._hyperparameters.validation_episodes
         given: Any = {
-            "episodes": episodes,
+            "episodes": self._hyperparameters.validation_episodes,
             "seed": validation_seed(self._settings.seed),
             "num_threads": self._num_threads,
         }
-        members = self._casting.members
         if not self._casting.seats:
-            return means_of(evaluate(self._task, self.policy(members[0]), **given))
-        policies = {name: self.policy(name) for name in members} | self._pool.policies
-        pairings = self._pool.pairings(members[0])
-        return validate(self._task, self._casting, policies, pairings, **given)
+            policy = self.policy(self._casting.members[0])
+            return means_of(evaluate(self._task, policy, **given))
+        return self._pool.validate(self._task, self.policy, **given)
 
     def _keep_best(self, row: Mapping[str, float]) -> None:
         # Of opponents one gains what another loses: the latest policies count as best,
