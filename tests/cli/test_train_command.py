@@ -238,8 +238,14 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("--all --resume run", "resume does not go with --all"),
         ("Carry --seeds", "--seeds takes a value, or several"),
         ("Carry --partner self", "self is for opponents; a partner is a policy"),
-        ("Carry --population 3", "--population goes with --partner population"),
-        ("Carry --league-decay 0.9", "--league-decay goes with --opponent league"),
+        (
+            "Carry --population 3",
+            "population would mean nothing without --partner population",
+        ),
+        (
+            "Carry --league-decay 0.9",
+            "league_decay would mean nothing without --opponent league",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(

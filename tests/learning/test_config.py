@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 
 import collaborative_gym as cg
@@ -46,15 +45,6 @@ def test_what_changed_is_told_against_the_defaults_or_others():
     numbers = Hyperparameters(total_steps=5, discount=0.9)
     assert changed(numbers) == {"total_steps": 5, "discount": 0.9}
     assert changed(numbers, Hyperparameters(total_steps=5)) == {"discount": 0.9}
-
-
-def test_grips_have_noise_of_their_own():
-    numbers = Hyperparameters(
-        initial_std=0.2, initial_grip_std=0.4, grip_persistence=0.8
-    )
-    is_grip = np.array([False, True])
-    assert numbers.first_std(is_grip).tolist() == [0.2, 0.4]
-    assert numbers.persistence(is_grip).tolist() == [0.0, 0.8]
 
 
 @pytest.mark.parametrize(

@@ -147,9 +147,9 @@ def test_copies_are_left_by_who_beats_all_or_after_long(league, tmp_path):
     assert "main_exploiter-1" in made.policies
     assert restarted == [(MAIN_EXPLOITER, MAIN)]
     # A copy has the results of whom it was copied from; who begins anew has main's.
-    assert made._rate("main_exploiter-1", MAIN) > 0.9
-    assert made._rate(MAIN_EXPLOITER, MAIN) == 0.5
-    assert made._rate(MAIN_EXPLOITER, "idle") == made._rate(MAIN, "idle") == 1.0
+    assert made._rates("main_exploiter-1", [MAIN]) > 0.9
+    assert made._rates(MAIN_EXPLOITER, [MAIN, "idle"]).tolist() == [0.5, 1.0]
+    assert made._rates(MAIN, ["idle"]) == 1.0
     play(made, latest, [(MAIN, "main-1", 0.0)] * 60, steps=2000)
     assert {"main-2", "league_exploiter-1"} <= set(made.policies)
     made.publish()

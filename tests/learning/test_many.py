@@ -122,6 +122,7 @@ def test_ctrl_c_stops_all_and_the_same_call_goes_on(crew, tmp_path):
         ({"changes": {"epochs": 0}}, ValueError, "epochs must be at least 1"),
         ({"resources": 3}, TypeError, "resources must be Resources"),
         ({"on_row": 3}, TypeError, "on_row must be a function or None"),
+        ({"partnr": "idle"}, TypeError, "'partnr'.*did you mean 'partner'"),
     ],
 )
 def test_bad_input_shows_before_any_work(given, error, message, tmp_path, monkeypatch):

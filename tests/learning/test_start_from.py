@@ -97,6 +97,6 @@ def test_noise_shrinks_as_demands_grow(tiny):
     (learner,) = make_learners("independent", sizes)
     pupil = PPOLearner(learner, sizes, tiny(), "cpu")
     before = pupil.acting()["actor"]["log_std"].exp()
-    pupil.quieten(0.25)
+    pupil.scale_noise(0.25)
     after = pupil.acting()["actor"]["log_std"].exp()
     assert np.allclose(after, 0.25 * before)

@@ -182,13 +182,10 @@ class Evaluate(Played, _Policy):
                         on_progress=progress(task.name),
                     )
                 )
-        table = reports_table(reports)
         delay = f", delay {self.delay}" if self.delay else ""
         action = f", action {self.action}" if self.action else ""
         title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
-        table.title = title
-        table.title_justify = "left"
-        tell(table, besides=(self.json, self.csv))
+        tell(reports_table(reports, title), besides=(self.json, self.csv))
         tell(strain_table(reports), besides=(self.json, self.csv))
         put(self.json, report.reports_to_json(reports))
         put(self.csv, report.reports_to_csv(reports))

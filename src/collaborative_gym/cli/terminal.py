@@ -2,12 +2,12 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import tyro
 from rich import box
@@ -27,8 +27,6 @@ from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from rich.markdown import Markdown
-
-    from collaborative_gym.tasks.task import Task
 
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
@@ -275,18 +273,38 @@ class _Output(Console):
         raise BrokenPipeError
 
 
-def new_table(first: str, *others: str) -> Table:
-    """Return an empty table, text in its first column and numbers in the others."""
+def new_table(
+    heads: Iterable[str],
+    rows: Iterable[Sequence[Any]],
+    *,
+    words: int = 1,
+    title: str | None = None,
+    caption: str | None = None,
+) -> Table:
+    """Return a table.
+
+    Args:
+      heads: of the columns.
+      rows: their cells.
+      words: how many of the first columns have words; the others have numbers.
+      title: stands above it.
+      caption: stands below it.
+    """
     table = Table(
         box=box.SIMPLE_HEAD,
         show_edge=False,
         pad_edge=False,
         collapse_padding=True,
+        title=title,
+        title_justify="left",
+        caption=caption,
         caption_justify="left",
     )
-    table.add_column(first, no_wrap=True)
-    for name in others:
-        table.add_column(name, justify="right", no_wrap=True)
+    for i, head in enumerate(heads):
+        justify = "left" if i < words else "right"
+        table.add_column(head, justify=justify, no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

@@ -31,6 +31,7 @@ from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from collaborative_gym.learning.many import Outcome
+    from collaborative_gym.learning.settings import Options
 
 _Own = tyro.conf.arg(help_behavior_hint="")
 """An option whose help says by itself what holds if it is not given."""
@@ -158,14 +159,8 @@ class Train(Command):
             output=self.output,
             resume=self.resume,
             hyperparameters=hyperparameters,
-            opponent=self.opponent or None,
-            partner=self.partner or None,
-            start_from=self.start_from,
-            backend=self.backend,
-            algorithm=self.algorithm,
-            resources=self.resources,
-            checkpoint_interval=self.checkpoint_interval,
             progress=True,
+            **self._options(),
         )
         total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
         trained = math.ceil(total / update) * update
@@ -199,18 +194,28 @@ class Train(Command):
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
+        from collaborative_gym.learning.settings import check_company
+
         given = {
             name: value
             for name, value in vars(self.hyperparameters).items()
             if not isinstance(value, _NotGiven)
         }
-        for name in given if self.resume is None else ():
-            for word, option in (("population", "partner"), ("league", "opponent")):
-                if name.startswith(word) and word not in getattr(self, option):
-                    raise ValueError(
-                        f"--{name.replace('_', '-')} goes with --{option} {word}"
-                    )
+        if self.resume is None:
+            check_company(given, self.opponent, self.partner)
         return given
+
+    def _options(self) -> "Options":
+        """Return the options that hold for one run as for several."""
+        return {
+            "opponent": self.opponent or None,
+            "partner": self.partner or None,
+            "start_from": self.start_from,
+            "backend": self.backend,
+            "algorithm": self.algorithm,
+            "resources": self.resources,
+            "checkpoint_interval": self.checkpoint_interval,
+        }
 
     def _train_several(self) -> None:
         """Train several runs, and tell at the end which failed."""
@@ -266,14 +271,8 @@ class Train(Command):
             output=self.output or output,
             changes=self._given(),
             advised=self.advised,
-            opponent=self.opponent or None,
-            partner=self.partner or None,
-            start_from=self.start_from,
-            backend=self.backend,
-            algorithm=self.algorithm,
-            resources=self.resources,
-            checkpoint_interval=self.checkpoint_interval,
             progress=True,
+            **self._options(),
         )
 
 

@@ -1,8 +1,8 @@
 """The baseline of an environment: the best of its runs, and its card."""
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,30 +39,16 @@ _COLUMNS = ("seed", "steps", "time", "start", "mean reward", "median", "completi
 _COLUMNS += ("performance", "time to success")
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """One of an environment's runs, whose best policy may be shipped.
-
-    Attributes:
-      result: what came of the training.
-      reports: by the starts that they tell of, "paper", "default", and "default, late"
-        for actions that are done one control step late.
-    """
-
-    result: Result
-    reports: Mapping[str, Report]
-
-
 def write_baseline(
     results: Sequence[Result], output: str | Path, resources: Resources | None = None
 ) -> Path:
     """Write the baseline that the best of an environment's runs gives; return its card.
 
-    In `output` there are then the policy of the best run, as `ID.safetensors`; its
-    curve, `ID.png`; and the card, `ID.md`, with all runs' results. The best run is the
-    one with the best completion and performance, in percent, in other episodes than the
-    card's. Of equals it is the one whose arms keep farther apart there, to the
-    centimetre, then the one that needs less energy.
+    It is the policy of the best run, `ID.safetensors`; its curve, `ID.png`; and the
+    card, `ID.md`, with all runs' results. The best run is the one with the best
+    completion and performance, in percent, in other episodes than the card's. Of equals
+    it is the one whose arms keep farther apart there, to the centimetre, then the one
+    that needs less energy.
 
     Args:
       results: of the environment's runs, whose seeds differ.
@@ -70,35 +56,47 @@ def write_baseline(
       resources: that they used.
     """
     output, resources = Path(output), resources or Resources()
-    env_id = results[0].settings.identity.name
-    candidates = [Candidate(r, _measure(env_id, r, resources)) for r in results]
-    best = candidates[0]
-    if len(candidates) > 1:
-        best = max(candidates, key=lambda each: _rank(env_id, each.result, resources))
+    env_id, best = results[0].settings.identity.name, results[0]
+    if len(results) > 1:
+        best = max(results, key=lambda each: _rank(env_id, each, resources))
     for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
-            shutil.copyfile(best.result.folder / name, partial)
+            shutil.copyfile(best.folder / name, partial)
+    reports = [
+        {
+            starts: evaluate(
+                make_task(env_id, randomization=starts.partition(",")[0]),
+                result.policy(),
+                episodes=episodes,
+                seed=_SEED,
+                delay=int(starts.endswith("late")),
+                num_threads=resources.num_threads,
+            )
+            for starts, episodes in _EPISODES.items()
+        }
+        for result in results
+    ]
+    rows = [
+        _row(result, starts, report, result is best)
+        for result, own in zip(results, reports, strict=True)
+        for starts, report in own.items()
+    ]
+    lines = [
+        *_description(best, len(results), resources),
+        "",
+        markdown_table(_COLUMNS, rows),
+        "",
+        "The strain of the shipped one on `default`:",
+        "",
+        strain_table(reports[results.index(best)]["default"]),
+    ]
     card = output / f"{env_id}.md"
-    write_text(card, write_card(env_id, candidates, best, resources))
+    write_text(card, "\n".join(lines) + "\n")
     return card
 
 
-def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
-    return {
-        starts: evaluate(
-            make_task(env_id, randomization=starts.partition(",")[0]),
-            result.policy(),
-            episodes=episodes,
-            seed=_SEED,
-            delay=int(starts.endswith("late")),
-            num_threads=resources.num_threads,
-        )
-        for starts, episodes in _EPISODES.items()
-    }
-
-
 def _rank(env_id: str, result: Result, resources: Resources) -> tuple[float, ...]:
-    """Return by what the shipped run is chosen; see `write_baseline`."""
+    """Return the numbers whose greatest is shipped; see `write_baseline`."""
     report = evaluate(
         env_id,
         result.policy(),
@@ -114,102 +112,77 @@ def _rank(env_id: str, result: Result, resources: Resources) -> tuple[float, ...
     )
 
 
-def write_card(
-    env_id: str, candidates: Sequence[Candidate], best: Candidate, resources: Resources
-) -> str:
-    """Return a baseline's card: what it is, how it was trained, and how well it does.
+def _description(best: Result, count: int, resources: Resources) -> list[str]:
+    """Return a card's lines above its numbers: the policy, and how it was trained.
 
     Args:
-      env_id: its environment.
-      candidates: all runs.
-      best: the one whose policy is shipped.
+      best: the run whose policy is shipped.
+      count: how many runs there were.
       resources: that they used.
     """
-    settings = best.result.settings
-    hyperparameters = settings.hyperparameters
-    machine, robots = describe_machine(), ", ".join(settings.identity.robot_names)
-    own = [
-        f"{name} {_option(value)}" for name, value in changed(hyperparameters).items()
-    ]
-    steps = best.result.best["steps"]
-    starts = settings.identity.config["randomization"]
+    settings, numbers = best.settings, best.settings.hyperparameters
+    identity, machine = settings.identity, describe_machine()
+    own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
+    episodes = "; ".join(f"{starts}: {n:,}" for starts, n in _EPISODES.items())
+    curriculum = "no curriculum"
+    if numbers.assistance:
+        curriculum = (
+            f"and a curriculum: at first {100 * numbers.assistance:g} % of the"
+            " weight of what moves freely was carried, the less the more episodes were"
+            " completed (none in what is reported)"
+        )
     among = (
         ", and among seeds by completion, performance, clearance and energy in"
         f" {_CHOICE_EPISODES} others"
-    ) * (len(candidates) > 1)
-    lines = [
-        f"# {env_id}: baseline",
+    ) * (count > 1)
+    return [
+        f"# {identity.name}: baseline",
         "",
-        f"A policy for each robot ({robots}), trained by PPO on the thesis's reward,"
-        f" {_beginning(settings.to_dict())}; mode collaborative, no"
-        f" shaping, {_curriculum(hyperparameters)}.",
+        f"A policy for each robot ({', '.join(identity.robot_names)}), trained by PPO"
+        f" on the thesis's reward, {_beginning(settings.to_dict())}; mode"
+        f" collaborative, no shaping, {curriculum}.",
         "",
-        f"- environment: `{env_id}`, randomization `{_preset(starts)}`",
-        f"- network: {' x '.join(map(str, hyperparameters.hidden_sizes))},"
-        f" {hyperparameters.activation}; actions are the mean, without noise",
+        f"- environment: `{identity.name}`, randomization"
+        f" `{_preset(identity.config['randomization'])}`",
+        f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
+        f" {numbers.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
-        f"- shipped: seed {settings.seed} at {steps / 1e6:.2f} M steps, chosen by"
-        f" {hyperparameters.validation_episodes} validation episodes{among}; they are"
+        f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
+        f" chosen by {numbers.validation_episodes} validation episodes{among}; they are"
         " not those below",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} cores,"
         f" MuJoCo {machine['mujoco']}",
         "",
-        f"Episodes of seed {_SEED} ({_episodes()}); means, 95 % intervals."
+        f"Episodes of seed {_SEED} ({episodes}); means, 95 % intervals."
         " Where starts are all the same there is one deterministic episode, and no"
         " interval. Where they are late, each action is done one control step late.",
-        "",
-        markdown_table(
-            _COLUMNS, [row for each in candidates for row in _rows(each, each is best)]
-        ),
-        "",
-        "The strain of the shipped one on `default`:",
-        "",
-        strain_table(best.reports["default"]),
     ]
-    return "\n".join(lines) + "\n"
 
 
-def _episodes() -> str:
-    return "; ".join(
-        f"{starts}: {episodes:,}" for starts, episodes in _EPISODES.items()
-    )
-
-
-def _rows(candidate: Candidate, is_best: bool) -> Iterator[list[str]]:
-    """Yield the lines of a card's table that tell of a run."""
-    for starts, report in candidate.reports.items():
-        yield [
-            f"{candidate.result.settings.seed}" + " (shipped)" * is_best,
-            f"{candidate.result.steps / 1e6:.1f} M",
-            f"{candidate.result.seconds / 60:.0f} min",
-            starts,
-            format_statistic(report.mean_reward),
-            format_number(report.mean_reward.median),
-            format_statistic(report.completion, percent=True),
-            format_statistic(report.performance, percent=True),
-            format_statistic(report.time_to_success, unit=" s"),
-        ]
-
-
-def _curriculum(hyperparameters: Hyperparameters) -> str:
-    if not hyperparameters.assistance:
-        return "no curriculum"
-    return (
-        f"and a curriculum: at first {100 * hyperparameters.assistance:g} % of the"
-        " weight of what moves freely was carried, the less the more episodes were"
-        " completed (none in what is reported)"
-    )
+def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str]:
+    """Return the line of a card's table about a run and some starts."""
+    return [
+        f"{result.settings.seed}" + " (shipped)" * is_best,
+        f"{result.steps / 1e6:.1f} M",
+        f"{result.seconds / 60:.0f} min",
+        starts,
+        format_statistic(report.mean_reward),
+        format_number(report.mean_reward.median),
+        format_statistic(report.completion, percent=True),
+        format_statistic(report.performance, percent=True),
+        format_statistic(report.time_to_success, unit=" s"),
+    ]
 
 
 def _beginning(own: Mapping[str, Any]) -> str:
     """Return with what a run began, and that in turn, back to random networks.
 
     Args:
-      own: what its policy, or its settings, say of it.
+      own: the metadata of its policy, or its settings.
     """
-    is_guided = bool(own["hyperparameters"].get("imitation"))
     guide = "with the scripted expert's actions as a guide"
+    is_guided = bool(own["hyperparameters"].get("imitation"))
     if not own.get("start_from"):
         return f"from scratch, {guide if is_guided else 'without demonstrations'}"
     start, before = own["start"], own["start"]["metadata"]
@@ -223,7 +196,7 @@ def _beginning(own: Mapping[str, Any]) -> str:
 def training_commands(settings: Settings, resources: Resources) -> list[str]:
     """Return lines with the commands that train such a run again, the first run first.
 
-    Runs from before a policy's file said how its starts were drawn are left out.
+    Runs whose policy files lack `randomization`, as early ones do, are left out.
     """
     identity, start = settings.identity, settings.start
     options = ""
@@ -240,8 +213,8 @@ def training_commands(settings: Settings, resources: Resources) -> list[str]:
         # A run may have begun with a baseline of then, which is no folder to write to.
         before = f"runs/part_{i}" if i else own["start_from"]
         command = _command(env_id, own | {"start_from": before}, starts) + options
-        is_last = i + 1 == len(runs)
-        commands.append(command + ("" if is_last else f" --output runs/part_{i + 1}"))
+        output = f" --output runs/part_{i + 1}" if i + 1 < len(runs) else ""
+        commands.append(command + output)
     count = len(commands)
     return [
         f"- command{f' {i + 1} of {count}' if count > 1 else ''}: `{command}`"
@@ -254,8 +227,8 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
 
     Args:
       env_id: its environment.
-      own: what its policy says of it.
-      starts: how its starts were drawn.
+      own: the metadata of its policy.
+      starts: its randomization.
     """
     numbers = dict(own["hyperparameters"])
     numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
@@ -263,7 +236,7 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     others = changed(Hyperparameters(**numbers), recipe(env_id, advised=advised))
     if own["start_from"]:
         others["start_from"] = own["start_from"]
-    options = ["--advised"] if advised else []
+    options = ["--advised"] * advised
     options += [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
@@ -278,10 +251,10 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
 
 
 def _preset(randomization: Mapping[str, Any]) -> str:
-    """Return the preset by which a run's starts were drawn, or else the value."""
+    """Return the preset of a run's starts, or else the value."""
     own = Randomization(**randomization)
-    names = [name for name, preset in RANDOMIZATIONS.items() if preset == own]
-    return names[0] if names else str(own)
+    presets = (name for name, preset in RANDOMIZATIONS.items() if preset == own)
+    return next(presets, str(own))
 
 
 def _option(value: Any) -> str:

@@ -14,7 +14,7 @@ from collaborative_gym.policies.policy import split_word
 from collaborative_gym.tasks.task import Task
 
 SELF, LEAGUE, POPULATION = "self", "league", "population"
-"""Words that stand for other opponents and partners than given policies."""
+"""Words for opponents and partners other than policies."""
 
 MAIN, EXPLOITERS = "main", ("main_exploiter", "league_exploiter")
 """The members of a league that learn."""
@@ -34,7 +34,7 @@ class Casting:
     Attributes:
       seats: the agents of each seat, by its name.
       casts: who sits where.
-      shares: share of the worlds that each cast has; none for equal shares.
+      shares: share of the worlds of each cast; none for equal shares.
     """
 
     seats: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -168,10 +168,11 @@ def _league(
     casts: list[Cast] = [(MAIN,) * len(seats)] if self_play else []
     shares = [main * self_play] if self_play else []
     others = (1.0 - main) / len(EXPLOITERS)
-    for member, share in (
-        (MAIN, main * (1.0 - self_play)),
-        *((name, others) for name in EXPLOITERS),
-    ):
+    beside_guests = {
+        MAIN: main * (1.0 - self_play),
+        **dict.fromkeys(EXPLOITERS, others),
+    }
+    for member, share in beside_guests.items():
         casts += _each_alone(member, seats)
         shares += [share / len(seats)] * len(seats)
     return Casting(seats, tuple(casts), tuple(shares))
@@ -189,19 +190,18 @@ def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) 
             f"{task.name} has {len(task.sides)} sides; policies to play with are given"
             " as opponent there, not as partner"
         )
-    for word in (SELF, LEAGUE) if partners else ():
-        if word in partners:
-            raise ValueError(
-                f"{word} is for opponents; a partner is a policy, or {POPULATION}; a"
-                f" file of that name is ./{word}"
-            )
+    for word in {SELF, LEAGUE} & set(partners):
+        raise ValueError(
+            f"{word} is for opponents; a partner is a policy, or {POPULATION}; a"
+            f" file of that name is ./{word}"
+        )
     words = tuple(opponents or partners)
-    for word in (SELF,) if opponents else (POPULATION,):
-        if word in words and len(words) > 1:
-            raise ValueError(
-                f"{word} stands alone, got {' '.join(words)}; a file of that name is"
-                f" ./{word}"
-            )
+    word = SELF if opponents else POPULATION
+    if word in words and len(words) > 1:
+        raise ValueError(
+            f"{word} stands alone, got {' '.join(words)}; a file of that name is"
+            f" ./{word}"
+        )
     bound = [word for word in words if split_word(word)[0]]
     if bound and len(bound) < len(words):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Collects what a run learns from: worlds, and players that act in them."""
+"""Collectors: worlds, and players that act in them and record rollouts."""
 
 import math
 from collections.abc import Mapping
@@ -26,13 +26,13 @@ _BLOCK, _STARTS = 1 << 28, 1 << 10
 rollouts. So a collector that starts anew plays episodes that nobody has played."""
 
 ActorState = Mapping[str, Any]
-"""What a player acts with: the state of its `actor`, and the `mean` and `std` by which
-its observations are normalized."""
+"""The state of a player's `actor`, and the `mean` and `std` that normalize its
+observations."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all collectors of a run do.
+    """What all collectors of a run share.
 
     Attributes:
       task: what to learn.
@@ -55,7 +55,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Rollout:
-    """What a learner's rows saw, did and earned in the worlds of one collector.
+    """Observations, actions and results of a learner's rows in one collector.
 
     Attributes:
       observations: (steps + 1, rows, k) float32, the last after the last step.
@@ -64,9 +64,10 @@ class Rollout:
       rewards: (steps, rows) float32.
       terminated: where an episode ended and nothing more could follow, (steps, rows).
       truncated: where only its time was up, (steps, rows).
-      final_observations: where it was, (ends, k) float32 in the order of `truncated`.
-      advice: what should have been done, as `actions`, and NaN where nobody says; of
-        width 0 where nobody is asked.
+      final_observations: at the ends where time was up, (ends, k) float32 in the order
+        of `truncated`.
+      advice: the expert's actions, as `actions`, and NaN where there is no advice; of
+        width 0 without an expert.
     """
 
     observations: np.ndarray
@@ -81,7 +82,7 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Collected:
-    """What one collector brought.
+    """The rollouts of one collector.
 
     Attributes:
       steps: environment steps, over all its worlds.
@@ -100,13 +101,13 @@ class Player:
     """Acts for a learner's rows, with noise that may last, and records the results.
 
     Args:
-      learner: for whom.
-      job: what is done.
-      worlds: in which it acts, by agent.
+      learner: whose networks act.
+      job: what all collectors share.
+      worlds: ids of those in which it acts, by agent.
 
     Attributes:
-      worlds: in which it acts, by agent.
-      noise: that of the last actions in standard deviations, (rows, a) float32.
+      worlds: as given.
+      noise: of the last actions, in standard deviations, (rows, a) float32.
     """
 
     noise: np.ndarray
@@ -120,7 +121,7 @@ class Player:
         rows = sum(counts) if learner.stacked else counts[0]
         self._shape = rows, learner.action_size(job.layout)
         self._actor = Actor(learner, job.layout, job.hyperparameters)
-        stays = job.hyperparameters.persistence(learner.is_grip(job.layout))
+        stays = job.hyperparameters.grip_persistence * learner.is_grip(job.layout)
         self._stays = stays.astype(np.float32)
         self._fresh = np.sqrt(1.0 - stays**2).astype(np.float32)
         self._steps: list[tuple[np.ndarray, ...]] = []
@@ -150,7 +151,7 @@ class Player:
         Args:
           observations: of all worlds, by agent.
           rng: draws the noise.
-          advice: what should be done in all worlds, by agent; NaN where nobody says.
+          advice: the expert's actions in all worlds, by agent; NaN for none.
         """
         rows = self._seen(observations)
         with torch.no_grad():
@@ -174,7 +175,7 @@ class Player:
         terminated: Mapping[str, np.ndarray],
         truncated: Mapping[str, np.ndarray],
     ) -> None:
-        """Record the results of the last actions, as `VectorEnv.step` gives them.
+        """Record the results of the last actions, as `VectorEnv.step` returns them.
 
         Args:
           rewards: (num_envs,) each.
@@ -194,7 +195,7 @@ class Player:
             self._finals.append(self._seen(final_observations)[late])
 
     def finish(self, observations: Observations) -> Rollout:
-        """Return all that was recorded, and begin anew; `observations` come next."""
+        """Return what was recorded, before these observations, and begin anew."""
         rows, actions, log_prob, advice = zip(*self._steps, strict=True)
         last = self._seen(observations)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))
@@ -216,12 +217,12 @@ class Player:
         return self.learner.observations(self._own(observations))
 
     def _per_row(self, ends: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return for each row what is given by agent and world."""
+        """Return rows of values that are by agent and world."""
         own = list(self._own(ends).values())
         return np.concatenate(own) if self.learner.stacked else own[0]
 
     def _own(self, by_agent: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return of what is given by agent and world what is of its worlds."""
+        """Return the values of its worlds, by agent."""
         return {agent: by_agent[agent][rows] for agent, rows in self.worlds.items()}
 
 
@@ -232,7 +233,7 @@ class Collector:
     started anew begins episodes that nobody has played.
 
     Args:
-      job: what to do.
+      job: what all collectors share.
       index: which one it is, from 0.
       count: how many share the worlds.
 
@@ -246,11 +247,10 @@ class Collector:
         self._job = job
         self._index = index
         share = len(range(index, job.hyperparameters.num_envs, count))
-        seed = training_seed(job.seed)
         self.env = VectorEnv(
             job.task,
             share,
-            seed=seed,
+            seed=training_seed(job.seed),
             num_threads=job.num_threads,
             strain=job.hyperparameters.contact_penalty > 0.0,
         )
@@ -277,16 +277,15 @@ class Collector:
         assistance: Assistance,
         invitation: Invitation = NOBODY,
     ) -> list[Collected]:
-        """Collect one rollout in each of these worlds, and return it, a single one.
+        """Return one rollout of these worlds, as a list of one.
 
-        The result depends on the worlds and the arguments, and not on any generator's
-        state.
+        It depends on the worlds and the arguments, and on no generator's state.
 
         Args:
-          actors: what to act with, by learner's name.
+          actors: networks by learner's name.
           iteration: how many rollouts the run has had.
-          assistance: what is carried meanwhile.
-          invitation: who may sit beside those that learn.
+          assistance: lightens loose things, and raises demands.
+          invitation: who may sit beside the learners.
         """
         rng = np.random.default_rng([self._job.seed, iteration, self._index])
         for player in self._players:
@@ -298,7 +297,7 @@ class Collector:
         seated: list[tuple[str, ...]] = []
         for _ in range(steps):
             actions = self._act(observations, rng)
-            assistance.carry(self.env)
+            assistance.lift(self.env)
             observations, rewards, *ends, infos = self._step(
                 actions, rng, assistance.demand
             )
@@ -318,9 +317,9 @@ class Collector:
         return [Collected(steps * self.env.num_envs, rollouts, episodes, seated)]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the worlds, by the collector's number as text.
+        """Return the state of the worlds by the collector's number as text.
 
-        It is nothing before the first rollout.
+        It is empty before the first rollout.
         """
         if self._observations is None:
             return {str(self._index): {}}
@@ -357,7 +356,7 @@ class Collector:
     def _act(
         self, observations: Observations, rng: np.random.Generator
     ) -> dict[str, np.ndarray]:
-        """Return what all robots choose."""
+        """Return the actions of all robots."""
         actions = {a: np.empty_like(still) for a, still in self.env.idle().items()}
         advice = None
         if self._job.hyperparameters.imitation:
@@ -375,9 +374,9 @@ class Collector:
         rng: np.random.Generator,
         demand: float,
     ) -> tuple[Any, ...]:
-        """Do what robots chose, and charge them for it.
+        """Take a step, and charge the robots for it.
 
-        What learners chose may come late, and their grips may fail. Guests may not have
+        Actions of learners may come late, and their grips fail; guests may not have
         been trained for that.
         """
         hyperparameters, count = self._job.hyperparameters, self.env.num_envs

@@ -1,10 +1,8 @@
 """The settings of training."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
-
-import numpy as np
 
 from collaborative_gym.errors import MOST_THREADS, check_count, check_kind, look_up
 from collaborative_gym.policies.network import check_activation
@@ -13,30 +11,28 @@ from collaborative_gym.tasks.settings import bounded, check_settings
 Mode = Literal["collaborative", "independent", "shared", "centralized"]
 """Who learns what.
 
-- collaborative: a policy for each robot, which sees its own observation, and one critic
-  that sees all of them; the robots share their mean reward (MAPPO).
-- independent: a policy and a critic for each robot, which see its own observation and
-  learn from its own reward (IPPO).
-- shared: one policy and one critic that every robot uses, told which robot it is; for
-  robots with equal spaces.
+- collaborative: a policy for each robot on its own observation, and one critic on all
+  observations; the robots share their mean reward (MAPPO).
+- independent: a policy and a critic for each robot, on its own observation and reward
+  (IPPO).
+- shared: one policy and one critic for all robots, with the robot's index as an input;
+  for robots with equal spaces.
 - centralized: one policy that sees all observations and commands all robots, with their
   mean reward.
 
-Where a task has several sides, "all" in collaborative and centralized are those of one
-side: each side has a critic, and with centralized a policy, of its own. In the mode
-shared, opponents play the same policy. Where a robot's partners are others' policies,
-it has a critic of its own in collaborative, too, and still the mean reward.
+Where a task has several sides, "all" in collaborative and centralized means one side,
+and each side has its own critic, and with centralized its own policy. In the mode
+shared, opponents play the same policy. Beside partners that do not learn, a robot has
+its own critic in collaborative, too, and still the mean reward.
 """
 
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 Algorithm = Literal["ppo", "sac"]
-"""What learns: PPO, from what the latest policy did alone, or SAC, from all that is
-remembered."""
+"""PPO learns from the latest policy's rollout alone, SAC from a replay memory."""
 
 Activation = Literal["relu", "elu", "tanh"]
 """The function between a network's layers."""
-
 
 PRICES = (
     "torque_penalty",
@@ -45,11 +41,10 @@ PRICES = (
     "range_penalty",
     "action_penalty",
 )
-"""Hyperparameters that charge for more than the reward; with 0 they charge nothing."""
+"""Hyperparameters that charge for more than the reward; 0 charges nothing."""
 
 FAULTS = ("delayed", "lost_grips", "missed_grips")
-"""Hyperparameters by which robots do something else than they ask for; with 0 they
-do not."""
+"""Hyperparameters by which robots do something else than they ask for; 0 for never."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +56,10 @@ class Hyperparameters:
         may go past it.
       num_envs: worlds that collect side by side.
       rollout_steps: control steps in each world between two updates.
-      epochs: PPO: passes over what was collected, in an update.
+      epochs: PPO: passes over a rollout in an update.
       minibatch_size: rows of a gradient step, or as many as an update has. A row is a
-        control step of one robot; in the modes collaborative and centralized it is a
-        control step of all robots.
+        control step of one robot; in the modes collaborative and centralized, of all
+        robots.
       discount: what a reward is worth one control step earlier.
       gae_lambda: PPO: trace decay of generalized advantage estimation.
       clip: PPO: how far an action's probability may move in an update, as a share.
@@ -73,74 +68,71 @@ class Hyperparameters:
       max_grad_norm: largest norm of a gradient; 0 for no limit.
       learning_rate: Adam's first learning rate; with SAC it stays.
       target_kl: PPO: the learning rate falls if an epoch moves the policy by more than
-        twice this Kullback-Leibler divergence, and rises if it moves it by less than
-        half of it; with 0 the learning rate stays.
-      min_learning_rate: PPO: the learning rate never falls below this.
-      max_learning_rate: PPO: the learning rate never rises above this.
-      replay_size: SAC: rows that it remembers and learns from, the last ones; they are
-        part of each checkpoint (120 MB for PassTaskSawyers; our choice, Haarnoja et al.
-        2018b, arXiv 1812.05905, keep 1e6).
-      warmup: SAC: rows that it collects before the first update (our choice).
-      gradient_steps: SAC: gradient steps of an update (our choice: a core does
-        little else; Haarnoja et al. do one after each step of one
-        world).
+        twice this Kullback-Leibler divergence, and rises below half of it; with 0 the
+        learning rate stays.
+      min_learning_rate: PPO: least learning rate.
+      max_learning_rate: PPO: greatest learning rate.
+      replay_size: SAC: rows that the replay memory holds; they are part of each
+        checkpoint (120 MB for PassTaskSawyers; our choice, Haarnoja et al. 2018b, arXiv
+        1812.05905, hold 1e6).
+      warmup: SAC: rows before the first update (our choice).
+      gradient_steps: SAC: gradient steps of an update (our choice, for speed; Haarnoja
+        et al. do one after each step of one world).
       polyak: SAC: how far the target critics follow the critics in a gradient step
         (0.005 in Haarnoja et al.).
-      target_std: SAC: the weight of the entropy is learned so that actions have that of
-        a Gaussian with this standard deviation in each component. (Haarnoja et al. ask
-        for an entropy of -1 in each component, which is 0.09.)
+      target_std: SAC: the weight of the entropy is learned so that actions have the
+        entropy of a Gaussian with this standard deviation in each component. (The -1
+        of Haarnoja et al. in each component is 0.09.)
       initial_std: standard deviation of the first actions.
       initial_grip_std: standard deviation of their grip component.
-      final_noise: PPO: share of this noise that is left at the end. The noise shrinks
-        after each rollout after which penalties grow; with 1 it stays as it is learned.
+      final_noise: PPO: share of this noise at the end. The noise shrinks after each
+        rollout after which penalties grow; with 1 it stays as it is learned.
       quiet_share: PPO: share of the total steps, the last ones, over which the noise
         shrinks instead; 0 for none.
-      grip_limit: greatest mean of a grip's command, 0 for no limit. The noise can then
-        change the sign of the command while it is about half as large as this limit. So
-        a robot that holds a thing can still find out what it gains by letting go.
+      grip_limit: greatest mean of a grip's command, 0 for no limit. With noise of half
+        this size a robot that holds a thing still finds out what it gains by letting
+        go.
       grip_persistence: share of the grip's noise that stays for the next action, from 0
-        to below 1. If noise opens a grip in single steps, the robot drops what it
-        carries, and does not learn to carry. Noise that lasts tries long holds and long
-        releases.
+        to below 1. Noise that opens a grip in single steps makes a robot drop what it
+        carries; noise that lasts tries long holds and long releases.
       assistance: share of the weight of loose things that the simulator carries at
         first. It falls by 0.01 after each rollout in which half of the episodes are
-        completed. In validations the simulator carries nothing.
+        completed. Validations have none.
       torque_penalty: price of torque. In each control step a robot pays this times the
         mean square of the torque that its servos ask for, as a share of their limits;
         beyond a limit the price grows linearly. No reported return contains penalties.
-        This one, those of contacts and missed goals, late actions and grips that fail
-        begin at zero. They grow by 2 % after each rollout in which half of the episodes
-        are completed.
+        The penalties of torque, contacts and missed goals, late actions and failing
+        grips begin at zero. They grow by 2 % after each rollout in which half of the
+        episodes are completed.
       contact_penalty: price of contacts. In each control step all robots pay this for
-        every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
-        arm or with fixed things count, and contacts of loose things above 1 mm.
-        Measuring it makes collecting about a quarter slower.
-      miss_penalty: price of a goal that is not met, paid in each control step in which
-        it is not. A task's reward may hardly tell the goal from what is near it.
-      range_penalty: price of joints at the ends of their ranges. In each control step a
-        robot pays this times the mean square of how far its joints are in the outer
-        tenth of their ranges. It holds from the beginning.
-      action_penalty: PPO: price of actions. The loss has this times the mean square
-        of the policy's mean actions, without grips, from the beginning. A joint whose
-        motor is at its limit moves no less if the policy asks for less, so neither
-        rewards nor noise tell that it asks for too much; this does.
-      imitation: PPO: weight of what the task's scripted expert would do. The loss has
-        this times the mean square of the difference between the policy's mean actions
-        and what the expert would do in these worlds (as in Kickstarting, Schmitt et al.
-        2018, arXiv 1803.03835). So a policy learns what it would not find by chance.
-        Beside a partner or opponent that does not learn, its own policy for the
-        learner's place advises instead, if it has one.
+        every mm of the deepest contact, at most 10 mm: contacts of an arm with another
+        arm or with fixed things, and of loose things above 1 mm. Measuring it makes
+        collecting about a quarter slower.
+      miss_penalty: price of each control step in which the goal is not met, for tasks
+        whose reward hardly tells the goal from what is near it.
+      range_penalty: price of joints at the ends of their ranges, from the beginning. In
+        each control step a robot pays this times the mean square of how far its joints
+        are in the outer tenth of their ranges.
+      action_penalty: PPO: price of actions, from the beginning. The loss has this times
+        the mean square of the policy's mean actions, without grips. A joint at its
+        torque limit moves no less if the policy asks for less, so rewards do not teach
+        that it asks for too much.
+      imitation: PPO: weight of the scripted expert's advice. The loss has this times
+        the mean square of the difference between the policy's mean actions and the
+        expert's in these worlds (as in Kickstarting, Schmitt et al. 2018, arXiv
+        1803.03835). Beside a partner or opponent that does not learn, its own policy
+        for the learner's place advises instead, if it has one.
       refined: 1 to take physics steps in which arms crash as short ones, as validations
         and all other worlds do, or 0 not to, which learns as well and is faster.
-      delayed: share of the worlds in which each action is done one control step late.
-        In validations no action is late. Guests are never late, and no grip of theirs
-        fails: opponents and partners may not have been trained for that.
+      delayed: share of the worlds in which each action is done one control step late;
+        never in validations, and never an action of a guest, which may not have been
+        trained for that.
       lost_grips: how likely a robot that holds something loses it in a control step,
         whatever it asks for; 0.005 means about once in an episode. So it learns to grip
-        again. In validations no grip is lost.
+        again. Never in validations, and never a guest's.
       missed_grips: how likely a robot that holds nothing fails to grip in a control
         step, whatever it asks for. So it learns to bring its hand well within reach and
-        to keep it there. In validations no grip is missed.
+        to keep it there. Never in validations, and never a guest's.
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
@@ -228,13 +220,11 @@ class Hyperparameters:
         check_settings(self)
         sizes, a = self.hidden_sizes, "a sequence of integers, such as (256, 256)"
         check_kind("hidden_sizes", sizes, (tuple, list), a)
-        checked = tuple(
-            check_count("each of hidden_sizes", width, 1, 2**16) for width in sizes
-        )
-        if not checked:
+        if not sizes:
             raise ValueError(f"hidden_sizes must name at least one layer, got {sizes}")
-        if not isinstance(sizes, tuple):
-            object.__setattr__(self, "hidden_sizes", checked)
+        checked = [check_count("each of hidden_sizes", n, 1, 2**16) for n in sizes]
+        if isinstance(sizes, list):
+            object.__setattr__(self, "hidden_sizes", tuple(checked))
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"
@@ -252,19 +242,6 @@ class Hyperparameters:
             )
         check_kind("activation", self.activation, str, "a name, such as 'relu'")
         check_activation(self.activation)
-
-    def first_std(self, is_grip: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of each component of the first actions."""
-        return np.where(is_grip, self.initial_grip_std, self.initial_std)
-
-    def persistence(self, is_grip: np.ndarray) -> np.ndarray:
-        """Return how much of each component's noise stays for the next action."""
-        return np.where(is_grip, self.grip_persistence, 0.0)
-
-    @property
-    def has_prices(self) -> bool:
-        """Whether training charges for more than the reward."""
-        return any(getattr(self, name) for name in PRICES)
 
     @property
     def steps_per_update(self) -> int:
@@ -315,9 +292,8 @@ _GENTLE: Mapping[str, Any] = {
 """Prices that make robots gentle, and late actions that make them sturdy."""
 
 _OFTEN: Mapping[str, Any] = {"num_envs": 128}
-"""An update may move the policy only as far as `target_kl` says. With half of the
-worlds there are twice as many updates, and a policy begins to succeed sooner. 64 are no
-better."""
+"""Half of the worlds give twice as many updates, each of which moves the policy as far
+as `target_kl` says, so that a policy succeeds sooner. 64 worlds are no better."""
 
 _PASS: Mapping[str, Any] = {
     "total_steps": 2_500_000,
@@ -329,9 +305,9 @@ _PASS: Mapping[str, Any] = {
     "missed_grips": 0.7,
     "grip_limit": 0.6,
 }
-"""A hand that misses the cube comes to rest beside it, unless grips fail in training;
-more so where contacts cost more. Once both hold the cube, a robot_1 whose grip noise
-cannot open never lets go; hence the limit."""
+"""A hand that misses the cube rests beside it unless grips fail in training, the more
+so the dearer contacts are. A robot_1 whose grip noise cannot open never lets go; hence
+the limit."""
 
 _BALANCE: Mapping[str, Any] = {
     "initial_std": 0.1,
@@ -347,8 +323,8 @@ _EXACT: Mapping[str, Any] = {
     "miss_penalty": 0.3,
 }
 """Balance's reward hardly tells a ball on the mark from one beside it, and noise rolls
-it there in the end. A price, and noise that shrinks from the first step on, make
-policies that need no noise for it."""
+it there. A price, and noise that shrinks from the first step on, make policies that
+need no noise for it."""
 
 _LIFT: Mapping[str, Any] = {
     "initial_std": 0.15,
@@ -357,9 +333,9 @@ _LIFT: Mapping[str, Any] = {
     "torque_penalty": 1.0,
     "action_penalty": 1.0,
 }
-"""More noise than this drops the pot, less does not lift it; with an assistance of 0.5
-one of two seeds did not either. Arms that ask for far more torque than they have do not
-learn; hence the price of actions."""
+"""More noise drops the pot, less does not lift it, and with an assistance of 0.5 one of
+two seeds did not either. Arms that ask for far more torque than they have do not learn;
+hence the price of actions."""
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
@@ -371,8 +347,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PassTaskSawyers-v0": _PASS,
     "PassTaskJacoSawyer-v0": _PASS,
 }
-"""The hyperparameters with which an environment is best learned, if they differ from
-the defaults."""
+"""The hyperparameters that suit an environment best, if not the defaults."""
 
 _ADVISED: Mapping[str, Any] = {
     "total_steps": 1_000_000,
@@ -390,9 +365,9 @@ _ADVISED: Mapping[str, Any] = {
 }
 """Advice needs many gradient steps at a rate that stays, and little noise."""
 
-_ADVISED_PASS: Mapping[str, Any] = {"grip_limit": 0.0, "lost_grips": 0.0}
 _ADVISED_BALANCE: Mapping[str, Any] = {"miss_penalty": 0.0}
 _ADVISED_LIFT: Mapping[str, Any] = {"assistance": 0.0, "action_penalty": 0.0}
+_ADVISED_PASS: Mapping[str, Any] = {"grip_limit": 0.0, "lost_grips": 0.0}
 
 ADVISED: Mapping[str, Mapping[str, Any]] = {
     "BalanceTaskSawyers-v0": _ADVISED_BALANCE,
@@ -402,9 +377,7 @@ ADVISED: Mapping[str, Mapping[str, Any]] = {
     "PassTaskSawyers-v0": _ADVISED_PASS,
     "PassTaskJacoSawyer-v0": _ADVISED_PASS,
 }
-"""What an environment's recipe has against troubles of learning by reward alone, taken
-back for learning with the expert's advice."""
-
+"""What advice makes needless of an environment's recipe, taken back."""
 
 _OWN: Mapping[str, Sequence[str]] = {
     "ppo": (
@@ -452,8 +425,8 @@ def recipe(
 
     Args:
       env: its name.
-      algorithm: what learns.
-      advised: whether it learns with the expert's advice, and so with other numbers.
+      algorithm: "ppo" or "sac".
+      advised: whether it learns with the expert's advice, by numbers that suit this.
       changes: hyperparameters to use in place of these, by name.
 
     Raises:
@@ -467,11 +440,8 @@ def recipe(
     check_kind("changes", changes, Mapping, "a mapping, or None")
     for name in changes:
         look_up("hyperparameter", name, vars(Hyperparameters()))
-    own = {
-        name: value
-        for name, value in RECIPES.get(env, {}).items()
-        if name not in foreign(algorithm)
-    }
+    unused = foreign(algorithm)
+    own = {n: value for n, value in RECIPES.get(env, {}).items() if n not in unused}
     of_advice = {**_ADVISED, **ADVISED.get(env, {})} if advised else {}
     return Hyperparameters(**{**own, **usual, **of_advice, **changes})
 
@@ -485,9 +455,9 @@ def changed(
     hyperparameters: Hyperparameters, from_: Hyperparameters | None = None
 ) -> dict[str, object]:
     """Return the hyperparameters that differ from others, None for the defaults."""
-    others = from_ or Hyperparameters()
+    others = vars(from_ or Hyperparameters())
     return {
-        field.name: getattr(hyperparameters, field.name)
-        for field in fields(hyperparameters)
-        if getattr(hyperparameters, field.name) != getattr(others, field.name)
+        name: value
+        for name, value in vars(hyperparameters).items()
+        if value != others[name]
     }

@@ -1,10 +1,9 @@
-"""The picture of a training run: what the robots earn as they learn."""
+"""The pictures of a training run: its learning curve, and a league's ratings."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,9 +39,9 @@ def robots_of(columns: Iterable[str]) -> list[str]:
 
 
 def sides_of(columns: Iterable[str]) -> list[str]:
-    """Return what stands before each side's results, such as "side_1/".
+    """Return the prefix of each side's results, such as "side_1/".
 
-    It is nothing if all robots are on one side.
+    It is one empty prefix if all robots are on one side.
     """
     return [f"{side}/" for side in _owners(columns, "side_")] or [""]
 
@@ -60,7 +59,7 @@ def draw_curve(rows: _Rows, title: str, path: str | Path) -> None:
     """Draw a run's learning curve into a PNG file, whole or not at all.
 
     Args:
-      rows: the run's, as `monitor.summarize` gives them.
+      rows: the run's, as `monitor.summarize` returns them.
       title: heads the picture.
       path: the file.
 
@@ -80,15 +79,16 @@ def learning_curve(rows: _Rows, title: str) -> "Figure":
     completion and performance.
 
     Args:
-      rows: the run's, as `monitor.summarize` gives them.
+      rows: the run's, as `monitor.summarize` returns them.
       title: heads the picture.
 
     Raises:
       ImportError: if the extra `train` is not installed.
     """
     figure, (above, below) = make_figure(2, 1, _SIZE, sharex=True, height_ratios=(5, 2))
-    _draw_returns(above, rows)
-    _draw_shares(below, rows)
+    columns = dict.fromkeys(name for row in rows for name in row)
+    _draw_returns(above, rows, columns)
+    _draw_shares(below, rows, columns)
     _finish(figure, (above, below), title)
     above.set_ylabel("mean reward per episode")
     below.set_ylabel("share (%)")
@@ -127,39 +127,42 @@ def draw_ratings(
 def _finish(figure: "Figure", all_axes: Sequence["Axes"], title: str) -> None:
     for axes in all_axes:
         open_axes(axes)
-        _add_legend(axes)
+        if axes.get_legend_handles_labels()[0]:
+            # Above the axes, where no curve can run into the names.
+            axes.legend(
+                loc="lower left",
+                bbox_to_anchor=(0.0, 1.0),
+                ncols=5,
+                frameon=False,
+                fontsize="small",
+                borderaxespad=0.2,
+            )
     figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
 
 
-def _draw_returns(axes: "Axes", rows: _Rows) -> None:
-    columns = dict.fromkeys(name for row in rows for name in row)
+def _draw_returns(axes: "Axes", rows: _Rows, columns: Iterable[str]) -> None:
     # Drawn on top of the robots' curves, but named before them.
-    for i, side in enumerate(sides_of(columns)):
-        ink = _INKS[i % len(_INKS)]
+    for side, ink in zip(sides_of(columns), cycle(_INKS), strict=False):
         label = side.removesuffix("/") or "all robots"
-        _draw_line(axes, rows, f"{side}return", label, ink, 2.4)
-        validated = f"{label}, validation"
-        _draw_dots(axes, rows, f"validation/{side}return", validated, ink)
+        _draw_line(axes, rows, f"{side}return", label, color=ink, linewidth=2.4)
+        _draw_dots(axes, rows, f"{side}return", label, ink)
     for i, robot in enumerate(robots_of(columns)):
         colour = COLOURS[i % len(COLOURS)]
         # Every other one is dashed: robots that earn the same lie on one another.
-        style = "dashed" if i % 2 else "solid"
-        _draw_line(axes, rows, f"{robot}/return", robot, colour, 1.5, style=style)
+        style: Any = {"color": colour, "linestyle": "dashed" if i % 2 else "solid"}
+        _draw_line(axes, rows, f"{robot}/return", robot, linewidth=1.5, **style)
 
 
-def _draw_shares(axes: "Axes", rows: _Rows) -> None:
-    sides = sides_of(dict.fromkeys(name for row in rows for name in row))
-    for i, side in enumerate(sides):
+def _draw_shares(axes: "Axes", rows: _Rows, columns: Iterable[str]) -> None:
+    shares = [{n: 100.0 * x if n != "steps" else x for n, x in r.items()} for r in rows]
+    for i, side in enumerate(sides_of(columns)):
         of = f" of {side.removesuffix('/')}" if side else ""
-        style = "dashed" if i % 2 else "solid"
         for name, colour in (("completion", "#0072b2"), ("performance", "#d55e00")):
-            _draw_line(
-                axes, rows, f"{side}{name}", f"{name}{of}", colour, 1.8, 100.0, style
-            )
-            column, label = f"validation/{side}{name}", f"{name}{of}, validation"
-            _draw_dots(axes, rows, column, label, colour, factor=100.0)
-    label = "points against opponents, validation"
-    _draw_dots(axes, rows, "validation/points", label, "#009e73", factor=100.0)
+            column, label = f"{side}{name}", f"{name}{of}"
+            style: Any = {"color": colour, "linestyle": "dashed" if i % 2 else "solid"}
+            _draw_line(axes, shares, column, label, linewidth=1.8, **style)
+            _draw_dots(axes, shares, column, label, colour)
+    _draw_dots(axes, shares, "points", "points against opponents", "#009e73")
 
 
 def _draw_line(
@@ -167,63 +170,50 @@ def _draw_line(
     rows: _Rows,
     column: str,
     label: str,
-    colour: str,
-    width: float,
-    factor: float = 1.0,
-    style: str = "solid",
+    *,
+    linewidth: float,
+    **style: Any,
 ) -> None:
     """Draw a column pale as it is and strong as its moving mean."""
     steps, values = _points(rows, column)
     if not len(steps):
         return
-    # A single point makes no line.
-    marker = "o" if len(steps) == 1 else None
-    axes.plot(steps, factor * values, color=colour, alpha=0.3, linewidth=0.8)
-    smooth = factor * _moving_mean(values, round(_WINDOW * len(rows)))
+    axes.plot(steps, values, color=style["color"], alpha=0.3, linewidth=0.8)
     axes.plot(
         steps,
-        smooth,
-        color=colour,
-        linewidth=width,
-        linestyle=style,
-        marker=marker,
+        _moving_mean(values, round(_WINDOW * len(rows))),
+        linewidth=linewidth,
+        # A single point makes no line.
+        marker="o" if len(steps) == 1 else None,
         label=label,
-        zorder=2.0 + width / 10,
+        zorder=2.0 + linewidth / 10,
+        **style,
     )
 
 
-def _draw_dots(
-    axes: "Axes",
-    rows: _Rows,
-    column: str,
-    label: str,
-    colour: str,
-    factor: float = 1.0,
-) -> None:
-    steps, values = _points(rows, column)
+def _draw_dots(axes: "Axes", rows: _Rows, column: str, label: str, colour: str) -> None:
+    """Draw the validations of a column."""
+    steps, values = _points(rows, f"validation/{column}")
     if len(steps):
         axes.plot(
             steps,
-            factor * values,
+            values,
             linestyle="none",
             marker="o",
             markersize=4.5,
             markerfacecolor="white",
             markeredgecolor=colour,
-            label=label,
+            label=f"{label}, validation",
             zorder=3,
         )
 
 
 def _points(rows: _Rows, column: str) -> tuple[np.ndarray, np.ndarray]:
     """Return millions of steps and a column's values, where it has finite ones."""
-    points = [
-        (row["steps"] / 1e6, row[column])
-        for row in rows
-        if math.isfinite(row.get(column, math.nan))
-    ]
-    steps, values = np.array(points, float).reshape(-1, 2).T
-    return steps, values
+    known = [(row["steps"] / 1e6, row[column]) for row in rows if column in row]
+    steps, values = np.array(known, float).reshape(-1, 2).T
+    is_finite = np.isfinite(values)
+    return steps[is_finite], values[is_finite]
 
 
 def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
@@ -233,19 +223,3 @@ def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
     low = np.maximum(np.arange(len(values)) - half, 0)
     high = np.minimum(np.arange(len(values)) + half + 1, len(values))
     return (sums[high] - sums[low]) / (high - low)
-
-
-def _add_legend(axes: "Axes") -> None:
-    """Name the curves above the axes, where none can run into the names."""
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        axes.legend(
-            handles,
-            labels,
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=5,
-            frameon=False,
-            fontsize="small",
-            borderaxespad=0.2,
-        )

@@ -1,9 +1,9 @@
-"""What training runs show on the terminal while they learn."""
+"""The progress of training runs on the terminal."""
 
 import math
 import time
-from collections.abc import Mapping
-from typing import Self
+from collections.abc import Iterable, Mapping
+from typing import Any, Self
 
 from rich import box
 from rich.console import Console, Group
@@ -31,18 +31,18 @@ UPDATE = {
     "entropy_weight": ("entropy weight", ".4f"),
     "weight_norm": ("weight norm", ".1f"),
 }
-"""What each number is called on the terminal, and how it is written there.
+"""The numbers of an update: how each is called on the terminal, and its format.
 
-`kl` is the divergence of the last epoch, `std` that of the actions. PPO tells the KL
-divergence and the entropy's loss, with the price of actions; SAC tells the entropy's
-weight.
+`kl` is the divergence of the last epoch, `std` that of the actions. PPO has the KL
+divergence and the entropy's loss, with the price of actions; SAC the entropy's weight.
 """
-
-_RESULTS = ("return", "completion", "performance")
 
 
 class _Screen:
-    """What shows progress while the context lasts, on a terminal or by lines."""
+    """Shows progress while the context lasts: a drawing on a terminal, else lines.
+
+    A line comes at most every 30 s and at the end.
+    """
 
     def __init__(self, console: Console | None):
         self._console = Console(stderr=True) if console is None else console
@@ -50,6 +50,7 @@ class _Screen:
         self._is_live = self._console.is_terminal and not self._console.is_dumb_terminal
         self._live = Live(console=self._console, auto_refresh=False)
         self._next_line = -math.inf
+        self._is_news = False
 
     def __enter__(self) -> Self:
         if self._is_live:
@@ -59,22 +60,31 @@ class _Screen:
     def __exit__(self, *_: object) -> None:
         if self._is_live:
             self._live.stop()
-        else:
-            self._print_last()
+        elif self._is_news:
+            self._print()
 
-    def _print(self, line: str) -> None:
+    def _show(self, drawing: Any, is_due: bool = False) -> None:
+        """Show a drawing, or a line if one is due."""
+        self._is_news = True
+        if self._is_live:
+            self._live.update(drawing(), refresh=True)
+        elif is_due or time.monotonic() >= self._next_line:
+            self._print()
+
+    def _print(self) -> None:
+        line = self._line()
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         self._next_line = time.monotonic() + _LINE_INTERVAL
+        self._is_news = False
 
-    def _print_last(self) -> None:
+    def _line(self) -> str:
         raise NotImplementedError
 
 
 class Display(_Screen):
-    """Shows how far a run is and how well it does, while the context lasts.
+    """Shows the pace and the results of a run, while the context lasts.
 
-    On a terminal it is a panel that is drawn anew with each row; elsewhere it is a
-    plain line at most every 30 s, at each validation and at the end.
+    On a terminal it is a panel; elsewhere a line also comes at each validation.
 
     Args:
       title: heads the panel.
@@ -84,11 +94,11 @@ class Display(_Screen):
 
     def __init__(self, title: str, total_steps: int, console: Console | None = None):
         super().__init__(console)
-        self._title = title
-        self._total_steps = total_steps
+        self._title, self._total_steps = title, total_steps
         self._known: dict[str, float] = {}
-        self._first: Mapping[str, float] | None = None
-        self._unprinted: Mapping[str, float] | None = None
+        self._first: Mapping[str, float] = {}
+        self._last: Mapping[str, float] = {}
+        self._best: Mapping[str, float] = {}
 
     def show(
         self, row: Mapping[str, float], best: Mapping[str, float] | None = None
@@ -96,46 +106,35 @@ class Display(_Screen):
         """Show an iteration's row; what it lacks stays as earlier rows had it.
 
         Args:
-          row: as `monitor.summarize` gives it.
+          row: as `monitor.summarize` returns it.
           best: the row with the best validation so far, if there is one.
         """
         self._known |= row
         self._first = self._first or dict(row)
-        if self._is_live:
-            self._live.update(self._panel(best or {}), refresh=True)
-            return
-        self._unprinted = row
-        is_validated = any(name.startswith("validation/") for name in row)
-        if is_validated or time.monotonic() >= self._next_line:
-            self._print_line(row)
+        self._last, self._best = row, best or {}
+        self._show(self._panel, any(name.startswith("validation/") for name in row))
 
-    def _print_last(self) -> None:
-        if self._unprinted is not None:
-            self._print_line(self._unprinted)
-
-    def _print_line(self, row: Mapping[str, float]) -> None:
+    def _line(self) -> str:
         cells = [self._title, *self._pace()]
-        for where, known in (("", self._known), ("validation/", row)):
-            for name in self._measures():
-                if where + name in known:
-                    told = format_result(known, where + name)
-                    cells.append(f"{where}{name} {told}".replace("/", " "))
-        self._print(", ".join(cells))
-        self._unprinted = None
+        for where, known in (("", self._known), ("validation/", self._last)):
+            for name in (f"{where}{each}" for each in self._measures()):
+                if name in known:
+                    words = name.replace("/", " ")
+                    cells.append(f"{words} {format_result(known, name)}")
+        return ", ".join(cells)
 
-    def _panel(self, best: Mapping[str, float]) -> Panel:
+    def _panel(self) -> Panel:
         width = min(self._console.width, _WIDTH)
         progress = Table.grid(expand=True)
         progress.add_row(ProgressBar(self._total_steps, self._known["steps"]))
         progress.add_row(", ".join(self._pace()))
-        blocks = (Group(self._results(best), "", self._learners()), self._rewards())
+        blocks = Group(self._results(), "", self._learners()), self._rewards()
         gap, frame = 4, 4
         needed = sum(self._console.measure(block).maximum for block in blocks) + gap
+        body = Group(blocks[0], "", blocks[1])
         if needed <= width - frame:
             body = Table.grid(padding=(0, gap))
             body.add_row(*blocks)
-        else:
-            body = Group(blocks[0], "", blocks[1])
         return Panel(
             Group(progress, "", body),
             title=Text(self._title),
@@ -157,68 +156,59 @@ class Display(_Screen):
         if steps >= total:
             return [*words, f"took {format_duration(known['seconds'])}"]
         # The latest rate jumps; the rate since the first row predicts better.
-        assert self._first is not None, "a row is known"
         seconds = known["seconds"] - self._first["seconds"]
         if seconds > 0:
             rate = (steps - self._first["steps"]) / seconds
-        return (
-            [*words, f"{format_duration((total - steps) / rate)} left"]
-            if rate > 0
-            else words
-        )
+        left = [f"{format_duration((total - steps) / rate)} left"] if rate > 0 else []
+        return words + left
 
     def _measures(self) -> list[str]:
-        """Return the columns of what the robots reach, side by side."""
-        names = [f"{side}{name}" for side in sides_of(self._known) for name in _RESULTS]
-        return [*names, "points"] if "validation/points" in self._known else names
+        """Return the columns of all robots' results, of each side where there are."""
+        measures = "return", "completion", "performance"
+        names = [f"{side}{name}" for side in sides_of(self._known) for name in measures]
+        return names + ["points"] * ("validation/points" in self._known)
 
-    def _results(self, best: Mapping[str, float]) -> Table:
-        """Return how well the robots do, all together."""
-        table = _table("", "training", "validation", "best")
-        for name in self._measures():
-            table.add_row(
-                name.replace("/", " "),
+    def _results(self) -> Table:
+        """Return the results of training and validations."""
+        lines = {
+            name.replace("/", " "): [
                 format_result(self._known, name),
                 format_result(self._known, f"validation/{name}"),
-                format_result(best, f"validation/{name}"),
-            )
-        return table
+                format_result(self._best, f"validation/{name}"),
+            ]
+            for name in self._measures()
+        }
+        return _table(["", "training", "validation", "best"], lines)
 
     def _rewards(self) -> Table:
-        """Return each robot's return and what it is made of."""
+        """Return each robot's return and its terms."""
         robots = robots_of(self._known)
-        terms = dict.fromkeys(
-            term
-            for robot, _, term in (name.rpartition("/") for name in self._known)
-            if robot in robots and term not in UPDATE
-        )
-        table = _table("reward" if robots else "", *robots)
-        for term in terms:
-            columns = [f"{robot}/{term}" for robot in robots]
-            table.add_row(
-                term, *(format_result(self._known, name, absent="") for name in columns)
-            )
-        return table
+        named = (name.rpartition("/") for name in self._known)
+        terms = [term for robot, _, term in named if robot in robots]
+        lines = {
+            term: [format_result(self._known, f"{r}/{term}", "") for r in robots]
+            for term in dict.fromkeys(terms)
+            if term not in UPDATE
+        }
+        return _table(["reward" if robots else "", *robots], lines)
 
     def _learners(self) -> Table:
-        """Return what the last update did, by learner."""
+        """Return the numbers of the last update, by learner."""
         end = "/learning_rate"
         learners = [n.removesuffix(end) for n in self._known if n.endswith(end)]
-        table = _table("update", *learners)
+        lines = {}
         for number, (label, digits) in UPDATE.items():
-            values = [self._known.get(f"{name}/{number}") for name in learners]
-            if any(value is not None for value in values):
-                cells = (
-                    "" if value is None else f"{value:{digits}}" for value in values
-                )
-                table.add_row(label, *cells)
-        return table
+            columns = [f"{name}/{number}" for name in learners]
+            if any(column in self._known for column in columns):
+                lines[label] = [
+                    f"{self._known[column]:{digits}}" if column in self._known else ""
+                    for column in columns
+                ]
+        return _table(["update", *learners], lines)
 
 
 class ManyDisplay(_Screen):
-    """Shows how far each of several runs is, while the context lasts.
-
-    On a terminal it is a table; elsewhere a line at most every 30 s and in the end.
+    """Shows the progress of several runs in a table, while the context lasts.
 
     Args:
       totals: environment steps of each whole run, by its name.
@@ -234,63 +224,51 @@ class ManyDisplay(_Screen):
     def show(self, name: str, row: Mapping[str, float]) -> None:
         """Show a run's row; what it lacks stays as earlier rows had it."""
         self._known[name] |= row
-        if self._is_live:
-            self._live.update(self._runs(), refresh=True)
-        elif time.monotonic() >= self._next_line:
-            self._print_line()
+        self._show(self._table)
 
-    def _print_last(self) -> None:
-        if any(self._known.values()):
-            self._print_line()
-
-    def _print_line(self) -> None:
+    def _line(self) -> str:
         steps = {name: row.get("steps", 0.0) for name, row in self._known.items()}
         done = sum(steps[name] >= total for name, total in self._totals.items())
         under_way = sum(0 < steps[n] < total for n, total in self._totals.items())
-        line = (
+        return (
             f"{done} of {len(steps)} runs done, {under_way} begun,"
             f" {format_steps(sum(steps.values()))} of"
             f" {format_steps(sum(self._totals.values()))} steps"
         )
-        self._print(line)
 
-    def _runs(self) -> Table:
+    def _table(self) -> Table:
         table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
         table.add_column("run", no_wrap=True)
-        heads = "steps", "return", "completion", "validated", "left"
-        for head in heads:
+        for head in ("steps", "return", "completion", "validated", "left"):
             table.add_column(head, justify="right", no_wrap=True)
+        columns = "return", "completion", "validation/completion"
         # Runs under way stand above those that wait, so that they are on the screen.
         for name, row in sorted(self._known.items(), key=lambda each: not each[1]):
-            cells = [
-                format_result(row, column)
-                for column in ("return", "completion", "validation/completion")
-            ]
-            table.add_row(name, self._share(name, row), *cells, self._left(name, row))
+            steps, total = row.get("steps", 0.0), self._totals[name]
+            rate = row.get("steps_per_second", 0.0)
+            left = format_duration((total - steps) / rate) if rate > 0 else "waits"
+            table.add_row(
+                name,
+                f"{min(1.0, steps / total):.0%}",
+                *(format_result(row, column) for column in columns),
+                left if steps < total else "-",
+            )
         return table
 
-    def _share(self, name: str, row: Mapping[str, float]) -> str:
-        return f"{min(1.0, row.get('steps', 0.0) / self._totals[name]):.0%}"
 
-    def _left(self, name: str, row: Mapping[str, float]) -> str:
-        left = self._totals[name] - row.get("steps", 0.0)
-        rate = row.get("steps_per_second", 0.0)
-        if left <= 0:
-            return "-"
-        return format_duration(left / rate) if rate > 0 else "waits"
-
-
-def _table(*columns: str) -> Table:
-    """Return an empty table, text in its first column and numbers in the others."""
+def _table(heads: Iterable[str], lines: Mapping[str, Iterable[str]]) -> Table:
+    """Return a table, text in its first column and numbers in the others."""
     table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
-    for i, name in enumerate(columns):
+    for i, name in enumerate(heads):
         justify = "right" if i else "left"
         table.add_column(name, justify=justify, no_wrap=True, min_width=6)
+    for label, cells in lines.items():
+        table.add_row(label, *cells)
     return table
 
 
 def format_result(row: Mapping[str, float], column: str, absent: str = "-") -> str:
-    """Return a return, a reward term or a share as one reads it."""
+    """Return a return, a reward term or a share for reading."""
     value = row.get(column)
     if value is None:
         return absent
@@ -300,12 +278,12 @@ def format_result(row: Mapping[str, float], column: str, absent: str = "-") -> s
 
 
 def format_steps(steps: float) -> str:
-    """Return a number of steps as one reads it, such as "1.50 M"."""
+    """Return a number of steps for reading, such as "1.50 M"."""
     return f"{steps / 1e6:.2f} M" if steps >= 1e5 else f"{steps:,.0f}"
 
 
 def format_duration(seconds: float) -> str:
-    """Return a time as one reads it, such as "1 min 30 s"."""
+    """Return a time for reading, such as "1 min 30 s"."""
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

@@ -21,7 +21,7 @@ class Invitation:
     """Who may be a guest in a rollout.
 
     Attributes:
-      policies: by name, a policy or what `load_policy` finds it by.
+      policies: by name, a policy or its name for `load_policy`.
       odds: by the member that learns in a world, then by the guest's seat.
     """
 
@@ -63,7 +63,7 @@ class Guests:
         self._groups: dict[tuple[str, str], np.ndarray] = {}
 
     def invite(self, invitation: Invitation) -> None:
-        """Draw from these from now on; guests that are seated stay."""
+        """Draw guests from an invitation from now on; those that are seated stay."""
         before, self._invitation = self._invitation.policies, invitation
         self._policies = {
             key: policy
@@ -93,16 +93,16 @@ class Guests:
         actions: Mapping[str, np.ndarray],
         advice: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        """Write what the guests do into the actions, and into the advice.
+        """Write the guests' actions into `actions`, and their advice into `advice`.
 
-        A policy knows an answer to itself, and the expert's may be none. So what a
-        guest would do in the others' places stands in for the expert's advice. Where
-        there are several guests, or one without such an answer, there is none: NaN.
+        The expert's advice may be no answer to a guest. So it is replaced by what the
+        guest's own policy would do in the others' places, and by NaN where there are
+        several guests, or one whose policy does not know.
 
         Args:
           observations: of all worlds, by agent.
           actions: (num_envs, k) by agent.
-          advice: the expert's, as `actions`; None if nobody asks.
+          advice: the expert's, as `actions`; None without an expert.
         """
         scripted: dict[str, Any] = {}
         for (name, seat), worlds in self._groups.items():
@@ -139,14 +139,15 @@ class Guests:
         scripted: dict[str, Any],
         actions: Mapping[str, np.ndarray],
     ) -> None:
-        """Write what a guest's policy does for agents in worlds into the actions.
+        """Write a guest's actions for some agents in some worlds into `actions`.
 
         Args:
           name: the guest's.
           agents: for whom it acts.
           observations: of all worlds.
           worlds: ids of those where it acts.
-          scripted: what scripted policies do in all worlds, by name; filled as needed.
+          scripted: actions of scripted policies in all worlds, by name; filled as
+            needed.
           actions: (num_envs, k) by agent.
         """
         policy = self._policy(name, agents)

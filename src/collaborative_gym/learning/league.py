@@ -1,12 +1,12 @@
 """A league: a main policy, policies that look for its weaknesses, and their past.
 
-After AlphaStar (Vinyals et al. 2019, Nature 575; its numbers are those of the published
+After AlphaStar (Vinyals et al. 2019, Nature 575; numbers from the published
 pseudocode). Three members learn. `main` plays itself, and its past and the exploiters'
 the more often, the less it wins (prioritised fictitious self-play). `main_exploiter`
 plays `main` as it is now, and `league_exploiter` plays everybody's past. A member that
-beats all of these, or has learned for long, leaves a copy of itself, which stays as it
-is and is played against from then on: `main-1` and so on. After that the main exploiter
-begins anew, and sometimes the league exploiter does.
+beats all of these, or has learned for long, leaves a frozen copy of itself as an
+opponent: `main-1` and so on. Then the main exploiter begins anew, and sometimes the
+league exploiter does.
 
 Two things differ from AlphaStar. A member that begins anew begins as a copy of `main`,
 or with the networks with which the run began, because there is no policy learned from
@@ -28,8 +28,7 @@ from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.curve import draw_ratings
 from collaborative_gym.learning.folder import LEAGUE_FILE, RATINGS
 from collaborative_gym.learning.guests import Invitation, Odds
-from collaborative_gym.learning.pool import Iteration, Latest, Pool
-from collaborative_gym.learning.validation import points
+from collaborative_gym.learning.pool import Iteration, Latest, Pool, points
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import player_file
 from collaborative_gym.tournaments.ratings import bradley_terry
@@ -41,20 +40,19 @@ _WEIGHTS = {
     "variance": lambda rate: rate * (1.0 - rate),
     "capped": lambda rate: np.minimum(0.5, 1.0 - rate),
 }
-"""How often an opponent is drawn, by the share of points that one takes from it. There
-are weights for hard ones, for those of equal strength, and for all that are not
-weak."""
+"""Weight of an opponent in a draw, by the share of points that one takes from it: for
+hard ones, for those of equal strength, and for all that are not weak."""
 
 
 @dataclass
 class _Player:
-    """A player with a place in the league.
+    """A player in the league.
 
     Attributes:
       parent: from whom it was copied; empty for members that learn and for given
         policies.
       steps: of the run when it was copied.
-      since: environment steps of who learns since it left a copy.
+      since: environment steps of a learning member since it left a copy.
     """
 
     parent: str = ""
@@ -63,7 +61,7 @@ class _Player:
 
 
 class League(Pool):
-    """The guests of a league, and what is known of everybody's strength.
+    """The guests of a league, and everybody's results.
 
     Args:
       casting: who sits where.
@@ -96,21 +94,20 @@ class League(Pool):
         """Return who may be drawn in the coming rollout."""
         if f"{MAIN}-0" not in self._players:
             self._copy(MAIN, latest)
+        exploiter, other = EXPLOITERS
         odds = {
             MAIN: self._odds_of_main(),
-            EXPLOITERS[0]: self._odds_against_main(),
-            EXPLOITERS[1]: self._odds(EXPLOITERS[1], list(self.policies), "capped"),
+            exploiter: self._odds_against_main(),
+            other: self._odds(other, list(self.policies), "capped"),
         }
-        by_seat = {
-            member: dict.fromkeys(self._casting.seats, own)
-            for member, own in odds.items()
-        }
+        seats = self._casting.seats
+        by_seat = {member: dict.fromkeys(seats, own) for member, own in odds.items()}
         return Invitation(self.policies | {MAIN: latest(MAIN)}, by_seat)
 
     def study(
         self, iteration: Iteration, steps: int, latest: Latest
     ) -> list[tuple[str, str | None]]:
-        """Count what was played; let members leave copies when it is time for them."""
+        """Count the games; let members leave copies when it is time for them."""
         for names, row in zip(iteration.seated, iteration.episodes, strict=True):
             self._count(names, row)
         done, self._steps = steps - self._steps, steps
@@ -124,14 +121,14 @@ class League(Pool):
         anew: list[tuple[str, str | None]] = []
         for member in _LEARN:
             again, fresh = chances[member]
-            if self._is_due(member):
-                self._copy(member, latest)
-                if member == EXPLOITERS[0] or (
-                    member == EXPLOITERS[1] and again < self._numbers.league_reset
-                ):
-                    like = None if fresh < self._numbers.league_fresh else MAIN
-                    anew.append((member, like))
-                    self._inherit(member, like or f"{MAIN}-0")
+            if not self._is_due(member):
+                continue
+            self._copy(member, latest)
+            resets = {EXPLOITERS[0]: 1.0, EXPLOITERS[1]: self._numbers.league_reset}
+            if again < resets.get(member, 0.0):
+                like = None if fresh < self._numbers.league_fresh else MAIN
+                anew.append((member, like))
+                self._inherit(member, like or f"{MAIN}-0")
         return anew
 
     def state_dict(self) -> dict[str, Any]:
@@ -150,15 +147,14 @@ class League(Pool):
         super().load_state_dict(state)
         self._players = {name: _Player(**own) for name, own in state["players"].items()}
         self._games, self._steps = state["games"], state["steps"]
-        for name, player in self._players.items():
-            if player.parent:
-                path = self._folder / player_file(name)
-                if not path.exists():
-                    raise FileNotFoundError(
-                        f"the league's player {path} is gone; bring it back, or start"
-                        " another run"
-                    )
-                self.policies[name] = NetworkPolicy.load(path)
+        copies = [name for name, player in self._players.items() if player.parent]
+        for path in (self._folder / player_file(name) for name in copies):
+            if not path.exists():
+                raise FileNotFoundError(
+                    f"the league's player {path} is gone; bring it back, or start"
+                    " another run"
+                )
+            self.policies[path.stem] = NetworkPolicy.load(path)
 
     def publish(self) -> None:
         """Write the table and the picture of all players.
@@ -190,35 +186,34 @@ class League(Pool):
                 if kind in (name, own.parent)
             ]
             for kind in _LEARN
-        }
-        given = {
+        } | {
             name: [(0, ratings[name]), (self._steps, ratings[name])]
             for name in self.policies
             if not self._players[name].parent
         }
-        draw_ratings(lines | given, self._title, self._folder / RATINGS)
+        draw_ratings(lines, self._title, self._folder / RATINGS)
 
     def ratings(self) -> dict[str, float]:
         """Return everybody's rating on Elo's scale, of the games that still count."""
         names = list(self._players)
-        table = np.zeros((len(names), len(names)))
-        for i, home in enumerate(names):
-            for j, away in enumerate(names):
-                table[i, j] = self._games.get(home, {}).get(away, (0.0, 0.0))[1]
-        return dict(zip(names, map(float, bradley_terry(table)), strict=True))
+        nothing = (0.0, 0.0)
+        taken = [
+            [self._games.get(home, {}).get(away, nothing)[1] for away in names]
+            for home in names
+        ]
+        strengths = map(float, bradley_terry(np.array(taken)))
+        return dict(zip(names, strengths, strict=True))
 
     def _age(self, name: str) -> int:
         """Return the run's steps at which a player became what it is."""
         own = self._players[name]
         return own.steps if own.parent else self._steps
 
-    def _rate(self, home: str, away: str) -> float:
-        """Return the share of points that one takes from another; 0.5 if unknown."""
-        games, own = self._games.get(home, {}).get(away, (0.0, 0.0))
-        return own / games if games else 0.5
-
     def _rates(self, home: str, others: Sequence[str]) -> np.ndarray:
-        return np.array([self._rate(home, away) for away in others])
+        """Return the shares of points that one takes from others; 0.5 if unknown."""
+        own = self._games.get(home, {})
+        games = [own.get(away, (2.0, 1.0)) for away in others]
+        return np.array([taken / played for played, taken in games])
 
     def _count(self, names: Sequence[str], row: Mapping[str, Any]) -> None:
         """Count an episode as a game of each two who sat on different sides."""
@@ -270,7 +265,7 @@ class League(Pool):
         return dict(zip(others, (weights / total).tolist(), strict=True))
 
     def _odds_of_main(self) -> Odds:
-        """Return odds of everybody's past, and of what main may have forgotten."""
+        """Return odds of everybody's past, and of players that main does not beat."""
         numbers, everybody = self._numbers, list(self.policies)
         odds = dict(self._odds(MAIN, everybody, "squared"))
         verified = self._to_verify()
@@ -282,7 +277,7 @@ class League(Pool):
         return odds
 
     def _to_verify(self) -> list[str]:
-        """Return exploiters that main does not beat, or else what it has forgotten."""
+        """Return exploiters that main does not beat, or else its past, if forgotten."""
         past = {name: own.parent for name, own in self._players.items()}
         exploiters = [name for name, parent in past.items() if parent in EXPLOITERS]
         rates = self._rates(MAIN, exploiters)
@@ -298,9 +293,9 @@ class League(Pool):
         return []
 
     def _odds_against_main(self) -> Odds:
-        """Return odds of main as it is, unless it is too strong to learn from."""
+        """Return odds of main as it is, or of its past if it is too strong."""
         member = EXPLOITERS[0]
-        if self._rate(member, MAIN) > self._numbers.league_hopeless:
+        if self._rates(member, [MAIN])[0] > self._numbers.league_hopeless:
             return {MAIN: 1.0}
         past = [name for name, own in self._players.items() if own.parent == MAIN]
         return self._odds(member, past, "variance")

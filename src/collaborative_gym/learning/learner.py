@@ -111,7 +111,7 @@ class SkrlLearner(ABC):
         """
         self._scaler.is_held = True
 
-    def quieten(self, factor: float) -> None:
+    def scale_noise(self, factor: float) -> None:
         """Multiply the standard deviation of the actions."""
         self._policy.actor.log_std.data += math.log(factor)
 

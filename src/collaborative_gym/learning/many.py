@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, suppress
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, Queue
 from tempfile import TemporaryFile
-from threading import Event, Thread
-from typing import Any
+from threading import Event, Lock
+from typing import Any, Unpack
 
 from collaborative_gym.errors import (
     check_callback,
@@ -23,16 +24,11 @@ from collaborative_gym.errors import (
     check_name,
 )
 from collaborative_gym.evaluation.machine import cores
-from collaborative_gym.learning.config import (
-    Algorithm,
-    Mode,
-    Resources,
-    recipe,
-)
+from collaborative_gym.learning.config import Mode, Resources, recipe
 from collaborative_gym.learning.display import ManyDisplay
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
-from collaborative_gym.learning.settings import Named, settle
+from collaborative_gym.learning.settings import Options, check_options, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
@@ -45,7 +41,7 @@ _COMMAND = [
     "-c",
     "from collaborative_gym.learning.many import train_one; train_one()",
 ]
-"""What trains one run, as standard input tells it."""
+"""Trains the run that its standard input describes."""
 
 _HEED = 0.2
 """Longest time until Ctrl-C is heeded, in s."""
@@ -58,7 +54,7 @@ class Plan:
     Attributes:
       folder: where its files go; its name says what it is.
       total_steps: environment steps of the whole run.
-      given: what `train` takes.
+      given: the arguments of `train`.
     """
 
     folder: Path
@@ -94,15 +90,9 @@ def train_all(
     output: str | Path = "runs",
     changes: Mapping[str, Any] | None = None,
     advised: bool = False,
-    opponent: Named | None = None,
-    partner: Named | None = None,
-    start_from: str | Path | None = None,
-    backend: str | None = None,
-    algorithm: Algorithm | None = None,
-    resources: Resources | None = None,
-    checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
     progress: bool = False,
+    **options: Unpack[Options],
 ) -> tuple[Outcome, ...]:
     """Train every environment in every mode with every seed, several at a time.
 
@@ -122,15 +112,9 @@ def train_all(
       changes: hyperparameters to use instead of those of each environment's recipe, by
         name.
       advised: whether they learn with the expert's advice, by recipes of its own.
-      opponent: who plays against what is learned.
-      partner: who plays with it.
-      start_from: a trained policy to begin with.
-      backend: what collects.
-      algorithm: what learns.
-      resources: device and threads of each run.
-      checkpoint_interval: environment steps between two checkpoints.
       on_row: called with a plan after each of its iterations, with its numbers.
-      progress: whether to show how they go, as the command line does.
+      progress: whether to show the progress, as the command line does.
+      options: with whom and with what each run learns, see `Options`.
 
     Returns:
       What became of each run, in the order of environments, modes and seeds.
@@ -143,36 +127,31 @@ def train_all(
       ValueError: if such runs are not possible; a run that is there already and was
         started with other settings fails when its turn comes.
     """
+    check_options(options)
     check_callback("on_row", on_row)
     check_kind("output", output, (str, Path), "a folder's name")
-    check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+    interval = check_count(
+        "checkpoint_interval", options.pop("checkpoint_interval", 100_000), at_least=1
+    )
+    resources = options.pop("resources", None)
     advised, progress = check_flag("advised", advised), check_flag("progress", progress)
+    algorithm = options.get("algorithm") or "ppo"
     plans: dict[Path, Plan] = {}
     for env in _several("environment", envs):
         if not isinstance(env, Task):
             check_name("each environment", env)
         task = as_task(env)
-        numbers = recipe(
-            task.name, algorithm or "ppo", advised=advised, changes=changes
-        )
+        numbers = recipe(task.name, algorithm, advised=advised, changes=changes)
         for mode in (None,) if modes is None else _several("mode", modes):
-            own: dict[str, Any] = {
-                "mode": mode,
-                "hyperparameters": numbers,
-                "opponent": opponent,
-                "partner": partner,
-                "start_from": start_from,
-                "backend": backend,
-                "algorithm": algorithm,
-            }
-            settled = settle(task, None, seed=None, **own)
+            own = {"mode": mode, "hyperparameters": numbers, **options}
+            settled = settle(task, **own)
             for seed in _several("seed", seeds):
                 settings = replace(settled, seed=check_run_seed(seed))
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
                 given = {"env": task, "seed": settings.seed, **own}
-                given["checkpoint_interval"] = checkpoint_interval
+                given["checkpoint_interval"] = interval
                 plans[folder] = Plan(folder, numbers.total_steps, given)
     totals = {folder.name: plan.total_steps for folder, plan in plans.items()}
     with ManyDisplay(totals) if progress else nullcontext() as display:
@@ -202,95 +181,83 @@ def finish(
         # Runs side by side keep the cores busy, so more threads would only wait.
         resources = replace(resources, num_threads=resources.num_threads or 1)
     with ctrl_c("the same command continues") as pressed:
-        outcomes = _Crew(plans, resources, on_row).work(jobs, pressed)
+        found = _Crew(resources, pressed).work(plans, jobs, on_row)
+        outcomes = tuple(each for each in found if each is not None)
         if pressed.is_set():
-            done = sum(each.result is not None for each in outcomes.values())
+            done = sum(each.result is not None for each in outcomes)
             raise KeyboardInterrupt(
                 f"stopped with {done} of {len(plans)} runs finished"
             )
-    return tuple(outcomes[plan.folder] for plan in plans)
+    return outcomes
 
 
 class _Crew:
-    """Processes that train runs, one each."""
+    """Processes that train runs, one each, until Ctrl-C is `pressed`."""
 
-    def __init__(self, plans: Sequence[Plan], resources: Resources, on_row: OnRow):
-        self._waiting = list(plans)
-        self._resources = resources
-        self._on_row = on_row
-        self._inbox: Queue[tuple[Plan, Any]] = Queue()
-        self._under_way: dict[Path, subprocess.Popen[bytes]] = {}
-        self._outcomes: dict[Path, Outcome] = {}
+    def __init__(self, resources: Resources, pressed: Event):
+        self._resources, self._pressed = resources, pressed
+        self._rows: Queue[tuple[Plan, Any] | None] = Queue()
+        self._under_way: list[subprocess.Popen[bytes]] = []
+        self._lock = Lock()
 
-    def work(self, jobs: int, pressed: Event) -> dict[Path, Outcome]:
-        """Return what became of the runs, but not of those that Ctrl-C stopped."""
-        try:
-            while self._under_way or (self._waiting and not pressed.is_set()):
-                while self._waiting and len(self._under_way) < jobs:
-                    if pressed.is_set():
-                        break
-                    self._start(self._waiting.pop(0))
-                if pressed.is_set():
-                    for process in self._under_way.values():
-                        process.stdin.close()  # type: ignore[union-attr]
-                with suppress(Empty):
-                    self._heed(*self._inbox.get(timeout=_HEED))
-        finally:
-            for process in self._under_way.values():
-                process.kill()
-        return self._outcomes
+    def work(
+        self, plans: Sequence[Plan], jobs: int, on_row: OnRow
+    ) -> list[Outcome | None]:
+        """Return what became of the runs, None for those that Ctrl-C stopped."""
+        with ThreadPoolExecutor(jobs) as threads:
+            runs = [threads.submit(self._train, plan) for plan in plans]
+            for run in runs:
+                run.add_done_callback(lambda _: self._rows.put(None))
+            try:
+                while not (all(run.done() for run in runs) and self._rows.empty()):
+                    with suppress(Empty):
+                        if row := self._rows.get(timeout=_HEED):
+                            on_row(row[0], *row[1])
+                    if self._pressed.is_set():
+                        with self._lock, suppress(BrokenPipeError):
+                            for process in self._under_way:
+                                process.stdin.close()  # type: ignore[union-attr]
+            except BaseException:
+                with self._lock:
+                    self._pressed.set()  # So that no thread begins another run.
+                    for process in self._under_way:
+                        process.kill()
+                raise
+        return [run.result() for run in runs]
 
-    def _start(self, plan: Plan) -> None:
-        """Start a run, out of reach of the terminal's Ctrl-C."""
+    def _train(self, plan: Plan) -> Outcome | None:
+        """Train a run in a process, out of reach of the terminal's Ctrl-C."""
         is_there = (plan.folder / LAST).exists()
         given = dict(plan.given) | {"resources": self._resources}
         given["resume" if is_there else "output"] = plan.folder
-        said = TemporaryFile()  # noqa: SIM115  # The process has it, too.
-        process = subprocess.Popen(
-            _COMMAND,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=said,
-            process_group=0,
-        )
-        assert process.stdin is not None
-        self._under_way[plan.folder] = process
-        with suppress(BrokenPipeError):  # It is gone already; `_read` says why.
-            # Of a task of the user's own, its file must be loaded before it.
-            pickle.dump((loaded_files(), plan.folder), process.stdin)
-            pickle.dump(given, process.stdin)
-            process.stdin.flush()
-        Thread(target=self._read, args=(plan, process, said), daemon=True).start()
-
-    def _read(self, plan: Plan, process: subprocess.Popen[bytes], said: Any) -> None:
-        """Hand on what a process sends, and at last its outcome, None if stopped."""
-        outcome: Outcome | None = None
-        try:
-            while True:
-                message = pickle.load(process.stdout)  # type: ignore[arg-type]
-                if not isinstance(message, tuple):
-                    outcome = message
-                    break
-                self._inbox.put((plan, message))
-        except (EOFError, pickle.UnpicklingError):
-            said.seek(0)
-            last = said.read().decode(errors="replace").strip().splitlines()[-1:]
-            words = f"its process ended with status {process.wait()}"
-            outcome = Outcome(plan.folder, None, ": ".join([words, *last]))
-        process.wait()
-        said.close()
-        self._inbox.put((plan, outcome))
-
-    def _heed(self, plan: Plan, message: Any) -> None:
-        if isinstance(message, tuple):
-            self._on_row(plan, *message)
-            return
-        process = self._under_way.pop(plan.folder)
-        for stream in (process.stdin, process.stdout):
-            with suppress(OSError):
-                stream.close()  # type: ignore[union-attr]
-        if message is not None:
-            self._outcomes[plan.folder] = message
+        pipe = subprocess.PIPE
+        with ExitStack() as stack:
+            said = stack.enter_context(TemporaryFile())
+            with self._lock:
+                if self._pressed.is_set():
+                    return None
+                process = subprocess.Popen(
+                    _COMMAND, stdin=pipe, stdout=pipe, stderr=said, process_group=0
+                )
+                # It may be gone already; what it said tells why.
+                stack.enter_context(suppress(BrokenPipeError))
+                stack.enter_context(process)
+                self._under_way.append(process)
+                assert process.stdin is not None and process.stdout is not None
+                with suppress(BrokenPipeError):
+                    # Of a task of the user's own, its file must be loaded before it.
+                    pickle.dump((loaded_files(), plan.folder), process.stdin)
+                    pickle.dump(given, process.stdin)
+                    process.stdin.flush()
+            try:
+                while isinstance(message := pickle.load(process.stdout), tuple):
+                    self._rows.put((plan, message))
+                return message
+            except (EOFError, pickle.UnpicklingError):
+                said.seek(0)
+                last = said.read().decode(errors="replace").strip().splitlines()[-1:]
+                words = f"its process ended with status {process.wait()}"
+                return Outcome(plan.folder, None, ": ".join([words, *last]))
 
 
 def _several(kind: str, given: Any) -> Sequence[Any]:

@@ -1,11 +1,12 @@
-"""What a training run writes into its folder while it learns."""
+"""The files that a training run writes into its folder while it learns."""
 
 import math
 import time
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
-from numbers import Integral
 from pathlib import Path
+
+import numpy as np
 
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.evaluation.report import Report
@@ -15,7 +16,7 @@ from collaborative_gym.learning.folder import CURVE, PROGRESS
 from collaborative_gym.learning.pool import Iteration
 
 Row = dict[str, float]
-"""What one iteration brought, by column; `summarize` says which there are."""
+"""The numbers of an iteration by column; `summarize` says which there are."""
 
 _NOT_AVERAGED = {"episode", "seed", "time_to_success", "length", "diverged"}
 """Entries of an episode's row whose mean says nothing about learning."""
@@ -34,21 +35,21 @@ def summarize(
     iteration: Iteration,
     validation: Mapping[str, float] | None = None,
 ) -> Row:
-    """Return what an iteration brought as one row of numbers.
+    """Return the results of an iteration as one row of numbers.
 
     The columns are `steps`, `seconds` and `steps_per_second`; of the episodes that were
     played in full, `episodes` (how many) and the means of `return`, `completion` and
     `performance`, and by agent of `robot_1/return` and each reward term, such as
-    `robot_1/distance`; by learner what the update did, such as `team/kl`; and the means
-    of a validation, such as `validation/return`. Where there are several sides, return,
-    completion and performance are by side, as `side_1/return`, and so is `score`. What
-    is not known, for example if no episode ended, is left out.
+    `robot_1/distance`; by learner the numbers of the update, such as `team/kl`; and the
+    means of a validation, such as `validation/return`. Where there are several sides,
+    return, completion and performance are by side, as `side_1/return`, and so is
+    `score`. What is not known, for example if no episode ended, is left out.
 
     Args:
       steps: environment steps done so far, over all worlds.
       seconds: the time they took.
-      steps_per_second: how fast they come.
-      iteration: what the rollout and the update brought.
+      steps_per_second: of this iteration.
+      iteration: results of the rollout and the update.
       validation: the means of a validation after the update, if there was one.
     """
     row: Row = {
@@ -56,7 +57,12 @@ def summarize(
         "seconds": float(seconds),
         "steps_per_second": float(steps_per_second),
     }
-    row |= _means(iteration.episodes)
+    episodes = iteration.episodes
+    row["episodes"] = len(episodes)
+    for name in episodes[0] if episodes else ():
+        if name not in _NOT_AVERAGED and not name.endswith("/time_to_success"):
+            values = [float(episode[name]) for episode in episodes]
+            row[name] = math.fsum(values) / len(values)
     for learner, update in iteration.updates.items():
         row |= {f"{learner}/{name}": float(value) for name, value in update.items()}
     for name, mean in (validation or {}).items():
@@ -77,22 +83,11 @@ def means_of(report: Report) -> Row:
     return row
 
 
-def _means(episodes: Sequence[Mapping[str, float]]) -> Row:
-    """Return the number of episodes and the means over them."""
-    means: Row = {"episodes": len(episodes)}
-    for name in episodes[0] if episodes else ():
-        if name not in _NOT_AVERAGED and not name.endswith("/time_to_success"):
-            values = [float(episode[name]) for episode in episodes]
-            means[name] = math.fsum(values) / len(values)
-    return means
-
-
 class Monitor:
     """Writes a run's progress into its folder.
 
     `progress.csv` has a line for each iteration, the TensorBoard events a scalar for
     each of its numbers, and `curve.png`, redrawn now and then, the learning curve.
-    What cannot be written raises `OSError`.
 
     Args:
       folder: the run's; made if it is missing.
@@ -118,9 +113,8 @@ class Monitor:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         self.rows = [_plain(row) for row in rows]
-        self._folder = Path(folder)
-        self._title = title
-        self._lines = SealedRows(())
+        self._folder, self._title = Path(folder), title
+        self._path = self._folder / PROGRESS
         self._rewrite()
         # Hides the events of a run that went further before it was resumed.
         purge_step = int(self.rows[-1]["steps"]) + 1 if self.rows else 0
@@ -136,7 +130,8 @@ class Monitor:
         row = _plain(row)
         self.rows.append(row)
         if row.keys() <= set(self._lines.columns):
-            self._append(row)
+            with naming(self._path), self._path.open("a", encoding="utf-8") as file:
+                file.write(self._line(row))
         else:
             self._rewrite()
         with naming(self._folder):  # TensorBoard's errors name no file.
@@ -155,23 +150,16 @@ class Monitor:
             with naming(self._folder):
                 self._events.close()
 
-    @property
-    def _path(self) -> Path:
-        return self._folder / PROGRESS
-
     def _rewrite(self) -> None:
         """Write all rows anew, under a header that knows all columns."""
         columns: list[str] = []
         for row in self.rows:
-            columns = _joined(columns, row)
+            if not row.keys() <= set(columns):  # New ones stand as in their row.
+                columns = list(dict.fromkeys([*row, *columns]))
         self._lines = SealedRows(columns)
         lines = [self._lines.header, *map(self._line, self.rows)]
         with naming(self._path):
             write_text(self._path, "".join(lines))
-
-    def _append(self, row: Row) -> None:
-        with naming(self._path), self._path.open("a", encoding="utf-8") as file:
-            file.write(self._line(row))
 
     def _line(self, row: Row) -> str:
         """Return a row's line; its numbers read back exactly."""
@@ -187,14 +175,4 @@ class Monitor:
 
 def _plain(row: Mapping[str, float]) -> Row:
     """Return a row with Python's own numbers."""
-    return {
-        name: int(value) if isinstance(value, Integral) else float(value)
-        for name, value in row.items()
-    }
-
-
-def _joined(columns: list[str], row: Row) -> list[str]:
-    """Return the columns with those that a row adds, in the order of that row."""
-    if row.keys() <= set(columns):
-        return columns
-    return list(dict.fromkeys([*row, *columns]))
+    return {name: np.asarray(value).item() for name, value in row.items()}

@@ -72,12 +72,14 @@ class Actor(nn.Module):
             perceptron(inputs, outputs, hyperparameters, gain=0.01)
             for inputs, outputs in networks.values()
         )
-        std = hyperparameters.first_std(learner.is_grip(layout))
+        is_grip = learner.is_grip(layout)
+        std = np.where(
+            is_grip, hyperparameters.initial_grip_std, hyperparameters.initial_std
+        )
         self.log_std = nn.Parameter(torch.from_numpy(std).float().log())
         self._grip_limit = hyperparameters.grip_limit
         self.is_grip: Tensor
-        is_grip = torch.from_numpy(learner.is_grip(layout))
-        self.register_buffer("is_grip", is_grip, persistent=False)
+        self.register_buffer("is_grip", torch.from_numpy(is_grip), persistent=False)
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return the mean actions of the rows."""

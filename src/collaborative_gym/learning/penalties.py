@@ -1,4 +1,4 @@
-"""What training charges beside the task's reward, so that robots act gently."""
+"""What training charges besides the task's reward, so that robots act gently."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,11 +17,11 @@ _INNER = 0.9
 
 
 class Penalties:
-    """What each robot pays for its acts, and all for contacts.
+    """What each robot pays for its acts, and all of them for contacts.
 
-    They steer what is learned and are in no episode's return. Torque is looked at as a
-    control step ends; where that ended an episode, the next one's start costs nothing.
-    Contacts are looked at in every physics step, whoever is in them.
+    It is in no episode's return. Torque is measured as a control step ends; where that
+    ended an episode, the next one's start costs nothing. Contacts are measured in every
+    physics step, whoever is in them.
 
     A goal that counts only once it has been kept for a time, as BalancePath's, would
     cost the same whatever robots do until then. So a goal counts as met wherever a step
@@ -30,15 +30,11 @@ class Penalties:
 
     Args:
       env: the worlds, which measure strain if contacts are charged.
-      hyperparameters: what is charged.
+      hyperparameters: the prices.
     """
 
     def __init__(self, env: VectorEnv, hyperparameters: Hyperparameters):
-        self._env = env
-        self._torque = hyperparameters.torque_penalty
-        self._contact = hyperparameters.contact_penalty
-        self._range = hyperparameters.range_penalty
-        self._miss = hyperparameters.miss_penalty
+        self._env, self._prices = env, hyperparameters
 
     def charge(
         self,
@@ -46,27 +42,29 @@ class Penalties:
         success: Any,
         share: float = 1.0,
     ) -> dict[str, np.ndarray]:
-        """Return rewards less what the control step that was just done costs.
+        """Return rewards less the costs of the control step that was just done.
 
         Args:
           rewards: of the task, (num_envs,) by agent.
-          success: where the goal was met, as the worlds' infos tell it.
+          success: where the goal was met, as in the worlds' infos.
           share: of the costs that is charged. That of joints is always charged whole:
             arms that come to the ends of their ranges while they learn stay there.
         """
-        charged = dict(rewards)
-        deep = self._contact * self._depth() if share and self._contact else 0.0
+        prices, charged = self._prices, dict(rewards)
+        contact = prices.contact_penalty
+        deep = contact * self._depth() if share and contact else 0.0
         for agent in charged:
-            if self._range:
-                charged[agent] = charged[agent] - self._range * self._ends(agent)
+            if prices.range_penalty:
+                cost = prices.range_penalty * self._ends(agent)
+                charged[agent] = charged[agent] - cost
             if not share:
                 continue
-            if self._torque:
-                cost = share * self._torque * _mean_torque(self._asked(agent))
+            if prices.torque_penalty:
+                cost = share * prices.torque_penalty * self._torque(agent)
                 charged[agent] = charged[agent] - cost
-            if self._miss:
+            if prices.miss_penalty:
                 missed = ~self._met(agent, success)
-                charged[agent] = charged[agent] - share * self._miss * missed
+                charged[agent] = charged[agent] - share * prices.miss_penalty * missed
             charged[agent] = charged[agent] - share * deep
         return charged
 
@@ -88,7 +86,8 @@ class Penalties:
         low, high = arm.joint_range
         middle = (low + high) / 2
         away = np.abs(self._env.sim.qpos[:, arm.qpos] - middle) / (high - middle)
-        return _mean_square(np.maximum(away - _INNER, 0.0) / (1.0 - _INNER))
+        outer = np.maximum(away - _INNER, 0.0) / (1.0 - _INNER)
+        return np.square(outer).mean(axis=1)
 
     def _depth(self) -> np.ndarray:
         """Return how deep the deepest contact was that costs something, in mm."""
@@ -100,23 +99,15 @@ class Penalties:
         ]
         return np.clip(np.max(depths, axis=0), 0.0, _MOST_DEPTH)
 
-    def _asked(self, agent: str) -> np.ndarray:
-        """Return what the drives ask of the motors, as a share of the torque limits."""
+    def _torque(self, agent: str) -> np.ndarray:
+        """Return the cost of the torques that the drives ask for.
+
+        Up to a motor's limit it is the mean square of its share. Beyond, where a servo
+        may ask for many times what its motor has, it is the tangent, which still says
+        in which direction torque falls, and does not dwarf the task.
+        """
         limits = np.array(self._env.scene.arms[agent].robot.torque_limits)
         torque = self._env.action_mode.torques(self._env.sim, agent)
-        return np.abs(torque) / limits
-
-
-def _mean_square(columns: np.ndarray) -> np.ndarray:
-    return np.square(columns).mean(axis=1)
-
-
-def _mean_torque(asked: np.ndarray) -> np.ndarray:
-    """Return what torques cost that are asked for, as shares of their limits.
-
-    Up to the limit it is the square. Beyond, where a servo may ask for many times what
-    its motor has, it is the tangent. So it still tells in which direction torque falls,
-    and does not dwarf the task.
-    """
-    within = np.minimum(asked, 1.0)
-    return (within * (2.0 * asked - within)).mean(axis=1)
+        asked = np.abs(torque) / limits
+        within = np.minimum(asked, 1.0)
+        return (within * (2.0 * asked - within)).mean(axis=1)

@@ -1,29 +1,34 @@
-"""The guests of a run, and how often each is drawn."""
+"""The guests of a run: how often each is drawn, and validations beside them."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import naming
+from collaborative_gym.evaluation.play import play_episodes, worlds_for
 from collaborative_gym.learning.casting import LEAGUE, Casting
-from collaborative_gym.learning.guests import Invitation
+from collaborative_gym.learning.guests import Guests, Invitation
+from collaborative_gym.math import Array
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import commanding, read_policy, split_word
 from collaborative_gym.tasks.task import Task
 
 Latest = Callable[[str], NetworkPolicy]
-"""Gives a member's policy as it is now."""
+"""Returns a member's policy as it is now."""
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """What one rollout and one update brought.
+    """The results of one rollout and one update.
 
     Attributes:
       episodes: a row for each episode that ended and was played in full, as
-        `evaluation.episode_row` gives it.
+        `evaluation.episode_row` returns it.
       updates: by learner, the numbers that `display.UPDATE` names.
       seated: who sat in each seat meanwhile, by name, for each row of `episodes`.
     """
@@ -34,7 +39,7 @@ class Iteration:
 
 
 class Pool:
-    """Policies that are given, each as likely as the others.
+    """Guests of whom each is as likely as the others.
 
     Args:
       casting: who sits where.
@@ -61,30 +66,59 @@ class Pool:
             odds.setdefault(host, {})[seat] = dict.fromkeys(names, 1.0 / len(names))
         return Invitation(self.policies, odds)
 
-    def pairings(self, member: str) -> list[tuple[tuple[str, ...], str]]:
-        """Return who may sit beside a member: names by seat, and a seat of its own."""
-        found = []
-        has_guests = any(None in cast for cast in self._casting.casts)
-        for cast in dict.fromkeys(self._casting.casts):
-            # Games of a member with itself tell nothing about it.
-            if member not in cast or (has_guests and None not in cast):
-                continue
-            choices = [
-                self._names(seat) if name is None else [name]
-                for seat, name in zip(self._casting.seats, cast, strict=True)
-            ]
-            own = list(self._casting.seats)[cast.index(member)]
-            for i in range(max(map(len, choices))):
-                found.append((tuple(each[i % len(each)] for each in choices), own))
-        return found
+    def validate(
+        self, task: Task, latest: Latest, *, episodes: int, seed: int, num_threads: int
+    ) -> dict[str, float]:
+        """Return means over episodes of the first member beside all who may join it.
+
+        They are those of its own seat: `return`, `completion`, `performance`, and
+        against opponents `points`, 1 for a game that is won and 0.5 for a draw.
+
+        Args:
+          task: what is played.
+          latest: members' policies.
+          episodes: least number of episodes; all pairings have equally many.
+          seed: of the episodes.
+          num_threads: physics threads, 0 for one per CPU.
+        """
+        members = self._casting.members
+        policies = {name: latest(name) for name in members} | self.policies
+        pairings = self._pairings(members[0])
+        episodes = math.ceil(episodes / len(pairings)) * len(pairings)
+        worlds = worlds_for(episodes)
+        with closing(
+            VectorEnv(task, worlds, seed=seed, num_threads=num_threads)
+        ) as env:
+            guests = Guests(env, self._casting)
+            guests.invite(Invitation(policies))
+
+            def act(observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
+                # Which pairing an episode has, depends on the episode alone.
+                playing = env.progress["episode"] % len(pairings)
+                guests.seat([list(pairings[i][0]) for i in playing])
+                actions = env.idle()
+                guests.act(observations, actions)
+                return actions
+
+            rows, _ = play_episodes(env, act, episodes, seed)
+        is_divided, columns = len(task.sides) > 1, {}
+        for row in rows:
+            _, seat = pairings[row["episode"] % len(pairings)]
+            before = f"{seat}/" if is_divided else ""
+            for name in ("return", "completion", "performance"):
+                columns.setdefault(name, []).append(float(row[f"{before}{name}"]))
+            if is_divided:
+                own = points(row, seat, list(self._casting.seats))
+                columns.setdefault("points", []).append(own)
+        return {name: math.fsum(each) / len(rows) for name, each in columns.items()}
 
     def study(
         self, iteration: Iteration, steps: int, latest: Latest
     ) -> list[tuple[str, str | None]]:
-        """Take note of what an iteration brought; return who is to begin anew.
+        """Learn from an iteration who is to begin anew.
 
         Args:
-          iteration: what it brought.
+          iteration: its results.
           steps: environment steps done so far.
           latest: members' policies.
 
@@ -94,7 +128,7 @@ class Pool:
         return []
 
     def publish(self) -> None:
-        """Write what people may want to know of the guests."""
+        """Write files about the guests."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that is needed to go on."""
@@ -113,10 +147,35 @@ class Pool:
                     " former one back, or start another run"
                 )
 
+    def _pairings(self, member: str) -> list[tuple[tuple[str, ...], str]]:
+        """Return who may sit beside a member: names by seat, and its own seat."""
+        found = []
+        has_guests = any(None in cast for cast in self._casting.casts)
+        for cast in dict.fromkeys(self._casting.casts):
+            # Games of a member with itself say nothing about it.
+            if member not in cast or (has_guests and None not in cast):
+                continue
+            choices = [
+                self._names(seat) if name is None else [name]
+                for seat, name in zip(self._casting.seats, cast, strict=True)
+            ]
+            own = list(self._casting.seats)[cast.index(member)]
+            found += [
+                (tuple(each[i % len(each)] for each in choices), own)
+                for i in range(max(map(len, choices)))
+            ]
+        return found
+
     def _names(self, seat: str) -> list[str]:
         """Return who may be drawn for a seat."""
-        bound = {name: split_word(name)[0] for name in self.policies}
-        return [name for name, own in bound.items() if own in ("", seat)]
+        return [name for name in self.policies if split_word(name)[0] in ("", seat)]
+
+
+def points(row: Mapping[str, Any], side: str, sides: Sequence[str]) -> float:
+    """Return 1 if a side has won an episode, 0.5 for a draw, else 0."""
+    own = row[f"{side}/score"]
+    best = max(row[f"{other}/score"] for other in sides if other != side)
+    return 0.5 * ((own > best) + (own >= best))
 
 
 def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str, Any]:
@@ -134,10 +193,10 @@ def read_guests(task: Task, casting: Casting, words: Sequence[str]) -> dict[str,
     """
     kind = "opponent" if len(task.sides) > 1 else "partner"
     free = dict.fromkeys(seat for _, seat in casting.guests())
+    found: dict[str, Any] = {}
     given = [word for word in words if word != LEAGUE] if free else []
     if not given:
-        return {}
-    found = {}
+        return found
     with closing(VectorEnv(task, 1, num_threads=1, strain=True)) as env:
         for word in given:
             own, name = split_word(word)

@@ -6,8 +6,8 @@ import socket
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -18,10 +18,10 @@ import torch
 
 from collaborative_gym.errors import how_to_install
 
-# Ray reads these as it is imported. Unless clusters are off, as on macOS they are, the
-# Ray that it starts listens on all interfaces. Others can be joined all the same.
+# Ray reads these as it is imported. With clusters, which on macOS are off, the Ray that
+# it starts would listen on all interfaces. Others can be joined all the same.
 os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-# Otherwise Ray tells its makers how it is used.
+# No statistics for its makers.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 
 try:
@@ -51,8 +51,7 @@ _PROBE = 5.0
 """Seconds that a machine has to accept a connection."""
 
 _HEALTH = 12.0
-"""Seconds that a cluster then has to answer, including the start of the process that
-asks."""
+"""Seconds that a cluster then has to answer; a process must start that asks it."""
 
 
 class RayCollectors:
@@ -60,10 +59,10 @@ class RayCollectors:
 
     If a collector is lost, alone or with its node, its part of a rollout is lost too.
     It is started anew as soon as there is a CPU for it, and the others go on meanwhile.
-    If none is lost, what is collected depends only on the arguments.
+    If none is lost, the rollouts depend only on the arguments.
 
     Args:
-      job: what to do; of its `num_threads` each collector has as many, 0 for one.
+      job: what all collectors share; each has `num_threads` threads, or one for 0.
       count: how many collectors, 0 for as many as there are CPUs for.
       address: a running Ray cluster to join, as HOST:PORT; None for one of its own,
         which listens on loopback only and has no dashboard. If Ray is connected
@@ -90,8 +89,14 @@ class RayCollectors:
         self._starting: dict[Any, tuple[int, Any]] = {}
         self._has_started_ray = connect(address, count * threads)
         try:
-            self.count = count or min(num_envs, max(1, _cpus() // threads))
-            _check_room(self.count, threads)
+            cpus = int(ray.cluster_resources().get("CPU", 0))
+            self.count = count or min(num_envs, max(1, cpus // threads))
+            if self.count * threads > cpus:  # Ray would wait for them without end.
+                raise ValueError(
+                    f"{self.count} collectors need {self.count * threads} CPUs, but Ray"
+                    f" has {cpus}; give fewer num_collectors or num_threads, or join a"
+                    " larger cluster"
+                )
             job.casting.check(num_envs // self.count)
             self._job = _pickled(replace(job, num_threads=threads))
             self._process = ray.remote(num_cpus=threads)(_Process)
@@ -109,7 +114,7 @@ class RayCollectors:
         assistance: Assistance,
         invitation: Invitation = NOBODY,
     ) -> list[Collected]:
-        """Collect one rollout in every world of the collectors that live.
+        """Return one rollout of every collector that is alive.
 
         Raises:
           RuntimeError: if the task fails, or no collector answers for five minutes.
@@ -121,14 +126,17 @@ class RayCollectors:
                 self._welcome(1, _PATIENCE)
             if not self._ready:
                 raise RuntimeError(f"no collector has answered for {_PATIENCE:.0f} s")
-            found = self._ask("collect", given, iteration, assistance, invited)
+            each = given, iteration, assistance, invited
+            found = self._answers("collect", dict.fromkeys(self._ready, each))
             if found:
                 return [one for each in found.values() for one in each]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of each collector's worlds; lost ones have none."""
+        """Return the state of each collector's worlds, empty for lost ones."""
         found = {str(index): {} for index in range(self.count)}
-        for each in self._ask("state_dict").values():
+        for each in self._answers(
+            "state_dict", dict.fromkeys(self._ready, ())
+        ).values():
             found |= each
         return found
 
@@ -139,10 +147,8 @@ class RayCollectors:
 
     def close(self) -> None:
         """Stop the collectors, and Ray if it was started here."""
-        for actor in (
-            *self._ready.values(),
-            *(actor for _, actor in self._starting.values()),
-        ):
+        starting = (actor for _, actor in self._starting.values())
+        for actor in (*self._ready.values(), *starting):
             ray.kill(actor)
         self._ready, self._starting = {}, {}
         if self._has_started_ray:
@@ -153,7 +159,7 @@ class RayCollectors:
         self._starting[actor.ready.remote()] = index, actor
 
     def _welcome(self, least: int, seconds: float) -> None:
-        """Take in the collectors that have started; wait for so many, and so long."""
+        """Take in started collectors; wait for so many, and at most so many seconds."""
         waiting = list(self._starting)
         if not waiting:
             return
@@ -169,11 +175,8 @@ class RayCollectors:
             else:
                 self._ready[index] = actor
 
-    def _ask(self, method: str, *given: Any) -> dict[int, Any]:
-        return self._answers(method, dict.fromkeys(self._ready, given))
-
     def _answers(self, method: str, given: Mapping[int, tuple]) -> dict[int, Any]:
-        """Return what the method returns, by collector; start lost ones anew.
+        """Call a method with arguments by collector; start lost collectors anew.
 
         Raises:
           RuntimeError: if it raises in one of them.
@@ -195,7 +198,7 @@ class RayCollectors:
 
 
 class _Process(Collector):
-    """A collector in a process of its own, made of a pickled job."""
+    """A collector in a process, made of a pickled job."""
 
     def __init__(self, job: bytes, index: int, count: int):
         # A process for each core: more threads would only wait for one another.
@@ -203,7 +206,7 @@ class _Process(Collector):
         super().__init__(cloudpickle.loads(job), index, count)
 
     def ready(self) -> None:
-        """Answer once the worlds are made."""
+        """Return, once the worlds are made."""
 
 
 def connect(address: str | None, num_cpus: int) -> bool:
@@ -277,44 +280,18 @@ def _check_answers(address: str) -> None:
     )
 
 
-def _cpus() -> int:
-    return int(ray.cluster_resources().get("CPU", 0))
-
-
-def _check_room(count: int, threads: int) -> None:
-    """Raise ValueError if Ray would wait without end for CPUs."""
-    if count * threads > _cpus():
-        raise ValueError(
-            f"{count} collectors need {count * threads} CPUs, but Ray has {_cpus()};"
-            " give fewer num_collectors or num_threads, or join a larger cluster"
-        )
-
-
 def _pickled(job: Job) -> bytes:
     """Return a job for another process, with the users' code that it needs."""
-    with _by_value(job):
-        return cloudpickle.dumps(job)
-
-
-@contextmanager
-def _by_value(job: Job) -> Iterator[None]:
-    """Pickle modules whole that are not installed, since others may not have them."""
     classes = (*type(job.task).__mro__, type(job.task.config))
     used = {each.__module__ for each in classes}
     folders = {str(Path(file).parent) for file in loaded_files()}
-    own = [
-        module
-        for name, module in list(sys.modules.items())
-        if (name in used or os.path.dirname(_file(module)) in folders)
-        and not _is_installed(module)
-    ]
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        yield
-    finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
+    with ExitStack() as stack:
+        for name, module in list(sys.modules.items()):
+            is_needed = name in used or os.path.dirname(_file(module)) in folders
+            if is_needed and not _is_installed(module):
+                cloudpickle.register_pickle_by_value(module)
+                stack.callback(cloudpickle.unregister_pickle_by_value, module)
+        return cloudpickle.dumps(job)
 
 
 def _is_installed(module: ModuleType) -> bool:

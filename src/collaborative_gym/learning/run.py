@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import LEAGUE, SELF, Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.collector import Collected, Collector, Job
-from collaborative_gym.learning.config import Resources
+from collaborative_gym.learning.config import PRICES, Resources
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.learning.monitor import Monitor, means_of, summarize
@@ -24,8 +24,7 @@ from collaborative_gym.learning.pool import Iteration, Pool, read_guests
 from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.sac import SACLearner
 from collaborative_gym.learning.settings import Settings, first_policy
-from collaborative_gym.learning.validation import validate
-from collaborative_gym.policies.network import NetworkPolicy, Weights
+from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.rng import validation_seed
 from collaborative_gym.tasks.task import Task
@@ -33,8 +32,8 @@ from collaborative_gym.tasks.task import Task
 _LEARNERS = {"ppo": PPOLearner, "sac": SACLearner}
 
 _CRITIC_ALONE = 10
-"""Rollouts in which only critics learn, if policies know something already. The advice
-of a critic that knows nothing would make them forget it."""
+"""Rollouts in which only the critics learn if the run begins with a policy, which the
+estimates of a new critic would make forget all it knows."""
 
 OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
 """Gets an iteration's row and that of the best validation so far (or nothing)."""
@@ -42,7 +41,7 @@ OnRow = Callable[[Mapping[str, float], Mapping[str, float]], object]
 
 @dataclass(frozen=True)
 class Result:
-    """A training run that has come to its end.
+    """A finished training run.
 
     Attributes:
       folder: where its files are.
@@ -98,21 +97,36 @@ class Run:
         self._hyperparameters = settings.hyperparameters
         self._num_threads = resources.num_threads
         self._casting = settings.casting(task)
-        self._pool = _make_pool(task, settings, folder, self._casting)
+        self._pool = self._make_pool()
         self._assistance = Assistance(settings.hyperparameters.assistance)
         self.steps = self._iteration = 0
-        self._has_policy, self._quietness = False, 0.0
+        self._has_policy, self._quietness = bool(settings.start_from), 0.0
         self._best: dict[str, float] = dict(started.best) if started else {}
         self._before = started.seconds if started else 0.0
         self._collectors = _make_collectors(task, settings, resources, self._casting)
         try:
-            self._learners = self._make_learners(resources.device)
-            self._first = self._members()
+            self._learners: dict[str, SkrlLearner] = {
+                each.name: _LEARNERS[settings.algorithm](
+                    each,
+                    settings.layout,
+                    settings.hyperparameters,
+                    resources.device,
+                    self._casting,
+                )
+                for each in settings.learners(task)
+            }
+            if started is None and settings.start_from:
+                policy = first_policy(settings, task)
+                for learner in self._learners.values():
+                    learner.start(policy)
+            self._first = {
+                name: deepcopy(each.state_dict())
+                for name, each in self._learners.items()
+                if each.learner.member
+            }
             if started is not None:
                 self.load_state_dict(started.backend)
                 self._pool.load_state_dict(started.pool)
-            elif settings.start_from:
-                self._start(first_policy(settings, task))
             rows = started.rows if started else ()
             self._monitor = Monitor(folder, settings.title, rows)
             self._since = time.monotonic()
@@ -125,7 +139,7 @@ class Run:
             raise
 
     def finish(
-        self, pressed: Event, *, checkpoint_interval: int, on_row: OnRow | None
+        self, pressed: Event, *, checkpoint_interval: int, on_rows: Sequence[OnRow]
     ) -> Result:
         """Train up to the last step, or until Ctrl-C is `pressed`."""
         numbers = self._hyperparameters
@@ -145,7 +159,7 @@ class Run:
                 self._pool.publish()
             if _crosses(before, steps, checkpoint_interval) or is_last:
                 self._save(LAST)
-            if on_row is not None:
+            for on_row in on_rows:
                 on_row(row, self._best)
             if pressed.is_set():
                 self._save(LAST)
@@ -159,10 +173,11 @@ class Run:
         Raises:
           RuntimeError: if the task fails in a collector elsewhere, or none answers.
         """
-        invitation = self._pool.invitation(self.policy)
         actors = {name: each.acting() for name, each in self._learners.items()}
-        given = actors, self._iteration, self._assistance, invitation
-        return self._collectors.collect(*given)
+        invitation = self._pool.invitation(self.policy)
+        return self._collectors.collect(
+            actors, self._iteration, self._assistance, invitation
+        )
 
     def advance(self) -> Iteration:
         """Collect one rollout in every world, and learn from it.
@@ -182,24 +197,27 @@ class Run:
         }
         self._iteration += 1
         self.steps += sum(each.steps for each in collected)
-        self._quieten()
+        self._shrink_noise()
         seated = [names for each in collected for names in each.seated]
         iteration = Iteration(episodes, updates, seated)
-        self._check_finite(iteration)
+        for learner, update in updates.items():
+            for name, value in update.items():
+                if not math.isfinite(value):
+                    raise RuntimeError(
+                        f"{name} of {learner} is {value} after {self.steps:,} steps;"
+                        f" the last good checkpoint is {self._folder / LAST}. A lower"
+                        " learning rate may help"
+                    )
         for member, like in self._pool.study(iteration, self.steps, self.policy):
             self.restart(member, like)
         return iteration
 
     def policy(self, member: str) -> NetworkPolicy:
         """Return a member's policy as it is now."""
-        settings = self._settings
-        own = self._of(member)
-        weights: dict[str, Weights] = {}
-        for learner in own:
-            weights |= learner.weights()
+        settings, own = self._settings, self._of(member)
         return NetworkPolicy(
             [part for each in own for part in each.learner.parts],
-            weights,
+            {name: net for each in own for name, net in each.weights().items()},
             activation=self._hyperparameters.activation,
             identity=settings.identity,
             layout=settings.layout,
@@ -207,12 +225,7 @@ class Run:
         )
 
     def restart(self, member: str, like: str | None) -> None:
-        """Let a member go on from all that another one has learned.
-
-        Args:
-          member: who.
-          like: the other one; None to begin again as the member once began.
-        """
+        """Let a member go on as another one, or for None as itself in the beginning."""
         if like is None:
             states = [self._first[each.learner.name] for each in self._of(member)]
         else:
@@ -227,25 +240,25 @@ class Run:
         finally:
             self._collectors.close()
 
-    def _make_learners(self, device: str) -> dict[str, SkrlLearner]:
-        """Return a learner for each group of robots that the mode has, by name."""
-        settings, task = self._settings, self._task
-        learns, layout = _LEARNERS[settings.algorithm], settings.layout
-        return {
-            each.name: learns(
-                each, layout, self._hyperparameters, device, self._casting
-            )
-            for each in settings.learners(task)
-        }
+    def _make_pool(self) -> Pool:
+        settings, casting = self._settings, self._casting
+        words = settings.opponents or settings.partners
+        guests = read_guests(self._task, casting, words)
+        if LEAGUE not in settings.opponents:
+            return Pool(casting, guests)
+        # Imports SciPy and Matplotlib, which take time; only a league needs them.
+        from collaborative_gym.learning.league import League
 
-    def _start(self, policy: NetworkPolicy) -> None:
-        """Let all learners begin with what a policy has learned."""
-        self._has_policy = True
-        for learner in self._learners.values():
-            learner.start(policy)
-        self._first = self._members()
+        return League(
+            casting,
+            guests,
+            hyperparameters=settings.hyperparameters,
+            folder=self._folder,
+            title=settings.title,
+            seed=settings.seed,
+        )
 
-    def _quieten(self) -> None:
+    def _shrink_noise(self) -> None:
         """Let the noise shrink as far as it should have by now, and never grow."""
         numbers = self._hyperparameters
         due = self._assistance.demand
@@ -256,15 +269,7 @@ class Run:
         further = max(due - self._quietness, 0.0)
         self._quietness = max(due, self._quietness)
         for learner in self._learners.values():
-            learner.quieten(numbers.final_noise**further)
-
-    def _members(self) -> dict[str, Any]:
-        """Return what the learners of members know, by name."""
-        return {
-            name: deepcopy(each.state_dict())
-            for name, each in self._learners.items()
-            if each.learner.member
-        }
+            learner.scale_noise(numbers.final_noise**further)
 
     def _of(self, member: str) -> list[SkrlLearner]:
         learners = self._learners.values()
@@ -273,8 +278,8 @@ class Run:
     def state_dict(self) -> dict[str, Any]:
         """Return all of learners and worlds that is needed to go on.
 
-        It is tensors, numbers and texts, nested. On CPUs it goes on bit for bit, where
-        no collector is lost.
+        It is nested tensors, numbers and texts. On CPUs a run goes on from it bit for
+        bit, unless a collector was lost.
         """
         cuda = torch.cuda.is_initialized()
         return {
@@ -325,28 +330,22 @@ class Run:
 
     def _validate(self) -> Mapping[str, float]:
         """Return the means of a validation beside those with whom the run learns."""
-        episodes = self._hyperparameters.validation_episodes
         given: Any = {
-            "episodes": episodes,
+            "episodes": self._hyperparameters.validation_episodes,
             "seed": validation_seed(self._settings.seed),
             "num_threads": self._num_threads,
         }
-        members = self._casting.members
         if not self._casting.seats:
-            return means_of(evaluate(self._task, self.policy(members[0]), **given))
-        policies = {name: self.policy(name) for name in members} | self._pool.policies
-        pairings = self._pool.pairings(members[0])
-        return validate(self._task, self._casting, policies, pairings, **given)
+            policy = self.policy(self._casting.members[0])
+            return means_of(evaluate(self._task, policy, **given))
+        return self._pool.validate(self._task, self.policy, **given)
 
     def _keep_best(self, row: Mapping[str, float]) -> None:
         # Of opponents one gains what another loses: the latest policies count as best,
         # unless their opponents stay as they are.
         is_latest_best = {SELF, LEAGUE} & set(self._settings.opponents)
-        if (
-            self._best
-            and not is_latest_best
-            and self._rank(row) <= self._rank(self._best)
-        ):
+        is_known = self._best and not is_latest_best
+        if is_known and self._rank(row) <= self._rank(self._best):
             return
         self._best = {
             column: value
@@ -361,15 +360,15 @@ class Run:
         self._save(BEST)
 
     def _rank(self, row: Mapping[str, float]) -> tuple[float, ...]:
-        """Return by what the best validation is chosen.
+        """Return the numbers whose greatest is the best validation.
 
-        Against opponents it is the points, then the return; else the return. Where
+        Against opponents these are the points, then the return; else the return. Where
         training charges for more than the reward, returns are best before it does:
         there it is completion and performance in percent, and of equals the latest.
         """
         if "validation/points" in row:
             return row["validation/points"], row["validation/return"]
-        if not self._hyperparameters.has_prices:
+        if not any(getattr(self._hyperparameters, name) for name in PRICES):
             return (row["validation/return"],)
         shares = row["validation/completion"], row["validation/performance"]
         return *(round(share, 2) for share in shares), row["steps"]
@@ -383,33 +382,6 @@ class Run:
             self._seconds,
             self._pool.state_dict(),
         ).save(self._folder / name)
-
-    def _check_finite(self, iteration: Iteration) -> None:
-        for learner, update in iteration.updates.items():
-            for name, value in update.items():
-                if not math.isfinite(value):
-                    raise RuntimeError(
-                        f"{name} of {learner} is {value} after"
-                        f" {self.steps:,} steps; the last good checkpoint is"
-                        f" {self._folder / LAST}. A lower learning rate may help"
-                    )
-
-
-def _make_pool(task: Task, settings: Settings, folder: Path, casting: Casting) -> Pool:
-    guests = read_guests(task, casting, settings.opponents or settings.partners)
-    if LEAGUE not in settings.opponents:
-        return Pool(casting, guests)
-    # Imports SciPy and Matplotlib, which take time; only a league needs them.
-    from collaborative_gym.learning.league import League
-
-    return League(
-        casting,
-        guests,
-        hyperparameters=settings.hyperparameters,
-        folder=folder,
-        title=settings.title,
-        seed=settings.seed,
-    )
 
 
 def _make_collectors(

@@ -1,15 +1,20 @@
 """What a run is started with, and whether it may continue with what is asked."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from collaborative_gym.blocks import Layout
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.envs.world import World
-from collaborative_gym.errors import check_kind, check_name, unknown
+from collaborative_gym.errors import (
+    UnknownOption,
+    check_kind,
+    check_name,
+    unknown,
+)
 from collaborative_gym.learning.casting import (
     LEAGUE,
     POPULATION,
@@ -21,6 +26,7 @@ from collaborative_gym.learning.config import (
     Algorithm,
     Hyperparameters,
     Mode,
+    Resources,
     changed,
     foreign,
     recipe,
@@ -42,22 +48,66 @@ _MAY_CHANGE = {"total_steps", "validation_interval", "validation_episodes"}
 """Hyperparameters that a run may change when it continues; steps may only grow."""
 
 
+class Options(TypedDict, total=False):
+    """The keywords that `train` and `train_all` share; each may be left out, or None.
+
+    Attributes:
+      opponent: who plays against the learner, if there are several sides. "self", or
+        None: the latest policies play all sides. Names of policies, as `load_policy`
+        knows them: each episode draws one, and the learner plays every side in turn; or
+        only the other side, as with `{"side_2": "expert"}`. "league": a league; in a
+        sequence, names of policies may follow, against which the league plays, too.
+      partner: who plays with the learner, if there is one side. Names of policies: each
+        episode draws one, and the learner plays the other robots in turn; or only the
+        other robots, as with `{"robot_2": "idle"}`. "population": several policies for
+        each robot learn, and all pairs of them play.
+      start_from: a trained policy to begin with, as `load_policy` knows it, instead of
+        random networks. It may come from another environment with spaces of the same
+        sizes. Its noise begins anew with `initial_std`, and only the critics learn
+        during the first rollouts.
+      backend: "skrl", or "ray" to collect in several processes; None for "skrl".
+      algorithm: "ppo", or "sac" for tasks of one side and without partners; None for
+        "ppo".
+      resources: device and threads of each run.
+      checkpoint_interval: environment steps between two checkpoints, 100,000 if left
+        out.
+    """
+
+    opponent: Named | None
+    partner: Named | None
+    start_from: str | Path | None
+    backend: str | None
+    algorithm: Algorithm | None
+    resources: Resources | None
+    checkpoint_interval: int
+
+
+def check_options(options: Options) -> None:
+    """Raise TypeError if there is a keyword that `Options` lacks."""
+    names = Options.__annotations__
+    for name in options:
+        if name not in names:
+            raise UnknownOption(
+                f"got an unexpected keyword argument {name!r};"
+                f" {unknown('option', name, names)}"
+            )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """What a run was started with.
 
     Attributes:
       identity: of its environment.
-      algorithm: what learns.
+      algorithm: "ppo" or "sac".
       mode: who learns what.
       seed: of the run.
-      backend: what collects.
+      backend: "skrl", or "ray".
       layout: of observations and actions.
       hyperparameters: how it learns.
-      opponents: who plays against what is learned, as `make_casting` knows them.
+      opponents: who plays against the learner, as `make_casting` knows them.
       partners: who plays with it.
-      start_from: the policy with which it began, as it was named; nothing for networks
-        drawn by chance.
+      start_from: the name of the policy with which it began; empty for random networks.
       start: that policy's `digest`, the `environment` and `randomization` in which it
         was trained, and how, its `metadata`.
     """
@@ -77,10 +127,7 @@ class Settings:
     def casting(self, task: Task) -> Casting:
         """Return who sits where in the run's worlds."""
         return make_casting(
-            task,
-            self.opponents,
-            self.partners,
-            hyperparameters=self.hyperparameters,
+            task, self.opponents, self.partners, hyperparameters=self.hyperparameters
         )
 
     def learners(self, task: Task) -> tuple[Learner, ...]:
@@ -104,34 +151,33 @@ class Settings:
 
     @property
     def folder(self) -> Path:
-        """Where the run goes unless told otherwise."""
+        """Where the run goes unless another folder is given."""
         words = [self.identity.name, *self._kind, self.mode, f"seed{self.seed}"]
         return Path("runs", "-".join(words))
 
     @property
     def title(self) -> str:
-        """What to call the run."""
+        """What heads the run's pictures."""
         robots = ", ".join(self.identity.robot_names)
         words = [*self._kind, self.mode, f"seed {self.seed}"]
         return f"{self.identity.name} ({robots}), {', '.join(words)}"
 
     @property
     def _kind(self) -> list[str]:
-        """What to call actions, algorithm and others that are not the usual."""
+        """The action mode, algorithm and company that are not the usual ones."""
         words = set(self.opponents or self.partners) - {SELF}
         known = [word for word in (LEAGUE, POPULATION) if word in words]
         pairs = (self.identity.action, TaskConfig.action), (self.algorithm, "ppo")
         own = [own for own, usual in pairs if own != usual]
-        return own + (known or (["guests"] if words else []))
+        return own + (known or ["guests"] * bool(words))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain lists, dictionaries, numbers and texts."""
         content = asdict(self) | {"layout": self.layout.to_dict()}
-        sizes = content["hyperparameters"]["hidden_sizes"]
-        content["hyperparameters"]["hidden_sizes"] = list(sizes)
-        for name in ("opponents", "partners"):
-            content[name] = list(content[name])
-        return content
+        numbers = content["hyperparameters"]
+        numbers["hidden_sizes"] = list(numbers["hidden_sizes"])
+        lists = {name: list(content[name]) for name in ("opponents", "partners")}
+        return content | lists
 
     def how(self) -> dict[str, Any]:
         """Return what it says of training, and not of the environment."""
@@ -141,41 +187,24 @@ class Settings:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Settings":
         """Return what `to_dict` was made of."""
-        identity = Identity.from_dict(content["identity"])
-        hyperparameters = Hyperparameters(**content["hyperparameters"])
-        own = {"identity": identity, "hyperparameters": hyperparameters}
-        own["layout"] = Layout.from_dict(content["layout"])
-        for name in ("opponents", "partners"):
-            own[name] = tuple(content.get(name, ()))
+        own = {
+            "identity": Identity.from_dict(content["identity"]),
+            "hyperparameters": Hyperparameters(**content["hyperparameters"]),
+            "layout": Layout.from_dict(content["layout"]),
+            "opponents": tuple(content.get("opponents", ())),
+            "partners": tuple(content.get("partners", ())),
+        }
         return cls(**{**content, **own})
 
 
-def settle(
-    task: Task,
-    started: Settings | None,
-    *,
-    mode: Mode | None,
-    seed: int | None,
-    backend: str | None,
-    hyperparameters: Hyperparameters | None,
-    opponent: Named | None = None,
-    partner: Named | None = None,
-    start_from: str | Path | None = None,
-    algorithm: Algorithm | None = None,
-) -> Settings:
+def settle(task: Task, started: Settings | None = None, **asked: Any) -> Settings:
     """Return the settings of a run; what is None stays as it was, or is as usual.
 
     Args:
       task: what to learn.
       started: settings of a run to continue, None for a new one.
-      mode: who learns what.
-      seed: of the run.
-      backend: what collects.
-      hyperparameters: how it learns.
-      opponent: who plays against what is learned.
-      partner: who plays with it.
-      start_from: a policy to begin with.
-      algorithm: what learns.
+      asked: `mode`, `seed`, `hyperparameters`, `opponent`, `partner`, `start_from`,
+        `backend` and `algorithm`, as `train` takes them.
 
     Raises:
       FileNotFoundError: if there is no such policy.
@@ -184,58 +213,53 @@ def settle(
       ValueError: if something is unknown or out of range, the robots do not fit the
         mode, or a run cannot go on with other settings; says what differs.
     """
-    if hyperparameters is not None:
+    asked = {name: value for name, value in asked.items() if value is not None}
+    if "hyperparameters" in asked:
         kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
-        check_kind("hyperparameters", hyperparameters, Hyperparameters, kind)
-    if started is not None:
-        mode = started.mode if mode is None else mode
-        seed = started.seed if seed is None else seed
-        algorithm = started.algorithm if algorithm is None else algorithm
-        backend = started.backend if backend is None else backend
-        hyperparameters = hyperparameters or started.hyperparameters
-        opponent = started.opponents if opponent is None else opponent
-        partner = started.partners if partner is None else partner
-        start_from = (started.start_from or None) if start_from is None else start_from
-    layout = World.of(task, strain=True).definition.layout
-    opponents, partners = _words("opponent", opponent), _words("partner", partner)
+        given = asked["hyperparameters"]
+        check_kind("hyperparameters", given, Hyperparameters, kind)
+    for name in ("opponent", "partner"):
+        if name in asked:
+            asked[f"{name}s"] = _words(name, asked.pop(name))
+    if "start_from" in asked:
+        check_kind("start_from", asked["start_from"], (str, Path), "a policy's name")
+        asked["start_from"] = str(asked["start_from"])
+        check_name("start_from", asked["start_from"])
+    kept = {} if started is None else vars(started)
+    asked = {"algorithm": "ppo", "seed": 0, "backend": "skrl"} | kept | asked
     if len(task.sides) > 1:
-        opponents = opponents or (SELF,)
-    algorithm = "ppo" if algorithm is None else algorithm
-    usual = recipe(task.name, algorithm)
-    settings = Settings(
-        identity=Identity.of(task),
-        mode=_usual_mode(layout, opponents) if mode is None else mode,
-        seed=check_run_seed(0 if seed is None else seed),
-        backend="skrl" if backend is None else backend,
-        layout=layout,
-        hyperparameters=hyperparameters or usual,
-        opponents=opponents,
-        partners=partners,
-        start_from=_name(start_from),
-        start={} if started is None else started.start,
-        algorithm=algorithm,
-    )
+        asked["opponents"] = asked.get("opponents") or (SELF,)
+    layout = World.of(task, strain=True).definition.layout
+    usual = recipe(task.name, asked["algorithm"])
+    asked["hyperparameters"] = asked.get("hyperparameters", usual)
+    if "mode" not in asked:
+        asked["mode"] = _usual_mode(layout, asked.get("opponents", ()))
+    asked["seed"] = check_run_seed(asked["seed"])
+    settings = Settings(**asked | {"identity": Identity.of(task), "layout": layout})
     if settings.backend not in BACKENDS:
         raise ValueError(unknown("backend", settings.backend, BACKENDS))
     _check_seats(settings, task)
+    numbers = changed(settings.hyperparameters)
     if started is not None:
         _check_same(settings, started)
     else:
-        _check_company(settings)
+        check_company(numbers, settings.opponents, settings.partners)
         if settings.start_from:
-            settings = replace(settings, start=_start(first_policy(settings, task)))
-    _check_algorithm(algorithm, settings.hyperparameters)
+            first = first_policy(settings, task)
+            start = {
+                "digest": first.digest,
+                "environment": first.identity.name,
+                "randomization": first.identity.config["randomization"],
+                "metadata": first.metadata,
+            }
+            settings = replace(settings, start=start)
+    unused = [name for name in numbers if name in foreign(settings.algorithm)]
+    if unused:
+        raise ValueError(
+            f"{settings.algorithm} knows no {' or '.join(unused)}; leave out what"
+            " another algorithm alone uses"
+        )
     return settings
-
-
-def _start(first: NetworkPolicy) -> dict[str, Any]:
-    """Return what a run remembers of the policy that it begins with."""
-    return {
-        "digest": first.digest,
-        "environment": first.identity.name,
-        "randomization": first.identity.config["randomization"],
-        "metadata": first.metadata,
-    }
 
 
 def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
@@ -257,11 +281,12 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
             " 'baseline', a policy file or the folder of a training run"
         )
     numbers = settings.hyperparameters
-    wanted: dict[str, tuple[int, ...]] = {}
-    for learner in settings.learners(task):
-        for name, (inputs, outputs) in learner.networks(settings.layout).items():
-            wanted[name] = inputs, *numbers.hidden_sizes, outputs
     found = {name: each.sizes for name, each in policy.weights.items()}
+    wanted = {
+        name: (inputs, *numbers.hidden_sizes, outputs)
+        for learner in settings.learners(task)
+        for name, (inputs, outputs) in learner.networks(settings.layout).items()
+    }
     differences = [
         f"{name} has layers of {found.get(name, 'nothing')}, not {own}"
         for name, own in wanted.items()
@@ -278,18 +303,8 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
     return policy
 
 
-def _name(start_from: str | Path | None) -> str:
-    if start_from is None:
-        return ""
-    check_kind("start_from", start_from, (str, Path), "a policy's name")
-    check_name("start_from", str(start_from))
-    return str(start_from)
-
-
 def _words(name: str, given: Any) -> tuple[str, ...]:
-    """Return what names opponents or partners as a tuple of words."""
-    if given is None:
-        return ()
+    """Return the names of opponents or partners as a tuple of words."""
     if isinstance(given, str | Path):
         given = [given]
     a = "a policy's name, several, or one for each of some seats"
@@ -299,14 +314,14 @@ def _words(name: str, given: Any) -> tuple[str, ...]:
             check_kind(f"each seat of {name}", seat, str, "a string")
             check_kind(f"the {name} {seat}", policy, (str, Path), "a policy's name")
         given = [f"{seat}={policy}" for seat, policy in given.items()]
+    words = []
     for word in given:
         check_kind(f"each {name}", word, (str, Path), "a policy's name")
-    words = tuple(str(word) for word in given)
-    for word in words:
-        check_name(name, word)
-        if words.count(word) > 1:
+        check_name(name, str(word))
+        if str(word) in words:
             raise ValueError(f"{name} names {word} twice; name each policy once")
-    return words
+        words.append(str(word))
+    return tuple(words)
 
 
 def _usual_mode(layout: Layout, opponents: Sequence[str]) -> Mode:
@@ -341,23 +356,14 @@ def _check_seats(settings: Settings, task: Task) -> None:
     read_guests(task, casting, settings.opponents or settings.partners)
 
 
-def _check_algorithm(algorithm: str, hyperparameters: Hyperparameters) -> None:
-    """Raise unless all that is given means something to the algorithm."""
-    unknown = [n for n in changed(hyperparameters) if n in foreign(algorithm)]
-    if unknown:
-        raise ValueError(
-            f"{algorithm} knows no {' or '.join(unknown)}; leave out what another"
-            " algorithm alone uses"
-        )
-
-
-def _check_company(settings: Settings) -> None:
+def check_company(
+    numbers: Iterable[str], opponents: Sequence[str], partners: Sequence[str]
+) -> None:
     """Raise if numbers of a league or of a population are given without one."""
-    company = settings.opponents + settings.partners
-    given = changed(settings.hyperparameters)
-    for option, word in (("opponent", LEAGUE), ("partner", POPULATION)):
-        own = [name for name in given if name.startswith(word)]
-        if own and word not in company:
+    pairs = ("opponent", LEAGUE, opponents), ("partner", POPULATION, partners)
+    for option, word, given in pairs:
+        own = [name for name in numbers if name.startswith(word)]
+        if own and word not in given:
             raise ValueError(
                 f"{' and '.join(own)} would mean nothing without --{option} {word};"
                 " give that too, or leave out these numbers"
@@ -368,21 +374,21 @@ def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
     found += settings.layout.differences(started.layout, settings.layout.observation)
-    for name in sorted(
-        vars(settings).keys() - {"identity", "layout", "hyperparameters", "start"}
-    ):
-        found += _differing(name, getattr(settings, name), getattr(started, name))
-    own, asked = asdict(started.hyperparameters), asdict(settings.hyperparameters)
-    for name, value in asked.items():
+    apart = {"identity", "layout", "hyperparameters", "start"}
+    pairs = [
+        (name, getattr(settings, name), getattr(started, name))
+        for name in sorted(vars(settings).keys() - apart)
+    ]
+    own = vars(started.hyperparameters)
+    for name, value in vars(settings.hyperparameters).items():
         is_lower = name == "total_steps" and value < own[name]
         if is_lower or name not in _MAY_CHANGE:
-            found += _differing(name, value, own[name])
+            pairs.append((name, value, own[name]))
+    found += [
+        f"{n} is {given}, not {kept}" for n, given, kept in pairs if given != kept
+    ]
     if found:
         raise ValueError(
             f"this run cannot continue with other settings: {'; '.join(found)}; leave"
             " out what differs, or start another run with another output"
         )
-
-
-def _differing(name: str, given: object, kept: object) -> list[str]:
-    return [] if given == kept else [f"{name} is {given}, not {kept}"]

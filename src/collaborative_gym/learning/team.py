@@ -1,4 +1,4 @@
-"""How a mode divides the robots among learners."""
+"""Learners: which robots learn together in a mode."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from collaborative_gym.policies.network import Part, with_index
 
 @dataclass(frozen=True)
 class Learner:
-    """What learns by itself: parts of the policy, with one critic.
+    """Parts of the policy that learn together, with one critic.
 
-    Its rows are worlds, and a row has the observations and the actions of all its
-    agents, and the mean reward of its team. Where it is `stacked`, each of its agents
-    has a block of rows of its own instead, told by index, and its own reward.
+    Its rows are worlds, with the observations and actions of all its agents and the
+    mean reward of its team. If it is `stacked`, each of its agents has a block of rows
+    of its own instead, with the agent's index as an input, and its own reward.
 
     Attributes:
-      name: what to call it.
+      name: of the learner.
       agents: whom it commands.
       parts: its networks.
       stacked: whether its agents' rows stand below one another.
@@ -37,15 +37,14 @@ class Learner:
 
     def observation_size(self, layout: Layout) -> int:
         """Return the width of its rows of observations."""
-        if self.stacked:
-            return layout.observation_sizes[self.agents[0]] + len(self.agents)
-        return sum(layout.observation_sizes[agent] for agent in self.agents)
+        return self._width(layout.observation_sizes) + self.stacked * len(self.agents)
 
     def action_size(self, layout: Layout) -> int:
         """Return the width of its rows of actions."""
-        if self.stacked:
-            return layout.action_sizes[self.agents[0]]
-        return sum(layout.action_sizes[agent] for agent in self.agents)
+        return self._width(layout.action_sizes)
+
+    def _width(self, sizes: Mapping[str, int]) -> int:
+        return sum(sizes[a] for a in (self.agents[:1] if self.stacked else self.agents))
 
     def networks(self, layout: Layout) -> dict[str, tuple[int, int]]:
         """Return inputs and outputs of each network of its policy, by name.
@@ -56,10 +55,11 @@ class Learner:
         if self.stacked:
             ends = self.observation_size(layout), self.action_size(layout)
             return {self.parts[0].weights: ends}
+        inputs, outputs = layout.observation_sizes, layout.action_sizes
         return {
             part.weights: (
-                sum(layout.observation_sizes[agent] for agent in part.agents),
-                sum(layout.action_sizes[agent] for agent in part.agents),
+                sum(inputs[agent] for agent in part.agents),
+                sum(outputs[agent] for agent in part.agents),
             )
             for part in self.parts
         }
@@ -82,7 +82,7 @@ class Learner:
         )
 
     def action_rows(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the rows in which these actions stand."""
+        """Return rows of actions."""
         by_order = [by_agent[agent] for agent in self.agents]
         return np.concatenate(by_order, axis=0 if self.stacked else 1)
 
@@ -96,7 +96,7 @@ class Learner:
     def actions(
         self, rows: np.ndarray, layout: Layout, ends: Sequence[int] | None = None
     ) -> dict[str, np.ndarray]:
-        """Return the actions by agent that stand in its rows.
+        """Return the actions by agent of its rows.
 
         Args:
           rows: (rows, action_size).
@@ -125,7 +125,7 @@ def make_learners(
       mode: who learns what.
       layout: of all agents' observations and actions.
       sides: agents that share a goal, from `Task.sides`; none for all.
-      seats: the agents that are learned together, by a name for them; None for sides.
+      seats: the agents that learn together, by a name for them; None for sides.
       member: whose policy is learned; stands before the learners' names.
 
     Raises:
@@ -138,37 +138,29 @@ def make_learners(
         if len(sides) == 1:
             seats = {"team": sides[0]}
     agents = [agent for own in seats.values() for agent in own]
-    before = f"{member}/" if member else ""
+    teams = {agent: side for side in sides for agent in side}
     if mode == "collaborative":
-        teams = {agent: side for side in sides for agent in side}
-        return tuple(
-            Learner(
-                f"{before}{seat}",
-                own,
-                tuple(Part((a,), a) for a in own),
-                team=teams[own[0]],
-                member=member,
-            )
+        found = [
+            (seat, own, tuple(Part((a,), a) for a in own), teams[own[0]])
             for seat, own in seats.items()
-        )
-    if mode == "independent":
-        return tuple(
-            Learner(f"{before}{a}", (a,), (Part((a,), a),), member=member)
-            for a in agents
-        )
-    if mode == "centralized":
-        return tuple(
-            Learner(f"{before}{seat}", own, (Part(own, seat),), member=member)
-            for seat, own in seats.items()
-        )
-    if mode == "shared":
+        ]
+    elif mode == "independent":
+        found = [(a, (a,), (Part((a,), a),), ()) for a in agents]
+    elif mode == "centralized":
+        found = [(seat, own, (Part(own, seat),), ()) for seat, own in seats.items()]
+    elif mode == "shared":
         _check_equal("observations", {a: layout.observation_sizes[a] for a in agents})
         _check_equal("actions", {a: layout.action_sizes[a] for a in agents})
         count = len(agents)
         parts = tuple(Part((a,), "shared", i, count) for i, a in enumerate(agents))
-        name = f"{before}shared"
-        return (Learner(name, tuple(agents), parts, stacked=True, member=member),)
-    raise ValueError(unknown("mode", mode, MODES))
+        found = [("shared", tuple(agents), parts, ())]
+    else:
+        raise ValueError(unknown("mode", mode, MODES))
+    before = f"{member}/" if member else ""
+    return tuple(
+        Learner(before + name, own, parts, mode == "shared", team, member)
+        for name, own, parts, team in found
+    )
 
 
 def _check_equal(kind: str, sizes: Mapping[str, int]) -> None:

@@ -1,8 +1,9 @@
 """The call that trains: a new run, or one that goes on."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from typing import Unpack
 
 from collaborative_gym.errors import (
     check_callback,
@@ -24,16 +25,11 @@ except ImportError as error:
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.files import sealed, write_text
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.config import (
-    Algorithm,
-    Hyperparameters,
-    Mode,
-    Resources,
-)
+from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
-from collaborative_gym.learning.settings import Named, Settings, settle
+from collaborative_gym.learning.settings import Options, check_options, settle
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.tasks.registry import as_task, make_task
 from collaborative_gym.tasks.task import Randomization, Task
@@ -47,15 +43,9 @@ def train(
     output: str | Path | None = None,
     resume: str | Path | None = None,
     hyperparameters: Hyperparameters | None = None,
-    opponent: Named | None = None,
-    partner: Named | None = None,
-    start_from: str | Path | None = None,
-    backend: str | None = None,
-    algorithm: Algorithm | None = None,
-    resources: Resources | None = None,
-    checkpoint_interval: int = 100_000,
     on_row: OnRow | None = None,
     progress: bool = False,
+    **options: Unpack[Options],
 ) -> Result:
     """Train policies by PPO or SAC, and return the finished run.
 
@@ -74,27 +64,10 @@ def train(
         settings with which it was started; you need not give them again. You may raise
         `total_steps` and change the validations.
       hyperparameters: how it learns; None for `recipe(env, algorithm)`.
-      opponent: who plays against the learner, if there are several sides. "self", or
-        None: the latest policies play all sides. Names of policies, as `load_policy`
-        knows them: each episode draws one, and the learner plays every side in turn; or
-        only the other side, as with `{"side_2": "expert"}`. "league": a league; in a
-        sequence, names of policies may follow, against which the league plays, too.
-      partner: who plays with the learner, if there is one side. Names of policies: each
-        episode draws one, and the learner plays the other robots in turn; or only the
-        other robots, as with `{"robot_2": "idle"}`. "population": several policies for
-        each robot learn, and all pairs of them play.
-      start_from: a trained policy to begin with, as `load_policy` knows it, instead of
-        random networks. It may come from another environment with spaces of the same
-        sizes. Its noise begins anew with `initial_std`, and only the critics learn
-        during the first rollouts.
-      backend: "skrl", or "ray" to collect in several processes; None for "skrl".
-      algorithm: "ppo", or "sac" for tasks of one side and without partners; None for
-        "ppo".
-      resources: device and threads.
-      checkpoint_interval: environment steps between two checkpoints.
       on_row: called after each iteration with two dictionaries: its line of
         `progress.csv`, and that of the best validation so far.
-      progress: whether to show how it goes, as the command line does.
+      progress: whether to show the progress, as the command line does.
+      options: with whom and with what it learns, see `Options`.
 
     Raises:
       BlockingIOError: if a run is under way in the folder.
@@ -106,69 +79,59 @@ def train(
       KeyError: if a name is unknown.
       OSError: if a file cannot be written, as on a full disk; earlier ones stay.
       RuntimeError: if a loss is not finite; names it and the last good checkpoint.
-      TypeError: if a number is of another kind.
+      TypeError: if a number is of another kind, or a keyword unknown.
       ValueError: if the robots do not fit the mode, or a checkpoint is damaged or of
         another run or environment than the one asked for; says what differs.
     """
-    resources = Resources() if resources is None else resources
-    _check(resources, checkpoint_interval, on_row)
+    check_options(options)
+    interval = check_count(
+        "checkpoint_interval", options.pop("checkpoint_interval", 100_000), at_least=1
+    )
+    resources = _checked(options.pop("resources", None))
+    check_callback("on_row", on_row)
     progress = check_flag("progress", progress)
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
-        folder, started = _resume(resume, stack)
+        folder = started = None
+        if resume is not None:
+            folder = _folder("resume", resume)
+            stack.enter_context(claimed(folder, LAST))
+            started = Checkpoint.load(folder / LAST)
         task = _task(env, started)
         settings = settle(
             task,
             None if started is None else started.settings,
             mode=mode,
             seed=seed,
-            backend=backend,
-            algorithm=algorithm,
             hyperparameters=hyperparameters,
-            opponent=opponent,
-            partner=partner,
-            start_from=start_from,
+            **options,
         )
         if settings.backend != "ray" and resources.of_ray:
             raise ValueError(
                 f"{' and '.join(resources.of_ray)} would mean nothing without Ray; give"
                 " --backend ray too, or leave them out"
             )
-        folder = folder or _begin(settings, output, stack)
+        if folder is None:
+            folder = _folder("output", settings.folder if output is None else output)
+            stack.enter_context(_begun(folder))
         # Also of a run that goes on, whose total_steps may have grown.
         write_text(folder / CONFIG, sealed(settings.to_dict()))
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
         run = Run(folder, task, settings=settings, resources=resources, started=started)
         pressed = stack.enter_context(ctrl_c(f"continue with --resume {folder}"))
+        called = [] if on_row is None else [on_row]
         if progress:
             total = settings.hyperparameters.total_steps
-            display = stack.enter_context(Display(task.name, total))
-            on_row = _both(display.show, on_row)
+            called.insert(0, stack.enter_context(Display(task.name, total)).show)
         with closing(run):
-            return run.finish(
-                pressed, checkpoint_interval=checkpoint_interval, on_row=on_row
-            )
+            return run.finish(pressed, checkpoint_interval=interval, on_rows=called)
 
 
-def _both(first: OnRow, second: OnRow | None) -> OnRow:
-    """Return what calls one after the other."""
-
-    def call(row: Mapping[str, float], best: Mapping[str, float]) -> None:
-        first(row, best)
-        if second is not None:
-            second(row, best)
-
-    return call
-
-
-def _check(
-    resources: Resources, checkpoint_interval: int, on_row: OnRow | None
-) -> None:
-    """Raise if something is wrong that shows without the environment."""
-    check_count("checkpoint_interval", checkpoint_interval, at_least=1)
+def _checked(resources: Resources | None) -> Resources:
+    """Return what a run may use, once torch knows such a device."""
+    resources = Resources() if resources is None else resources
     check_kind("resources", resources, Resources, "Resources(...)")
-    check_callback("on_row", on_row)
     try:
         kind = torch.device(resources.device).type
     except RuntimeError:
@@ -177,6 +140,7 @@ def _check(
         raise ValueError(f"no device {resources.device!r}; give cpu or cuda")
     if kind == "cuda" and not torch.cuda.is_available():
         raise ValueError("device is cuda, but torch finds no CUDA device here")
+    return resources
 
 
 def _folder(name: str, given: str | Path) -> Path:
@@ -186,37 +150,25 @@ def _folder(name: str, given: str | Path) -> Path:
     return Path(given)
 
 
-def _resume(
-    resume: str | Path | None, stack: ExitStack
-) -> tuple[Path | None, Checkpoint | None]:
-    """Claim the folder of a run that goes on, if one does; return it, and its state."""
-    if resume is None:
-        return None, None
-    folder = _folder("resume", resume)
-    stack.enter_context(claimed(folder, LAST))
-    return folder, Checkpoint.load(folder / LAST)
-
-
 def _task(env: str | Task, started: Checkpoint | None) -> Task:
     """Return what to learn; a run that goes on knows its own arms and starts."""
     if started is None or isinstance(env, Task):
         return as_task(env)
     own = started.settings.identity
-    randomization = Randomization(**own.config["randomization"])
-    drawn = {"randomization": randomization, "action": own.action}
-    return make_task(env, own.robot_names, **drawn)
+    starts = Randomization(**own.config["randomization"])
+    return make_task(env, own.robot_names, randomization=starts, action=own.action)
 
 
-def _begin(settings: Settings, output: str | Path | None, stack: ExitStack) -> Path:
-    """Claim a new run's folder, unless there is a run already, and return it."""
-    folder = _folder("output", settings.folder if output is None else output)
-    stack.enter_context(claimed(folder))
-    if (folder / LAST).exists():
-        raise FileExistsError(
-            f"there is a run in {folder} already; continue it (--resume), or choose"
-            " another output"
-        )
-    return folder
+@contextmanager
+def _begun(folder: Path) -> Iterator[None]:
+    """Claim a new run's folder for a while, unless there is a run already."""
+    with claimed(folder):
+        if (folder / LAST).exists():
+            raise FileExistsError(
+                f"there is a run in {folder} already; continue it (--resume), or choose"
+                " another output"
+            )
+        yield
 
 
 @contextmanager
