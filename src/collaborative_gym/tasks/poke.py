@@ -237,7 +237,7 @@ def _lay_out(
     into = _tilted((along + aside) / np.sqrt(2))
     level = (aside - along) / np.sqrt(2)
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
-    eye = middle + 1.15 * span * aside + 0.45 * up
+    eye = middle + 1.3 * span * aside + 0.55 * up
     start = {STICK: (starts[0], outwards)}
     start[DONUT] = starts[1], _tcp_quat(along, outwards)
     goal = {STICK: (meeting - STICK_AHEAD * into, into)}
