@@ -13,7 +13,7 @@ from collaborative_gym.cli.terminal import (
     Env,
     Envs,
     File,
-    NumEnvs,
+    Measured,
     Played,
     Policies,
     Size,
@@ -122,7 +122,7 @@ class Record(Played, _Policy):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(Played, _Policy):
+class Evaluate(Measured, _Policy):
     """Measure a policy over many episodes: mean reward, completion, performance, time.
 
     Attributes:
@@ -131,10 +131,6 @@ class Evaluate(Played, _Policy):
         one; then name none.
       episodes: number of episodes in each environment.
       delay: number of control steps by which each action comes late.
-      num_envs: worlds that play at the same time; the results do not depend on it.
-      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
-      json: file for all statistics (also interquartile means and each robot's return)
-        and all episodes; - for standard output.
       csv: file with one row per episode; - for standard output.
     """
 
@@ -142,9 +138,6 @@ class Evaluate(Played, _Policy):
     all: tyro.conf.FlagCreatePairsOff[bool] = False
     episodes: int = 200
     delay: int = 0
-    num_envs: NumEnvs = None
-    num_threads: int = 0
-    json: File = None
     csv: File = None
 
     def run(self) -> None:

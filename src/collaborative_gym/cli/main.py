@@ -26,10 +26,8 @@ from collaborative_gym.cli.commands import (
     Reproduce,
     View,
 )
-from collaborative_gym.cli.compare import Compare
-from collaborative_gym.cli.report import Report
+from collaborative_gym.cli.studies import Compare, Report, Tournament
 from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, tell
-from collaborative_gym.cli.tournament import Tournament
 from collaborative_gym.cli.train import BriefTrain, Train
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
@@ -147,37 +145,28 @@ def _run(arguments: list[str]) -> None:
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
+        # Each command has the first line of its help.
+        kinds = [
+            Annotated[
+                kind, tyro.conf.subcommand(verb, description=doc.partition("\n")[0])
+            ]
+            for verb, kind in _VERBS.items()
+            if (doc := kind.__doc__)
+        ]
+        any_kind: Any = functools.reduce(operator.or_, kinds)
         command = tyro.cli(
-            _any_command(),
+            any_kind,
             prog="collaborative-gym",
             description=_DESCRIPTION,
             args=arguments,
         )
-    _check_lists(command, arguments)
-    if isinstance(command, Command):
-        load_modules(command.module)
-    command.run()
-
-
-def _check_lists(command: Any, arguments: list[str]) -> None:
-    """Raise ValueError for an option that takes several values and has none."""
     for name, value in vars(command).items():
         option = f"--{name.replace('_', '-')}"
         if value == () and option in arguments:
             raise ValueError(f"{option} takes a value, or several, got none")
-
-
-def _any_command() -> Any:
-    """Return the union of the commands, each with the first line of its help."""
-    kinds = [
-        Annotated[kind, tyro.conf.subcommand(verb, description=_first_line(kind))]
-        for verb, kind in _VERBS.items()
-    ]
-    return functools.reduce(operator.or_, kinds)
-
-
-def _first_line(kind: type) -> str:
-    return (kind.__doc__ or "").partition("\n")[0]
+    if isinstance(command, Command):
+        load_modules(command.module)
+    command.run()
 
 
 def _fail(error: Exception) -> int:

@@ -139,6 +139,21 @@ class Played(Worlds):
     any_env: tyro.conf.FlagCreatePairsOff[bool] = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class Measured(Played):
+    """What the commands have that play many episodes and print numbers.
+
+    Attributes:
+      num_envs: worlds that play at the same time; the results do not depend on it.
+      num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
+      json: file for all numbers; - for standard output.
+    """
+
+    num_envs: NumEnvs = None
+    num_threads: int = 0
+    json: File = None
+
+
 PLAIN_WORDS = tyro.constructors.ConstructorRegistry()
 """Reads numbers and names so that errors about them are in plain words."""
 
@@ -264,6 +279,15 @@ def put(path: Path | None, text: str) -> None:
         sys.stdout.write(text)
     elif path is not None:
         write_text(path, text)
+
+
+def drawn(draw: Callable[..., object], *given: Any) -> str:
+    """Draw a picture; return nothing, or what to add to a sentence if it cannot be."""
+    try:
+        draw(*given)
+    except ImportError as error:
+        return f", but no picture: {error}"
+    return ""
 
 
 class _Output(Console):

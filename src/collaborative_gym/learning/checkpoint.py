@@ -1,4 +1,4 @@
-"""Everything that a training run needs to go on, in one file."""
+"""All that a training run needs to go on, in one file."""
 
 import os
 from dataclasses import dataclass, field
@@ -23,8 +23,8 @@ class Checkpoint:
 
     Attributes:
       settings: what it was started with.
-      backend: the backend's state.
-      rows: what `Monitor` has shown so far.
+      backend: the state of learners and worlds, from `Run.state_dict`.
+      rows: of `Monitor` so far.
       best: the validated return of the best policy so far, and its `steps`; empty
         before the first validation.
       seconds: time that the run has taken so far.
@@ -44,14 +44,7 @@ class Checkpoint:
         Raises:
           OSError: if it cannot be written; a file that was there before is untouched.
         """
-        content = {
-            "settings": self.settings.to_dict(),
-            "backend": self.backend,
-            "rows": self.rows,
-            "best": self.best,
-            "seconds": self.seconds,
-            "pool": self.pool,
-        }
+        content = vars(self) | {"settings": self.settings.to_dict()}
         # In memory first: torch's own writing hides that a disk is full.
         whole = BytesIO()
         torch.save(content, whole)
@@ -83,9 +76,8 @@ class Checkpoint:
         try:
             # Only data: a file from elsewhere cannot run code.
             content = torch.load(BytesIO(rest), "cpu", weights_only=True)
-            return cls(
-                **{**content, "settings": Settings.from_dict(content["settings"])}
-            )
+            content["settings"] = Settings.from_dict(content["settings"])
+            return cls(**content)
         except Exception as error:  # torch raises many kinds.
             reason = str(error).partition("\n")[0]
             what = f"no checkpoint of this version ({reason})"

@@ -20,7 +20,7 @@ LAST, BEST = "last.pt", "best.pt"
 CONFIG, CURVE, LOCK, PROGRESS = "config.json", "curve.png", "run.lock", "progress.csv"
 
 LEAGUE_FILE, RATINGS = "league.json", "ratings.png"
-"""What a league writes of its players."""
+"""Files about the players of a league."""
 
 _FILES = (LAST, BEST, CONFIG, CURVE, PROGRESS, LEAGUE_FILE, RATINGS)
 
@@ -29,8 +29,8 @@ _FILES = (LAST, BEST, CONFIG, CURVE, PROGRESS, LEAGUE_FILE, RATINGS)
 def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
     """Keep other runs out of a folder, which is made if it is missing, for a while.
 
-    The lock is the kernel's, which frees it however the process ends. What a run that
-    was killed had half written is removed.
+    The lock is the kernel's, which frees it however the process ends. Files that a
+    killed run had half written are removed.
 
     Args:
       folder: the folder.
@@ -49,10 +49,13 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _lock(descriptor, folder)
-        for name in (*_FILES, POLICY_FILE):
-            for partial in folder.glob(f".{Path(name).stem}.*.partial"):
-                rmtree(partial, ignore_errors=True)
-        for partial in (folder / player_file("")).parent.glob(".*.partial"):
+        partials = [
+            partial
+            for name in (*_FILES, POLICY_FILE)
+            for partial in folder.glob(f".{Path(name).stem}.*.partial")
+        ]
+        players = (folder / player_file("")).parent
+        for partial in (*partials, *players.glob(".*.partial")):
             rmtree(partial, ignore_errors=True)
         yield
     finally:

@@ -1,4 +1,4 @@
-"""What learners on skrl have in common, whatever their algorithm."""
+"""The base of the learners on skrl, whatever their algorithm."""
 
 import math
 from abc import ABC, abstractmethod
@@ -34,7 +34,7 @@ from collaborative_gym.policies.network import (
 class SkrlLearner(ABC):
     """Networks and optimisers of one learner, on rows of its agents.
 
-    An algorithm makes skrl's agent, with critics and a memory, and learns.
+    A subclass makes skrl's agent, with critics and a memory, and learns.
 
     Args:
       learner: whom it commands, and how.
@@ -75,7 +75,7 @@ class SkrlLearner(ABC):
 
     @abstractmethod
     def _left_out(self) -> dict[str, Any]:
-        """Return by name what updates change and skrl's checkpoints leave out."""
+        """Return modules, by name, that skrl's own checkpoints leave out."""
 
     @abstractmethod
     def learn(
@@ -84,19 +84,19 @@ class SkrlLearner(ABC):
         """Learn from rollouts, one beside the other, and return losses and rates.
 
         Args:
-          rollouts: what was collected.
+          rollouts: of all collectors.
           critic_alone: whether the policy stays as it is.
         """
 
     def acting(self) -> ActorState:
-        """Return what players act with."""
+        """Return the state that players act with."""
         state = self._policy.actor.state_dict()
         actor = {name: each.cpu() for name, each in state.items()}
         mean, std = self._normalization()
         return {"actor": actor, "mean": mean.cpu(), "std": std.cpu()}
 
     def start(self, policy: NetworkPolicy) -> None:
-        """Begin with what a policy has learned."""
+        """Begin with the networks and the normalization of a policy."""
         mean, std = self._policy.actor.load(policy.weights)
         scaler = self._scaler
         scaler.running_mean.copy_(mean)
@@ -106,8 +106,8 @@ class SkrlLearner(ABC):
     def hold_statistics(self) -> None:
         """Standardize observations as now for good.
 
-        What is learned already depends on it: if a policy is sure of itself, a drift of
-        2 % changes its actions more than an update may.
+        The policy depends on it: if it is sure of itself, a drift of 2 % changes its
+        actions more than an update may.
         """
         self._scaler.is_held = True
 
@@ -124,38 +124,43 @@ class SkrlLearner(ABC):
         return {name: module.state_dict() for name, module in self._modules.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from what `state_dict` returned."""
+        """Go on from what `state_dict` returned."""
         for name, module in self._modules.items():
             module.load_state_dict(state[name])
 
     def _critic(self, *names: str) -> "Critic":
-        """Return a critic of what skrl calls so."""
+        """Return a critic of inputs with skrl's names."""
         return Critic(names, self._hyperparameters, self._device, self._spaces)
 
     @property
     def _scaler(self) -> "Scaler":
-        """What standardizes observations."""
+        """Standardizes observations."""
         return self._modules["observation_preprocessor"]
 
-    def _scaling(self) -> dict[str, Any]:
-        """Return the part of skrl's settings that makes the `_scaler`."""
-        return {
-            "observation_preprocessor": Scaler,
-            "observation_preprocessor_kwargs": {
-                "size": self._spaces["observation_space"],
-                "clip_threshold": OBSERVATION_LIMIT,
-                "device": self._device,
-            },
+    def _configured(self, config: Any) -> Any:
+        """Return skrl's settings, with those that all algorithms have."""
+        numbers = self._hyperparameters
+        config.discount_factor = numbers.discount
+        config.learning_rate = numbers.learning_rate
+        config.grad_norm_clip = numbers.max_grad_norm
+        config.observation_preprocessor = Scaler
+        config.observation_preprocessor_kwargs = {
+            "size": self._spaces["observation_space"],
+            "clip_threshold": OBSERVATION_LIMIT,
+            "device": self._device,
         }
+        config.experiment.write_interval = 0
+        config.experiment.checkpoint_interval = 0
+        return config
 
     def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what is subtracted from observations, and their divisor."""
+        """Return the mean that is subtracted from observations, and the divisor."""
         scaler = self._scaler
         std = scaler.running_variance.float().sqrt() + scaler.epsilon
         return scaler.running_mean.float(), std
 
     def _tensors(self, rollout: Rollout) -> dict[str, torch.Tensor]:
-        """Return what was collected."""
+        """Return a rollout's arrays as tensors, by name."""
         # Copies, because nobody may write to what Ray hands over.
         return {
             name: torch.tensor(array, device=self._device)
@@ -194,7 +199,7 @@ class Policy(GaussianMixin, Model):
         self._advice = torch.empty(0)
 
     def act(self, inputs: Mapping[str, torch.Tensor], *, role: str = ""):
-        """Return sampled actions, and what else skrl asks for."""
+        """Return sampled actions, and the outputs that skrl asks for."""
         given = dict(inputs)
         if "taken_actions" in given:
             both = given["taken_actions"].tensor_split([self.num_actions], dim=1)
@@ -207,7 +212,7 @@ class Policy(GaussianMixin, Model):
         return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
 
     def get_entropy(self, *, role: str = "") -> torch.Tensor:
-        """Return what PPO's loss rewards, whatever the last actions gained."""
+        """Return the term that PPO's loss rewards: entropy, less action prices."""
         means = self.distribution(role=role).mean
         arms = means[:, ~self.actor.is_grip]
         price = self._action_penalty * arms.square().mean(dim=1, keepdim=True)

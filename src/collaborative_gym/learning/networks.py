@@ -12,10 +12,8 @@ from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import Weights
 
 MEMORY = 400_000
-"""Rows after which a normalization has forgotten most of what it saw.
-
-The first returns are far from the later ones. Measured by their deviation, all that
-matters later would be small."""
+"""Rows after which a normalization has forgotten most of them, because the first
+returns are far from the later ones."""
 
 LOG_STD_LIMITS = (-20.0, 2.0)
 """Bounds of the logarithm of the actions' standard deviation."""
@@ -24,21 +22,21 @@ _ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU, "tanh": nn.Tanh}
 
 
 class Bounded(torch.autograd.Function):
-    """What is kept from -1 to 1, such as actions as the worlds do them.
+    """Values that are kept from -1 to 1, such as actions as the worlds do them.
 
-    What is further out can still learn to come back (after the inverted gradients of
+    A value further out can still learn to come back (after the inverted gradients of
     Hausknecht and Stone 2016, arXiv 1511.04143).
     """
 
     @staticmethod
     def forward(ctx, unbounded: Tensor):
-        """Return what is kept within the bounds."""
+        """Return the values within the bounds."""
         ctx.save_for_backward(unbounded)
         return unbounded.clamp(-1.0, 1.0)
 
     @staticmethod
     def backward(ctx, *gradients: Tensor):
-        """Return the gradient, without what leads further out."""
+        """Return the gradient, zero where a step would lead further out."""
         (unbounded,), (gradient,) = ctx.saved_tensors, gradients
         # A step goes against the gradient.
         is_outwards = (unbounded.abs() > 1.0) & (unbounded * gradient < 0.0)
@@ -95,7 +93,7 @@ class Actor(nn.Module):
         """Take over networks, by name; return their normalization of a row.
 
         Returns:
-          What is subtracted from a row of observations, and what it is then divided by.
+          The mean that is subtracted from a row of observations, and the divisor.
         """
         own = [weights[name] for name in self._names]
         for net, each in zip(self.nets, own, strict=True):
@@ -112,8 +110,8 @@ class Actor(nn.Module):
         """Return the networks as arrays, by name.
 
         Args:
-          mean: what was subtracted from a row of observations.
-          std: what it was then divided by.
+          mean: subtracted from a row of observations.
+          std: the row's divisor after that.
         """
         found, start = {}, 0
         for name, size, net in zip(self._names, self._inputs, self.nets, strict=True):

@@ -17,7 +17,7 @@ _LOSSES = {
     "entropy_loss": "Loss / Entropy loss",
     "std": "Policy / Standard deviation",
 }
-"""What skrl calls those of `UPDATE` that it reports itself."""
+"""skrl's names of the numbers of `UPDATE` that it reports itself."""
 
 _ESTIMATES = "returns", "advantages"
 """Columns that skrl fills in itself."""
@@ -26,14 +26,14 @@ _ESTIMATES = "returns", "advantages"
 class PPOLearner(SkrlLearner):
     """A critic of what is observed, and updates that stay near the policy."""
 
-    def _make_agent(self) -> "_PPO":
+    def _make_agent(self) -> PPO:
         self._value = self._critic("observations")
         self._memory = _Memory(memory_size=1, device=self._device)
-        return _PPO(
+        return PPO(
             models={"policy": self._policy, "value": self._value},
             memory=self._memory,
             device=self._device,
-            cfg=self._config(),
+            cfg=self._configured(self._config()),
             **self._spaces,
         )
 
@@ -55,7 +55,9 @@ class PPOLearner(SkrlLearner):
         last = joined.pop("next_observations")[0]
         unknown = {name: torch.empty_like(joined["values"]) for name in _ESTIMATES}
         self._memory.hold(joined | unknown)
-        agent.learn(last)
+        # Rollouts are collected elsewhere, so skrl did not see what came last.
+        agent._current_next_observations = last
+        agent.update(timestep=0, timesteps=0)
         agent.enable_models_training_mode(False)
         # skrl leaves out a loss that has no weight.
         numbers = {
@@ -80,7 +82,7 @@ class PPOLearner(SkrlLearner):
 
     @torch.no_grad()
     def _columns(self, rollout: Rollout) -> dict[str, torch.Tensor]:
-        """Return what skrl learns from, (steps, rows, ...) each."""
+        """Return the columns that skrl learns from, (steps, rows, ...) each."""
         kept = self._tensors(rollout)
         finals, late = kept.pop("final_observations"), kept["truncated"]
         discount = self._hyperparameters.discount
@@ -105,23 +107,19 @@ class PPOLearner(SkrlLearner):
     def _config(self) -> PPO_CFG:
         numbers = self._hyperparameters
         collected = self._rows * numbers.rollout_steps
-        config = PPO_CFG(
+        return PPO_CFG(
             rollouts=numbers.rollout_steps,
             learning_epochs=numbers.epochs,
             mini_batches=max(1, round(collected / numbers.minibatch_size)),
-            discount_factor=numbers.discount,
             gae_lambda=numbers.gae_lambda,
-            learning_rate=numbers.learning_rate,
             learning_rate_scheduler=_Scheduler,
             learning_rate_scheduler_kwargs={
                 "kl_threshold": numbers.target_kl,
                 "min_lr": numbers.min_learning_rate,
                 "max_lr": numbers.max_learning_rate,
             },
-            **self._scaling(),
             value_preprocessor=Scaler,
             value_preprocessor_kwargs={"size": 1, "device": self._device},
-            grad_norm_clip=numbers.max_grad_norm,
             ratio_clip=numbers.clip,
             # With a clip the critic follows the first, large changes of the returns so
             # slowly that the policy learns from noise: Pass stood still for 0.6 M
@@ -136,9 +134,6 @@ class PPOLearner(SkrlLearner):
             # already, and what follows is of another episode.
             time_limit_bootstrap=True,
         )
-        config.experiment.write_interval = 0
-        config.experiment.checkpoint_interval = 0
-        return config
 
 
 class _Memory(RandomMemory):
@@ -153,17 +148,8 @@ class _Memory(RandomMemory):
         return len(self.tensors_view["actions"])
 
 
-class _PPO(PPO):
-    """skrl's PPO on rollouts that others collect."""
-
-    def learn(self, next_observations: torch.Tensor) -> None:
-        """Learn from what its memory holds, after which these were observed."""
-        self._current_next_observations = next_observations
-        self.update(timestep=0, timesteps=0)
-
-
 class _Scheduler(KLAdaptiveLR):
-    """Adapts the learning rate to how far the policy moves, and tells how far it did.
+    """Adapts the learning rate to how far the policy moves, and notes how far.
 
     Attributes:
       kl: Kullback-Leibler divergence of the last epoch.

@@ -16,11 +16,11 @@ _LOSSES = {
     "value_loss": "Loss / Critic loss",
     "entropy_weight": "Coefficient / Entropy coefficient",
 }
-"""What skrl calls those of `UPDATE` that it reports itself."""
+"""skrl's names of the numbers of `UPDATE` that it reports itself."""
 
 
 class SACLearner(SkrlLearner):
-    """Two critics of actions, which learn from all that is remembered.
+    """Two critics of actions, which learn from a replay memory.
 
     The policy's noise has one standard deviation for all states, as in skrl's own
     examples, so that players act as PPO's do and policies are the same files.
@@ -37,7 +37,7 @@ class SACLearner(SkrlLearner):
             models={"policy": self._policy, **self._critics},
             memory=self._memory,
             device=self._device,
-            cfg=self._config(),
+            cfg=self._configured(self._config()),
             **self._spaces,
         )
 
@@ -65,7 +65,7 @@ class SACLearner(SkrlLearner):
         """Do some gradient steps and return the means of their losses."""
         agent, scaler = self._agent, self._scaler
         held, scaler.is_held = scaler.is_held, True  # Each row counts once.
-        agent.write_interval = 1  # Else skrl tells no losses.
+        agent.write_interval = 1  # Else skrl reports no losses.
         agent.enable_models_training_mode(True)
         agent.update(timestep=0, timesteps=0)
         agent.enable_models_training_mode(False)
@@ -76,7 +76,7 @@ class SACLearner(SkrlLearner):
         return numbers
 
     def _transitions(self, rollout: Rollout) -> dict[str, torch.Tensor]:
-        """Return what skrl remembers, (steps x rows, ...) each."""
+        """Return the columns of the memory, (steps x rows, ...) each."""
         kept = self._tensors(rollout)
         following = kept["observations"][1:].clone()
         # Those of the worlds are of the next episode.
@@ -94,29 +94,22 @@ class SACLearner(SkrlLearner):
         numbers = self._hyperparameters
         # Entropy of a Gaussian of this standard deviation in each component.
         entropy = 0.5 * math.log(2.0 * math.pi * math.e) + math.log(numbers.target_std)
-        config = SAC_CFG(
+        return SAC_CFG(
             gradient_steps=numbers.gradient_steps,
             batch_size=numbers.minibatch_size,
-            discount_factor=numbers.discount,
             polyak=numbers.polyak,
-            learning_rate=numbers.learning_rate,
-            grad_norm_clip=numbers.max_grad_norm,
             # So much that noise grows at first, to a standard deviation of 0.45. With
             # 0.01, Poke's validation after 50,000 steps was -600, not -164.
             initial_entropy_value=0.2,
             target_entropy=entropy * self._spaces["action_space"].shape[0],
-            **self._scaling(),
         )
-        config.experiment.write_interval = 0
-        config.experiment.checkpoint_interval = 0
-        return config
 
 
 class _Memory(RandomMemory):
     """The last transitions, of any number of rows at a time."""
 
     def add(self, columns: dict[str, torch.Tensor]) -> None:
-        """Remember these, (rows, ...) each, in place of the oldest."""
+        """Put columns, (rows, ...) each, in place of the oldest rows."""
         # skrl's own spreads the columns of several rows over different places.
         count, start = len(columns["rewards"]), self.memory_index
         places = torch.arange(start, start + count) % self.memory_size
@@ -126,7 +119,7 @@ class _Memory(RandomMemory):
         self.memory_index = (start + count) % self.memory_size
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what it remembers."""
+        """Return the rows that it holds."""
         held = len(self)
         rows = {name: each[:held].clone() for name, each in self.tensors_view.items()}
         return {"rows": rows, "index": self.memory_index}

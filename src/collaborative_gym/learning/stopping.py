@@ -11,13 +11,12 @@ _ANSWER = b"\nstopping after the current update; Ctrl-C again stops at once\n"
 
 @contextmanager
 def ctrl_c(then: str) -> Iterator[threading.Event]:
-    """Yield what Ctrl-C sets while the context lasts; a second one interrupts.
+    """Yield an event that Ctrl-C sets while the context lasts; a second one interrupts.
 
     An answer comes at once, on standard error, because an update may take a while.
 
     Args:
-      then: how the run is continued. It ends what a `KeyboardInterrupt` says that
-        leaves the context.
+      then: how the run is continued; the end of a `KeyboardInterrupt`'s words.
     """
     pressed = threading.Event()
 

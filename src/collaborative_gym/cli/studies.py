@@ -1,0 +1,239 @@
+"""The commands that compare policies and training runs, and report on them."""
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from collaborative_gym.cli.terminal import (
+    Env,
+    File,
+    Folder,
+    Measured,
+    Policies,
+    check_files,
+    continuing,
+    drawn,
+    progress_bars,
+    put,
+    read_policies,
+    tell,
+)
+
+# Everything else is imported by the command that needs it, so that help is quick.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tournament(Measured):
+    """Let every policy play in every seat with every other, and with itself.
+
+    A seat is a robot; if robots play against one another, it is a side. Players that
+    work together are compared by completion, performance and return; opponents by wins,
+    scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
+    in one folder count as training runs of one kind, with results of their own, unless
+    --groups says which do.
+
+    Attributes:
+      env: environment id, or a task's name.
+      policies: two players or more, each given as for evaluate: expert, expert:late,
+        random, baseline, ego, idle, gripping, frozen, or a path to a policy file or to
+        a training folder. A player may have a policy for each robot, such as
+        robot_1=baseline robot_2=idle.
+      episodes: number of episodes of each pairing.
+      seats: seats that each player takes in turn, while another player has the others:
+        all, or the names of some, which saves games with three robots or more.
+      groups: players that are training runs of one kind, with the kind's name before
+        each, such as gentle=runs/one gentle=runs/two; else those in one folder.
+      output: folder for tournament.json, .csv and .png, and for a file of each pairing.
+        You can stop at any time; the same command continues, also with more players.
+    """
+
+    env: Env
+    policies: Policies
+    episodes: int = 100
+    seats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="all | SEAT ...")] = (
+        "all",
+    )
+    groups: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(
+            metavar="KIND=PLAYER ...", help_behavior_hint="(default: by folder)"
+        ),
+    ] = ()
+    output: Folder = None
+
+    def run(self) -> None:
+        """Print each pairing and the tables, and write the files."""
+        from collaborative_gym.cli.tables import tournament_tables
+        from collaborative_gym.tournaments.picture import draw_tournament
+        from collaborative_gym.tournaments.play import tournament
+
+        names = ("tournament.json", "tournament.csv", "tournament.png")
+        files = [self.output / name for name in names] if self.output else []
+        check_files(*files, self.json)
+        besides = (self.json,)
+        stoppable = continuing() if self.output else nullcontext()
+        with stoppable, progress_bars() as progress:
+            played = tournament(
+                self.task(self.env),
+                read_policies(self.policies),
+                episodes=self.episodes,
+                seed=self.seed,
+                seats=self.seats,
+                groups=self._groups(),
+                num_envs=self.num_envs,
+                num_threads=self.num_threads,
+                any_env=self.any_env,
+                output=self.output,
+                on_pairing=lambda each: tell(each.title, besides=besides),
+                on_progress=progress(self.env),
+            )
+        for table in tournament_tables(played):
+            tell(table, besides=besides)
+            tell("", besides=besides)
+        put(self.json, played.to_json())
+        if files:
+            put(files[0], played.to_json())
+            put(files[1], played.to_csv())
+            but = drawn(draw_tournament, played, files[2])
+            tell(f"wrote {self.output}{but}", besides=besides)
+
+    def _groups(self) -> dict[str, list[str]] | None:
+        """Return the players by kind; None where no kinds are named."""
+        groups: dict[str, list[str]] = {}
+        for word in self.groups:
+            kind, _, player = word.partition("=")
+            if not kind or not player:
+                raise ValueError(
+                    "--groups takes the kind of each training run before its player,"
+                    f" such as gentle=runs/one gentle=runs/two, got {word!r}"
+                )
+            groups.setdefault(kind, []).append(player)
+        return groups or None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Measured):
+    """Write report cards: how good policies are, on a page for each environment.
+
+    A card has completion, performance and time to success with intervals; how gently
+    the arms act: clearance, speeds, torques, energy and changes of action; what each
+    disturbance alone, and all together, change; and who plays how well with whom.
+
+    Attributes:
+      envs: environment ids, or tasks' names.
+      policies: who is reported on, each given as for evaluate.
+      episodes: number of episodes of each policy by itself.
+      disturbed: number of episodes with each of the disturbances; 0 leaves them out.
+      paired: number of episodes of each pairing of the policies and the expert; 0
+        leaves them out.
+      output: folder for the pages, ENV.md with ENV.json and ENV.png.
+    """
+
+    envs: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        tyro.conf.arg(metavar="ENV ...", help_behavior_hint="(required)"),
+    ]
+    policies: Policies = ("expert",)
+    episodes: int = 1000
+    disturbed: int = 100
+    paired: int = 100
+    output: Folder = None
+
+    def run(self) -> None:
+        """Print the cards and write their pages."""
+        from rich.markdown import Markdown
+
+        from collaborative_gym.cards import draw_card, report_card
+        from collaborative_gym.evaluation.table import to_json
+
+        if not self.envs:
+            raise ValueError("name the environments to report on")
+        policies = read_policies(self.policies)
+        tasks = {task.name: task for task in map(self.task, self.envs)}
+        pages = (
+            {}
+            if self.output is None
+            else {name: self.output / f"{name.replace('/', '_')}.md" for name in tasks}
+        )
+        check_files(*pages.values(), self.json)
+        cards, besides = {}, (self.json,)
+        with progress_bars() as progress:
+            for name, task in tasks.items():
+                cards[name] = report_card(
+                    task,
+                    policies,
+                    episodes=self.episodes,
+                    disturbed=self.disturbed,
+                    paired=self.paired,
+                    seed=self.seed,
+                    num_envs=self.num_envs,
+                    num_threads=self.num_threads,
+                    any_env=self.any_env,
+                    on_progress=progress(name),
+                )
+        for card in cards.values():
+            tell(Markdown(card.to_markdown()), besides=besides)
+        put(self.json, to_json({n: card.plain() for n, card in cards.items()}))
+        for name, page in pages.items():
+            card, chart = cards[name], page.with_suffix(".png")
+            put(page.with_suffix(".json"), card.to_json())
+            but = drawn(draw_card, card, chart)
+            put(page, card.to_markdown([] if but else [chart.name]))
+            tell(f"wrote {page}{but}", besides=besides)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare training runs, whatever they differ in, with intervals over seeds.
+
+    It finds the settings in which the runs differ. It prints interquartile means,
+    medians and means of the last validations, the steps and core-seconds to 90 %
+    completion, and how likely a run of one kind beats a run of another kind.
+
+    Attributes:
+      runs: folders of runs, or folders that have runs in them at any depth.
+      measure: measure of the validations, such as return, for curves, profiles and
+        probabilities.
+      output: folder for compare.md, .csv, .json, .svg and .pdf, and marl_eval.json for
+        the package id-marl-eval.
+      json: file for all numbers; - for standard output.
+    """
+
+    runs: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]],
+        tyro.conf.arg(metavar="RUN | FOLDER ...", help_behavior_hint="(required)"),
+    ]
+    measure: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: completion)"),
+    ] = None
+    output: Folder = None
+    json: File = None
+
+    def run(self) -> None:
+        """Print tables and write the files."""
+        from collaborative_gym.cli.tables import comparison_tables
+        from collaborative_gym.comparisons.picture import draw_comparison
+        from collaborative_gym.comparisons.result import compare
+
+        folder = self.output or Path()
+        kinds = () if self.output is None else ("md", "csv", "json", "svg", "pdf")
+        files = {kind: folder / f"compare.{kind}" for kind in kinds}
+        check_files(*files.values(), self.json)
+        compared = compare(self.runs, measure=self.measure)
+        besides = (self.json,)
+        tell(compared.statement, besides=besides)
+        for table in comparison_tables(compared):
+            tell("", besides=besides)
+            tell(table, besides=besides)
+        put(self.json, compared.to_json())
+        if files:
+            put(files["md"], compared.to_markdown())
+            put(files["csv"], compared.to_csv())
+            put(files["json"], compared.to_json())
+            put(folder / "marl_eval.json", compared.to_marl_eval())
+            but = drawn(draw_comparison, compared, files["svg"], files["pdf"])
+            tell(f"\nwrote {folder}{but}", besides=besides)
