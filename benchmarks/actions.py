@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 
 import collaborative_gym as cg
-from collaborative_gym.cli.terminal import tell
+from collaborative_gym.cli.terminal import show
 from collaborative_gym.control import list_modes
 
 WORLDS, ROUNDS, STEPS = 256, 7, 4
@@ -34,9 +34,9 @@ def main() -> None:
     rows = [["environment", *heads], ["---"] + ["--:"] * len(heads)]
     for env_id in options.envs:
         rows.append([env_id, *completions(env_id, options.episodes), *speeds(env_id)])
-        tell(" | ".join(rows[-1]))
+        show(" | ".join(rows[-1]))
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    tell(table)
+    show(table)
     if options.output:
         options.output.write_text(table + "\n")
 

@@ -26,7 +26,7 @@ from rich.table import Table
 import collaborative_gym as cg
 from collaborative_gym.learning.config import Hyperparameters, Resources
 from collaborative_gym.learning.run import Run
-from collaborative_gym.learning.settings import settle
+from collaborative_gym.learning.settings import make_settings
 from collaborative_gym.tasks.registry import make_task
 
 TURNS = 5
@@ -62,7 +62,7 @@ def our_collectors(
 ) -> tuple[float, float]:
     """Return the rates of collecting alone, and of training; 0 for this process."""
     task = make_task(env_id)
-    settings = settle(
+    settings = make_settings(
         task,
         None,
         mode="independent",

@@ -30,7 +30,7 @@ from collaborative_gym.learning.ray_collectors import (
     connect,
 )
 from collaborative_gym.learning.run import Run
-from collaborative_gym.learning.settings import settle
+from collaborative_gym.learning.settings import make_settings
 from collaborative_gym.learning.team import make_learners
 from collaborative_gym.tasks import registry
 from collaborative_gym.tasks.registry import as_task
@@ -75,7 +75,7 @@ def make(carry, tiny, undrawn, tmp_path):
 
     def make(count=2, task=None, address=None):
         task = task or carry()
-        settings = settle(
+        settings = make_settings(
             task,
             None,
             mode="collaborative",

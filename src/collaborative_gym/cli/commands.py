@@ -24,7 +24,7 @@ from collaborative_gym.cli.terminal import (
     put,
     read_policies,
     read_policy,
-    tell,
+    show,
     warn,
 )
 from collaborative_gym.tasks.task import Task
@@ -48,8 +48,8 @@ class List(Command):
         from collaborative_gym import list_robots, list_tasks
         from collaborative_gym.cli.environments import environments_table
 
-        tell(environments_table(self.sizes))
-        tell(
+        show(environments_table(self.sizes))
+        show(
             f"\nAny robots ({', '.join(list_robots())}) go into any task"
             f" ({', '.join(list_tasks())}):\n"
             "  collaborative-gym record Lift --robots panda jaco --output lift.mp4"
@@ -118,7 +118,7 @@ class Record(Played, _Policy):
                 size=None if self.size == OWN_SIZE else self.size,
                 on_progress=progress(self.env),
             )
-        tell(f"wrote {self.output}")
+        show(f"wrote {self.output}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +154,7 @@ class Evaluate(Measured, _Policy):
             names = [task.name for task in tasks]
             without = [each for each in names if named - {*shipped_kinds(each)}]
             tasks = [task for task in tasks if task.name not in without]
-            tell(
+            show(
                 f"left out, as they have no {' or no '.join(sorted(named))}:"
                 f" {', '.join(without)}",
                 besides=(self.json, self.csv),
@@ -178,8 +178,8 @@ class Evaluate(Measured, _Policy):
         delay = f", delay {self.delay}" if self.delay else ""
         action = f", action {self.action}" if self.action else ""
         title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
-        tell(reports_table(reports, title), besides=(self.json, self.csv))
-        tell(strain_table(reports), besides=(self.json, self.csv))
+        show(reports_table(reports, title), besides=(self.json, self.csv))
+        show(strain_table(reports), besides=(self.json, self.csv))
         put(self.json, report.reports_to_json(reports))
         put(self.csv, report.reports_to_csv(reports))
 
@@ -237,10 +237,10 @@ class Reproduce:
                 num_threads=self.num_threads,
                 on_progress=progress("table11"),
             )
-        tell(table11_table(table11))
+        show(table11_table(table11))
         write_text(markdown, table11.to_markdown())
         write_text(json, table11.to_json())
-        tell(f"wrote {markdown} and {json}\n{table11.verdict}")
+        show(f"wrote {markdown} and {json}\n{table11.verdict}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +270,7 @@ class Certify(Worlds):
     budget: Annotated[Budget, tyro.conf.arg(name="")] = field(default_factory=Budget)
 
     def run(self) -> None:
-        """Tell each trial, print a table and write the files."""
+        """Print each trial and the table, and write the files."""
         from collaborative_gym.certificate.certify import certify
         from collaborative_gym.certificate.report import certificates_to_markdown
         from collaborative_gym.cli.tables import certificates_table
@@ -285,22 +285,22 @@ class Certify(Worlds):
         with continuing(), progress_bars() as progress:
             for task in tasks:
                 name = task.name
-                tell(f"{name}: each arm in turn is still; each trial prints a line")
+                show(f"{name}: each arm in turn is still; each trial prints a line")
                 certificate = certify(
                     task,
                     budget=QUICK if self.quick else self.budget,
                     seed=self.seed,
                     output=self.output / name.replace("/", "-"),
                     num_threads=self.num_threads,
-                    on_trial=lambda trial, name=name: tell(f"{name}, {trial.title}"),
+                    on_trial=lambda trial, name=name: show(f"{name}, {trial.title}"),
                     on_progress=progress(name),
                 )
                 certificates.append(certificate)
                 write_text(markdown, certificates_to_markdown(certificates))
-        tell(certificates_table(certificates))
+        show(certificates_table(certificates))
         for certificate in certificates:
-            tell(certificate.statement)
-        tell(f"wrote {markdown}")
+            show(certificate.statement)
+        show(f"wrote {markdown}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,7 +333,7 @@ class Benchmark(Command):
                 num_threads=self.num_threads,
                 on_progress=progress("benchmark"),
             )
-        tell(benchmark_table(measured), besides=(self.json,))
+        show(benchmark_table(measured), besides=(self.json,))
         put(self.json, measured.to_json())
 
 
@@ -364,7 +364,7 @@ class View(Played, _Policy):
 
         view(
             self.task(self.env),
-            tell,
+            show,
             warn=warn,
             policy=read_policy(self.policy),
             any_env=self.any_env,
@@ -391,7 +391,7 @@ class Demo:
     episodes: int = 32
 
     def run(self) -> None:
-        """Tell each file once it is written, then the tables and how to watch."""
+        """Print each file once it is written, then the tables and how to watch."""
         from collaborative_gym.cli import demo
         from collaborative_gym.cli.tables import reports_table, table11_table
         from collaborative_gym.errors import check_count
@@ -402,7 +402,7 @@ class Demo:
         files = self.output / "table11.json", self.output / "table11.md"
         check_files(*files)
         self._draw()
-        tell(
+        show(
             f"now it measures {self.episodes} episodes of each baseline, of each expert"
             " and of random actions; that takes about a minute, and Ctrl-C ends it"
         )
@@ -416,10 +416,10 @@ class Demo:
         columns = (each.reports for each in table11.comparisons)
         own = [each["ours_on_default"] for each in columns if "ours_on_default" in each]
         if own:
-            tell(reports_table(own))
-        tell(table11_table(table11))
-        tell(table11.verdict)
-        tell(
+            show(reports_table(own))
+        show(table11_table(table11))
+        show(table11.verdict)
+        show(
             f"The pictures, films and numbers are in {self.output}/. To play all 200"
             f" episodes of the thesis:\n  {demo.program()} reproduce table11\n"
             "To watch robots in the browser:\n"
@@ -432,14 +432,14 @@ class Demo:
         from collaborative_gym.cli import demo
         from collaborative_gym.pictures import recording
 
-        tell(
+        show(
             "a picture of every environment comes first, after some seconds, then a"
             " film of each, after about a minute, then a table beside the thesis's"
         )
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
-            tell(f"no films and pictures can be made: {error}")
+            show(f"no films and pictures can be made: {error}")
             return
         for path in demo.draw(self.output):
-            tell(f"wrote {path}")
+            show(f"wrote {path}")

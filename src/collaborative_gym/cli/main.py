@@ -27,7 +27,7 @@ from collaborative_gym.cli.commands import (
     View,
 )
 from collaborative_gym.cli.studies import Compare, Report, Tournament
-from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, tell
+from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, show
 from collaborative_gym.cli.train import BriefTrain, Train
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
@@ -95,7 +95,7 @@ _INSTEAD = {
 
 _DESCRIPTION = """Robot arms that must work together: watch, train, measure.
 
-COMMAND --help tells the options of a command; --version tells which version this is."""
+COMMAND --help lists the options of a command; --version shows the version."""
 
 
 class _Terminated(BaseException):
@@ -121,7 +121,7 @@ def _heeding_sigterm() -> Iterator[None]:
 
 def _run(arguments: list[str]) -> None:
     if arguments == ["--version"]:
-        tell(f"collaborative-gym {version('collaborative-gym')}")
+        show(f"collaborative-gym {version('collaborative-gym')}")
         return
     verb = arguments[0] if arguments else ""
     for word in arguments:
@@ -170,7 +170,7 @@ def _run(arguments: list[str]) -> None:
 
 
 def _fail(error: Exception) -> int:
-    """Tell what is wrong, and where in a user's file; raise if it is our own bug."""
+    """Print what is wrong, and where in a user's file; raise if it is our own bug."""
     cannot = isinstance(error, _CANNOT_BE_DONE) and not isinstance(error, _BAD)
     location, words = location_of(error), str(error)
     if isinstance(error, OSError) and error.errno is not None:

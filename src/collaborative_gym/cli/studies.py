@@ -19,7 +19,7 @@ from collaborative_gym.cli.terminal import (
     progress_bars,
     put,
     read_policies,
-    tell,
+    show,
 )
 
 # Everything else is imported by the command that needs it, so that help is quick.
@@ -87,18 +87,18 @@ class Tournament(Measured):
                 num_threads=self.num_threads,
                 any_env=self.any_env,
                 output=self.output,
-                on_pairing=lambda each: tell(each.title, besides=besides),
+                on_pairing=lambda each: show(each.title, besides=besides),
                 on_progress=progress(self.env),
             )
         for table in tournament_tables(played):
-            tell(table, besides=besides)
-            tell("", besides=besides)
+            show(table, besides=besides)
+            show("", besides=besides)
         put(self.json, played.to_json())
         if files:
             put(files[0], played.to_json())
             put(files[1], played.to_csv())
             but = drawn(draw_tournament, played, files[2])
-            tell(f"wrote {self.output}{but}", besides=besides)
+            show(f"wrote {self.output}{but}", besides=besides)
 
     def _groups(self) -> dict[str, list[str]] | None:
         """Return the players by kind; None where no kinds are named."""
@@ -175,14 +175,14 @@ class Report(Measured):
                     on_progress=progress(name),
                 )
         for card in cards.values():
-            tell(Markdown(card.to_markdown()), besides=besides)
+            show(Markdown(card.to_markdown()), besides=besides)
         put(self.json, to_json({n: card.plain() for n, card in cards.items()}))
         for name, page in pages.items():
             card, chart = cards[name], page.with_suffix(".png")
             put(page.with_suffix(".json"), card.to_json())
             but = drawn(draw_card, card, chart)
             put(page, card.to_markdown([] if but else [chart.name]))
-            tell(f"wrote {page}{but}", besides=besides)
+            show(f"wrote {page}{but}", besides=besides)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,10 +225,10 @@ class Compare:
         check_files(*files.values(), self.json)
         compared = compare(self.runs, measure=self.measure)
         besides = (self.json,)
-        tell(compared.statement, besides=besides)
+        show(compared.statement, besides=besides)
         for table in comparison_tables(compared):
-            tell("", besides=besides)
-            tell(table, besides=besides)
+            show("", besides=besides)
+            show(table, besides=besides)
         put(self.json, compared.to_json())
         if files:
             put(files["md"], compared.to_markdown())
@@ -236,4 +236,4 @@ class Compare:
             put(files["json"], compared.to_json())
             put(folder / "marl_eval.json", compared.to_marl_eval())
             but = drawn(draw_comparison, compared, files["svg"], files["pdf"])
-            tell(f"\nwrote {folder}{but}", besides=besides)
+            show(f"\nwrote {folder}{but}", besides=besides)

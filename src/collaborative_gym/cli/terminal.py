@@ -332,7 +332,7 @@ def new_table(
     return table
 
 
-def tell(
+def show(
     content: "Table | Markdown | str", *, besides: Sequence[Path | None] = ()
 ) -> None:
     """Print a table, a page or a text on standard output.
@@ -357,7 +357,7 @@ def warn(text: str) -> None:
 
 @contextmanager
 def continuing() -> Iterator[None]:
-    """Tell after Ctrl-C that the same command continues what was done in the context.
+    """Say after Ctrl-C that the same command continues what was done in the context.
 
     Raises:
       KeyboardInterrupt: the same, with words for the user.
@@ -372,7 +372,7 @@ def continuing() -> Iterator[None]:
 def progress_bars() -> Iterator[Progress]:
     """Show progress bars below one another while the context lasts.
 
-    Where there is no terminal, lines tell the progress instead.
+    Where there is no terminal, lines show the progress instead.
     """
     console = Console(stderr=True)
     if not console.is_terminal:

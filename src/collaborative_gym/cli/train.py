@@ -17,7 +17,7 @@ from collaborative_gym.cli.terminal import (
     Folder,
     Robots,
     chosen_task,
-    tell,
+    show,
 )
 from collaborative_gym.errors import check_count
 from collaborative_gym.learning.config import (
@@ -165,11 +165,11 @@ class Train(Command):
         total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
         trained = math.ceil(total / update) * update
         if trained > 1.01 * total:
-            tell(
+            show(
                 f"trained {trained:,} steps, not {total:,}: an update takes {update:,}"
                 " steps, which are --num-envs times --rollout-steps"
             )
-        tell(f"wrote {result.folder / 'policy.safetensors'}")
+        show(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters]:
         """Return the environment and how to learn; a run that goes on knows its own."""
@@ -218,7 +218,7 @@ class Train(Command):
         }
 
     def _train_several(self) -> None:
-        """Train several runs, and tell at the end which failed."""
+        """Train several runs, and name those that failed at the end."""
         for option, other in (("seed", "--seeds"), ("resume", "the same command")):
             if getattr(self, option) is not None:
                 raise ValueError(f"--{option} is for one run; give {other} instead")
@@ -230,8 +230,8 @@ class Train(Command):
         outcomes = self._finish(self.envs, modes, (0,), Path("runs"))
         for outcome in outcomes:
             if outcome.result is not None:
-                tell(f"wrote {outcome.folder}")
-        _tell_failures(outcomes)
+                show(f"wrote {outcome.folder}")
+        _raise_failures(outcomes)
 
     def _train_all(self) -> None:
         """Train all baselines, and write their cards."""
@@ -250,8 +250,8 @@ class Train(Command):
         for env in envs:
             runs = [each for each in results if each.settings.identity.name == env]
             if runs:
-                tell(f"wrote {write_baseline(runs, output, self.resources)}")
-        _tell_failures(outcomes)
+                show(f"wrote {write_baseline(runs, output, self.resources)}")
+        _raise_failures(outcomes)
 
     def _finish(
         self,
@@ -297,12 +297,12 @@ class BriefTrain(Train):
         return text
 
 
-def _tell_failures(outcomes: "Sequence[Outcome]") -> None:
-    """Raise what tells which runs failed, if any did."""
+def _raise_failures(outcomes: "Sequence[Outcome]") -> None:
+    """Raise an error that names the runs that failed, if any did."""
     failed = [each for each in outcomes if each.result is None]
     if failed:
-        told = "".join(f"\n{each.folder}: {each.reason}" for each in failed)
-        raise RuntimeError(f"{len(failed)} of {len(outcomes)} runs failed:{told}")
+        listed = "".join(f"\n{each.folder}: {each.reason}" for each in failed)
+        raise RuntimeError(f"{len(failed)} of {len(outcomes)} runs failed:{listed}")
 
 
 def read_seeds(words: Sequence[str]) -> tuple[int, ...]:

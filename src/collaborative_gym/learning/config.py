@@ -109,7 +109,7 @@ class Hyperparameters:
         arm or with fixed things, and of loose things above 1 mm. Measuring it makes
         collecting about a quarter slower.
       miss_penalty: price of each control step in which the goal is not met, for tasks
-        whose reward hardly tells the goal from what is near it.
+        whose reward is nearly the same beside the goal.
       range_penalty: price of joints at the ends of their ranges, from the beginning. In
         each control step a robot pays this times the mean square of how far its joints
         are in the outer tenth of their ranges.
@@ -322,7 +322,7 @@ _EXACT: Mapping[str, Any] = {
     "quiet_share": 1.0,
     "miss_penalty": 0.3,
 }
-"""Balance's reward hardly tells a ball on the mark from one beside it, and noise rolls
+"""Balance's reward is nearly the same for a ball beside the mark, and noise rolls
 it there. A price, and noise that shrinks from the first step on, make policies that
 need no noise for it."""
 

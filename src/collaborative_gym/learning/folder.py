@@ -49,13 +49,10 @@ def claimed(folder: Path, wanted: str | None = None) -> Iterator[None]:
         descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         _lock(descriptor, folder)
-        partials = [
-            partial
-            for name in (*_FILES, POLICY_FILE)
-            for partial in folder.glob(f".{Path(name).stem}.*.partial")
-        ]
-        players = (folder / player_file("")).parent
-        for partial in (*partials, *players.glob(".*.partial")):
+        for name in (*_FILES, POLICY_FILE):
+            for partial in folder.glob(f".{Path(name).stem}.*.partial"):
+                rmtree(partial, ignore_errors=True)
+        for partial in (folder / player_file("")).parent.glob(".*.partial"):
             rmtree(partial, ignore_errors=True)
         yield
     finally:

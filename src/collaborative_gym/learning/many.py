@@ -28,7 +28,7 @@ from collaborative_gym.learning.config import Mode, Resources, recipe
 from collaborative_gym.learning.display import ManyDisplay
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
-from collaborative_gym.learning.settings import Options, check_options, settle
+from collaborative_gym.learning.settings import Options, check_options, make_settings
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
@@ -144,9 +144,9 @@ def train_all(
         numbers = recipe(task.name, algorithm, advised=advised, changes=changes)
         for mode in (None,) if modes is None else _several("mode", modes):
             own = {"mode": mode, "hyperparameters": numbers, **options}
-            settled = settle(task, **own)
+            common = make_settings(task, **own)
             for seed in _several("seed", seeds):
-                settings = replace(settled, seed=check_run_seed(seed))
+                settings = replace(common, seed=check_run_seed(seed))
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
@@ -239,7 +239,7 @@ class _Crew:
                 process = subprocess.Popen(
                     _COMMAND, stdin=pipe, stdout=pipe, stderr=said, process_group=0
                 )
-                # It may be gone already; what it said tells why.
+                # It may be gone already; its last words say why.
                 stack.enter_context(suppress(BrokenPipeError))
                 stack.enter_context(process)
                 self._under_way.append(process)
@@ -273,7 +273,7 @@ def _several(kind: str, given: Any) -> Sequence[Any]:
 
 def train_one() -> None:
     """Train the run that standard input describes, until it is done or input ends."""
-    # A parent may have told its children to ignore it.
+    # A parent may have made its children ignore it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # What prints on standard output must not come between the messages.
     out = os.fdopen(os.dup(1), "wb")

@@ -197,7 +197,9 @@ class Settings:
         return cls(**{**content, **own})
 
 
-def settle(task: Task, started: Settings | None = None, **asked: Any) -> Settings:
+def make_settings(
+    task: Task, started: Settings | None = None, **asked: Any
+) -> Settings:
     """Return the settings of a run; what is None stays as it was, or is as usual.
 
     Args:

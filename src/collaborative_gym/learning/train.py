@@ -29,7 +29,7 @@ from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
-from collaborative_gym.learning.settings import Options, check_options, settle
+from collaborative_gym.learning.settings import Options, check_options, make_settings
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.tasks.registry import as_task, make_task
 from collaborative_gym.tasks.task import Randomization, Task
@@ -99,7 +99,7 @@ def train(
             stack.enter_context(claimed(folder, LAST))
             started = Checkpoint.load(folder / LAST)
         task = _task(env, started)
-        settings = settle(
+        settings = make_settings(
             task,
             None if started is None else started.settings,
             mode=mode,
