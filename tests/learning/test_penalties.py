@@ -7,10 +7,10 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.learning.config import PRICES
+from collaborative_gym.learning.config import PENALTIES
 from collaborative_gym.learning.penalties import Penalties
 
-FREE = dict.fromkeys(PRICES, 0.0)
+FREE = dict.fromkeys(PENALTIES, 0.0)
 
 
 @pytest.fixture

@@ -11,7 +11,12 @@ import torch
 import collaborative_gym as cg
 from collaborative_gym.learning import run as running
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.config import MODES, PRICES, Hyperparameters, Resources
+from collaborative_gym.learning.config import (
+    MODES,
+    PENALTIES,
+    Hyperparameters,
+    Resources,
+)
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.rng import training_seed, validation_seed
@@ -443,7 +448,7 @@ def test_the_best_is_the_best_validated(train_tiny, tiny, tmp_path, monkeypatch)
         return report
 
     monkeypatch.setattr(running, "evaluate", as_given)
-    numbers = tiny(validation_interval=32, **dict.fromkeys(PRICES, 0.0))
+    numbers = tiny(validation_interval=32, **dict.fromkeys(PENALTIES, 0.0))
     result = train_tiny(hyperparameters=numbers)
     assert result.best["validation/return"] == 3.0
     assert result.best["steps"] == 64

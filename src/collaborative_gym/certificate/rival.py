@@ -7,7 +7,7 @@ from typing import Any
 
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.envs.state import EnvState
-from collaborative_gym.learning.config import FAULTS, PRICES, Resources, recipe
+from collaborative_gym.learning.config import FAULTS, PENALTIES, Resources, recipe
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.math import array_namespace
 from collaborative_gym.policies.network import NetworkPolicy
@@ -66,7 +66,7 @@ def train_rival(
     steps = budget.ppo_steps
     hyperparameters = replace(
         recipe(task.name),
-        **dict.fromkeys((*PRICES, *FAULTS), 0.0),
+        **dict.fromkeys((*PENALTIES, *FAULTS), 0.0),
         total_steps=steps,
         assistance=0.0,
         validation_interval=max(1, steps // 8),

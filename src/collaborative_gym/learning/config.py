@@ -34,7 +34,7 @@ Algorithm = Literal["ppo", "sac"]
 Activation = Literal["relu", "elu", "tanh"]
 """The function between a network's layers."""
 
-PRICES = (
+PENALTIES = (
     "torque_penalty",
     "contact_penalty",
     "miss_penalty",
@@ -81,8 +81,8 @@ class Hyperparameters:
       polyak: SAC: how far the target critics follow the critics in a gradient step
         (0.005 in Haarnoja et al.).
       target_std: SAC: the weight of the entropy is learned so that actions have the
-        entropy of a Gaussian with this standard deviation in each component. (The -1
-        of Haarnoja et al. in each component is 0.09.)
+        entropy of a Gaussian with this standard deviation in each component. (The -1 of
+        Haarnoja et al. in each component is 0.09.)
       initial_std: standard deviation of the first actions.
       initial_grip_std: standard deviation of their grip component.
       final_noise: PPO: share of this noise at the end. The noise shrinks after each
@@ -98,25 +98,25 @@ class Hyperparameters:
       assistance: share of the weight of loose things that the simulator carries at
         first. It falls by 0.01 after each rollout in which half of the episodes are
         completed. Validations have none.
-      torque_penalty: price of torque. In each control step a robot pays this times the
-        mean square of the torque that its servos ask for, as a share of their limits;
-        beyond a limit the price grows linearly. No reported return contains penalties.
-        The penalties of torque, contacts and missed goals, late actions and failing
-        grips begin at zero. They grow by 2 % after each rollout in which half of the
-        episodes are completed.
-      contact_penalty: price of contacts. In each control step all robots pay this for
+      torque_penalty: penalty of torque. In each control step a robot pays this times
+        the mean square of the torque that its servos ask for, as a share of their
+        limits; beyond a limit the penalty grows linearly. No reported return contains
+        penalties. The penalties of torque, contacts and missed goals, late actions and
+        failing grips begin at zero. They grow by 2 % after each rollout in which half
+        of the episodes are completed.
+      contact_penalty: penalty of contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm: contacts of an arm with another
         arm or with fixed things, and of loose things above 1 mm. Measuring it makes
         collecting about a quarter slower.
-      miss_penalty: price of each control step in which the goal is not met, for tasks
+      miss_penalty: penalty of each control step in which the goal is not met, for tasks
         whose reward is nearly the same beside the goal.
-      range_penalty: price of joints at the ends of their ranges, from the beginning. In
-        each control step a robot pays this times the mean square of how far its joints
-        are in the outer tenth of their ranges.
-      action_penalty: PPO: price of actions, from the beginning. The loss has this times
-        the mean square of the policy's mean actions, without grips. A joint at its
-        torque limit moves no less if the policy asks for less, so rewards do not teach
-        that it asks for too much.
+      range_penalty: penalty of joints at the ends of their ranges, from the beginning.
+        In each control step a robot pays this times the mean square of how far its
+        joints are in the outer tenth of their ranges.
+      action_penalty: PPO: penalty of actions, from the beginning. The loss has this
+        times the mean square of the policy's mean actions, without grips. A joint at
+        its torque limit moves no less if the policy asks for less, so rewards do not
+        teach that it asks for too much.
       imitation: PPO: weight of the scripted expert's advice. The loss has this times
         the mean square of the difference between the policy's mean actions and the
         expert's in these worlds (as in Kickstarting, Schmitt et al. 2018, arXiv
@@ -151,8 +151,8 @@ class Hyperparameters:
       league_most_steps: number of steps after which a member leaves a copy in any case
         (our choice; AlphaStar's is 4e9).
       league_reset: how likely the league exploiter begins anew after a copy (0.25).
-      league_fresh: how likely a member that begins anew has the networks with which
-        the run began, and not main's (our choice).
+      league_fresh: how likely a member that begins anew has the networks with which the
+        run began, and not main's (our choice).
       league_decay: factor by which a game counts less after each later game of the same
         two (0.99).
       hidden_sizes: widths of the hidden layers of policies and critics.
@@ -289,7 +289,7 @@ _GENTLE: Mapping[str, Any] = {
     "range_penalty": 1.0,
     "delayed": 0.5,
 }
-"""Prices that make robots gentle, and late actions that make them sturdy."""
+"""Penalties that make robots gentle, and late actions that make them sturdy."""
 
 _OFTEN: Mapping[str, Any] = {"num_envs": 128}
 """Half of the worlds give twice as many updates, each of which moves the policy as far
@@ -322,9 +322,9 @@ _EXACT: Mapping[str, Any] = {
     "quiet_share": 1.0,
     "miss_penalty": 0.3,
 }
-"""Balance's reward is nearly the same for a ball beside the mark, and noise rolls
-it there. A price, and noise that shrinks from the first step on, make policies that
-need no noise for it."""
+"""Balance's reward is nearly the same for a ball beside the mark, and noise rolls it
+there. A penalty, and noise that shrinks from the first step on, make policies that need
+no noise for it."""
 
 _LIFT: Mapping[str, Any] = {
     "initial_std": 0.15,
@@ -335,7 +335,7 @@ _LIFT: Mapping[str, Any] = {
 }
 """More noise drops the pot, less does not lift it, and with an assistance of 0.5 one of
 two seeds did not either. Arms that ask for far more torque than they have do not learn;
-hence the price of actions."""
+hence the penalty of actions."""
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},

@@ -212,14 +212,14 @@ class Policy(GaussianMixin, Model):
         return self.actor(inputs["observations"]), {"log_std": self.actor.log_std}
 
     def get_entropy(self, *, role: str = "") -> torch.Tensor:
-        """Return the term that PPO's loss rewards: entropy, less action prices."""
+        """Return the term that PPO's loss rewards: entropy, less penalties."""
         means = self.distribution(role=role).mean
         arms = means[:, ~self.actor.is_grip]
-        price = self._action_penalty * arms.square().mean(dim=1, keepdim=True)
+        penalty = self._action_penalty * arms.square().mean(dim=1, keepdim=True)
         if self.imitation:
             missed = (means - self._advice).nan_to_num().square()
-            price = price + self.imitation * missed.mean(dim=1, keepdim=True)
-        return self._entropy * super().get_entropy(role=role) - price
+            penalty = penalty + self.imitation * missed.mean(dim=1, keepdim=True)
+        return self._entropy * super().get_entropy(role=role) - penalty
 
 
 class Critic(DeterministicMixin, Model):

@@ -30,11 +30,11 @@ class Penalties:
 
     Args:
       env: the worlds, which measure strain if contacts are charged.
-      hyperparameters: the prices.
+      hyperparameters: the penalties' weights.
     """
 
     def __init__(self, env: VectorEnv, hyperparameters: Hyperparameters):
-        self._env, self._prices = env, hyperparameters
+        self._env, self._numbers = env, hyperparameters
 
     def charge(
         self,
@@ -50,21 +50,21 @@ class Penalties:
           share: of the costs that is charged. That of joints is always charged whole:
             arms that come to the ends of their ranges while they learn stay there.
         """
-        prices, charged = self._prices, dict(rewards)
-        contact = prices.contact_penalty
+        numbers, charged = self._numbers, dict(rewards)
+        contact = numbers.contact_penalty
         deep = contact * self._depth() if share and contact else 0.0
         for agent in charged:
-            if prices.range_penalty:
-                cost = prices.range_penalty * self._ends(agent)
+            if numbers.range_penalty:
+                cost = numbers.range_penalty * self._ends(agent)
                 charged[agent] = charged[agent] - cost
             if not share:
                 continue
-            if prices.torque_penalty:
-                cost = share * prices.torque_penalty * self._torque(agent)
+            if numbers.torque_penalty:
+                cost = share * numbers.torque_penalty * self._torque(agent)
                 charged[agent] = charged[agent] - cost
-            if prices.miss_penalty:
+            if numbers.miss_penalty:
                 missed = ~self._met(agent, success)
-                charged[agent] = charged[agent] - share * prices.miss_penalty * missed
+                charged[agent] = charged[agent] - share * numbers.miss_penalty * missed
             charged[agent] = charged[agent] - share * deep
         return charged
 

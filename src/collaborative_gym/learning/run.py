@@ -16,7 +16,7 @@ from collaborative_gym.learning.assistance import Assistance
 from collaborative_gym.learning.casting import LEAGUE, SELF, Casting
 from collaborative_gym.learning.checkpoint import Checkpoint
 from collaborative_gym.learning.collector import Collected, Collector, Job
-from collaborative_gym.learning.config import PRICES, Resources
+from collaborative_gym.learning.config import PENALTIES, Resources
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.learner import SkrlLearner
 from collaborative_gym.learning.monitor import Monitor, means_of, summarize
@@ -368,7 +368,7 @@ class Run:
         """
         if "validation/points" in row:
             return row["validation/points"], row["validation/return"]
-        if not any(getattr(self._hyperparameters, name) for name in PRICES):
+        if not any(getattr(self._hyperparameters, name) for name in PENALTIES):
             return (row["validation/return"],)
         shares = row["validation/completion"], row["validation/performance"]
         return *(round(share, 2) for share in shares), row["steps"]
