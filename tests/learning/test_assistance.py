@@ -20,7 +20,7 @@ def fallen(env, assistance):
     env.reset(seed=0)
     env.scene.place(env.sim, [0], name="pot", position=np.array([0.0, 0.0, 2.5]))
     for _ in range(2):
-        assistance.carry(env)
+        assistance.lift(env)
         env.step(env.idle())
     return 2.5 - env.facts.pot[0][0, 2]
 
@@ -37,7 +37,7 @@ def test_what_was_carried_falls_when_the_share_is_gone(env):
     fallen(env, assistance)
     assert env.sim.xfrc_applied.any()
     assistance.share = 0.0
-    assistance.carry(env)
+    assistance.lift(env)
     assert not env.sim.xfrc_applied.any()
 
 

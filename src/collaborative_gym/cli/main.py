@@ -145,17 +145,8 @@ def _run(arguments: list[str]) -> None:
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
-        # Each command has the first line of its help.
-        kinds = [
-            Annotated[
-                kind, tyro.conf.subcommand(verb, description=doc.partition("\n")[0])
-            ]
-            for verb, kind in _VERBS.items()
-            if (doc := kind.__doc__)
-        ]
-        any_kind: Any = functools.reduce(operator.or_, kinds)
         command = tyro.cli(
-            any_kind,
+            _any_command(),
             prog="collaborative-gym",
             description=_DESCRIPTION,
             args=arguments,
@@ -167,6 +158,16 @@ def _run(arguments: list[str]) -> None:
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _any_command() -> Any:
+    """Return the union of the commands, each with the first line of its help."""
+    kinds = [
+        Annotated[kind, tyro.conf.subcommand(verb, description=doc.partition("\n")[0])]
+        for verb, kind in _VERBS.items()
+        if (doc := kind.__doc__)
+    ]
+    return functools.reduce(operator.or_, kinds)
 
 
 def _fail(error: Exception) -> int:

@@ -62,20 +62,7 @@ def write_baseline(
     for name, suffix in ((POLICY_FILE, ".safetensors"), (CURVE, ".png")):
         with replacing(output / f"{env_id}{suffix}") as partial:
             shutil.copyfile(best.folder / name, partial)
-    reports = [
-        {
-            starts: evaluate(
-                make_task(env_id, randomization=starts.partition(",")[0]),
-                result.policy(),
-                episodes=episodes,
-                seed=_SEED,
-                delay=int(starts.endswith("late")),
-                num_threads=resources.num_threads,
-            )
-            for starts, episodes in _EPISODES.items()
-        }
-        for result in results
-    ]
+    reports = [_measure(env_id, each, resources) for each in results]
     rows = [
         _row(result, starts, report, result is best)
         for result, own in zip(results, reports, strict=True)
@@ -93,6 +80,20 @@ def write_baseline(
     card = output / f"{env_id}.md"
     write_text(card, "\n".join(lines) + "\n")
     return card
+
+
+def _measure(env_id: str, result: Result, resources: Resources) -> dict[str, Report]:
+    return {
+        starts: evaluate(
+            make_task(env_id, randomization=starts.partition(",")[0]),
+            result.policy(),
+            episodes=episodes,
+            seed=_SEED,
+            delay=int(starts.endswith("late")),
+            num_threads=resources.num_threads,
+        )
+        for starts, episodes in _EPISODES.items()
+    }
 
 
 def _rank(env_id: str, result: Result, resources: Resources) -> tuple[float, ...]:

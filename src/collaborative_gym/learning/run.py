@@ -105,16 +105,7 @@ class Run:
         self._before = started.seconds if started else 0.0
         self._collectors = _make_collectors(task, settings, resources, self._casting)
         try:
-            self._learners: dict[str, SkrlLearner] = {
-                each.name: _LEARNERS[settings.algorithm](
-                    each,
-                    settings.layout,
-                    settings.hyperparameters,
-                    resources.device,
-                    self._casting,
-                )
-                for each in settings.learners(task)
-            }
+            self._learners = self._make_learners(resources.device)
             if started is None and settings.start_from:
                 policy = first_policy(settings, task)
                 for learner in self._learners.values():
@@ -239,6 +230,15 @@ class Run:
             self._monitor.close()
         finally:
             self._collectors.close()
+
+    def _make_learners(self, device: str) -> dict[str, SkrlLearner]:
+        settings = self._settings
+        learns, layout = _LEARNERS[settings.algorithm], settings.layout
+        numbers, casting = settings.hyperparameters, self._casting
+        return {
+            each.name: learns(each, layout, numbers, device, casting)
+            for each in settings.learners(self._task)
+        }
 
     def _make_pool(self) -> Pool:
         settings, casting = self._settings, self._casting

@@ -215,18 +215,7 @@ def make_settings(
       ValueError: if something is unknown or out of range, the robots do not fit the
         mode, or a run cannot go on with other settings; says what differs.
     """
-    asked = {name: value for name, value in asked.items() if value is not None}
-    if "hyperparameters" in asked:
-        kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
-        given = asked["hyperparameters"]
-        check_kind("hyperparameters", given, Hyperparameters, kind)
-    for name in ("opponent", "partner"):
-        if name in asked:
-            asked[f"{name}s"] = _words(name, asked.pop(name))
-    if "start_from" in asked:
-        check_kind("start_from", asked["start_from"], (str, Path), "a policy's name")
-        asked["start_from"] = str(asked["start_from"])
-        check_name("start_from", asked["start_from"])
+    asked = _plain({n: value for n, value in asked.items() if value is not None})
     kept = {} if started is None else vars(started)
     asked = {"algorithm": "ppo", "seed": 0, "backend": "skrl"} | kept | asked
     if len(task.sides) > 1:
@@ -247,13 +236,7 @@ def make_settings(
     else:
         check_company(numbers, settings.opponents, settings.partners)
         if settings.start_from:
-            first = first_policy(settings, task)
-            start = {
-                "digest": first.digest,
-                "environment": first.identity.name,
-                "randomization": first.identity.config["randomization"],
-                "metadata": first.metadata,
-            }
+            start = _remembered(first_policy(settings, task))
             settings = replace(settings, start=start)
     unused = [name for name in numbers if name in foreign(settings.algorithm)]
     if unused:
@@ -262,6 +245,32 @@ def make_settings(
             " another algorithm alone uses"
         )
     return settings
+
+
+def _plain(asked: dict[str, Any]) -> dict[str, Any]:
+    """Return what is asked for, checked and by the names of `Settings`."""
+    if "hyperparameters" in asked:
+        kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
+        given = asked["hyperparameters"]
+        check_kind("hyperparameters", given, Hyperparameters, kind)
+    for name in ("opponent", "partner"):
+        if name in asked:
+            asked[f"{name}s"] = _words(name, asked.pop(name))
+    if "start_from" in asked:
+        check_kind("start_from", asked["start_from"], (str, Path), "a policy's name")
+        asked["start_from"] = str(asked["start_from"])
+        check_name("start_from", asked["start_from"])
+    return asked
+
+
+def _remembered(first: NetworkPolicy) -> dict[str, Any]:
+    """Return the `start` of a run that begins with a policy."""
+    return {
+        "digest": first.digest,
+        "environment": first.identity.name,
+        "randomization": first.identity.config["randomization"],
+        "metadata": first.metadata,
+    }
 
 
 def first_policy(settings: Settings, task: Task) -> NetworkPolicy:

@@ -93,11 +93,7 @@ def train(
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
-        folder = started = None
-        if resume is not None:
-            folder = _folder("resume", resume)
-            stack.enter_context(claimed(folder, LAST))
-            started = Checkpoint.load(folder / LAST)
+        folder, started = _resume(resume, stack)
         task = _task(env, started)
         settings = make_settings(
             task,
@@ -148,6 +144,17 @@ def _folder(name: str, given: str | Path) -> Path:
     if not str(given) or "\0" in str(given):
         raise ValueError(f"{name} must be a folder's name, got {given!r}")
     return Path(given)
+
+
+def _resume(
+    resume: str | Path | None, stack: ExitStack
+) -> tuple[Path | None, Checkpoint | None]:
+    """Claim the folder of a run that goes on, if one does; return it, and its state."""
+    if resume is None:
+        return None, None
+    folder = _folder("resume", resume)
+    stack.enter_context(claimed(folder, LAST))
+    return folder, Checkpoint.load(folder / LAST)
 
 
 def _task(env: str | Task, started: Checkpoint | None) -> Task:
