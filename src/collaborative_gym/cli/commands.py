@@ -58,7 +58,7 @@ class List(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class _Policy(Command):
-    """Who plays.
+    """The option that names the players.
 
     Attributes:
       policy: who commands the robots: expert (also in another style, such as
@@ -185,7 +185,7 @@ class Evaluate(Measured, _Policy):
 
 
 def _tasks(command: "Evaluate | Certify") -> list[Task]:
-    """Return what a command names; a wrong name shows before the work.
+    """Return the tasks that a command names; a wrong name raises before the work.
 
     Raises:
       Exception: as `make_task` does.

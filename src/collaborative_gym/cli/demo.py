@@ -19,14 +19,14 @@ _SHEET_SIZE = (480, 270)
 """Width and height of one picture of the contact sheet, in pixels."""
 
 _GAME, _GAME_STEPS, _GAME_EPISODE = "HockeyPandas-v0", 100, 6
-"""What the scripted player plays, for how many control steps, and an episode of it that
-has a goal by then."""
+"""The game of the scripted player, its control steps, and an episode with a goal by
+then."""
 
 _FILM_SIZE = (640, 360)
 """Width and height of a film, in pixels."""
 
 _SECONDS = 6.0
-"""How long a film lasts at least, in s. Without a graphics card, a second of it takes
+"""Least length of a film, in s. Without a graphics card, a second of it takes
 two seconds of a core."""
 
 

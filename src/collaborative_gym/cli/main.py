@@ -42,7 +42,7 @@ _BAD = LookupError, ValueError, TypeError, *_NO_FILE
 """Errors of bad input, such as a path where no file can be."""
 
 _CANNOT_BE_DONE = ImportError, OSError, RuntimeError
-"""Errors of what the machine lacks."""
+"""Errors where the machine lacks something."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""What the commands share: kinds of arguments, and output to the terminal."""
+"""Arguments that the commands share, and their output to the terminal."""
 
 import sys
 import time
@@ -39,7 +39,7 @@ Modules = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What the commands have that name environments.
+    """The options of commands that name environments.
 
     Attributes:
       module: file (.py) or installed module that registers tasks or arms of your own;
@@ -105,7 +105,7 @@ def chosen_task(
 
 @dataclass(frozen=True, kw_only=True)
 class Worlds(Command):
-    """What the commands have that start episodes.
+    """The options of commands that start episodes.
 
     Attributes:
       robots: robots to use instead of the environment's own, one per agent.
@@ -130,7 +130,7 @@ class Worlds(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Played(Worlds):
-    """What the commands have in which policies play.
+    """The options of commands in which policies play.
 
     Attributes:
       any_env: let a trained policy play an environment that it was not trained for.
@@ -141,7 +141,7 @@ class Played(Worlds):
 
 @dataclass(frozen=True, kw_only=True)
 class Measured(Played):
-    """What the commands have that play many episodes and print numbers.
+    """The options of commands that play many episodes and print numbers.
 
     Attributes:
       num_envs: worlds that play at the same time; the results do not depend on it.

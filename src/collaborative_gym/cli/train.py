@@ -278,7 +278,7 @@ class Train(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class BriefTrain(Train):
-    """What `train --help` shows: hyperparameters and resources by their names alone."""
+    """The help of `train`: hyperparameters and resources by their names alone."""
 
     resources: tyro.conf.Suppress[Resources] = field(default_factory=Resources)
     hyperparameters: tyro.conf.Suppress[Hyperparameters] = field(

@@ -10,7 +10,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.curve import sides_of
 
 _EASE, _RISE = 0.01, 0.02
-"""How much the share falls, and the demand rises, after a good rollout."""
+"""Fall of the share, and rise of the demand, after a good rollout."""
 
 
 class Assistance:

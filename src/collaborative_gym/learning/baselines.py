@@ -177,7 +177,7 @@ def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str
 
 
 def _beginning(own: Mapping[str, Any]) -> str:
-    """Return with what a run began, and that in turn, back to random networks.
+    """Return words for the policy with which a run began, back to random networks.
 
     Args:
       own: the metadata of its policy, or its settings.

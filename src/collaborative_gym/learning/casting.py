@@ -1,4 +1,4 @@
-"""Who sits in which seat of which world: those who learn, and guests."""
+"""Casting: members that learn, and guests, in the seats of the worlds."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ MAIN, EXPLOITERS = "main", ("main_exploiter", "league_exploiter")
 """The members of a league that learn."""
 
 Cast = tuple[str | None, ...]
-"""Who sits in each seat of a world: a member that learns, or None for a guest."""
+"""The name in each seat of a world: a member that learns, or None for a guest."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Casting:
 
     Attributes:
       seats: the agents of each seat, by its name.
-      casts: who sits where.
+      casts: names by seat, in the order of `seats`.
       shares: share of the worlds of each cast; none for equal shares.
     """
 
@@ -109,7 +109,7 @@ def make_casting(
     *,
     hyperparameters: Hyperparameters,
 ) -> Casting:
-    """Return who sits where in a run.
+    """Return the casting of a run.
 
     Args:
       task: what is learned.

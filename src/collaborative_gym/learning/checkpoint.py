@@ -22,7 +22,7 @@ class Checkpoint:
     """A run at the end of an update.
 
     Attributes:
-      settings: what it was started with.
+      settings: with which it was started.
       backend: the state of learners and worlds, from `Run.state_dict`.
       rows: of `Monitor` so far.
       best: the validated return of the best policy so far, and its `steps`; empty

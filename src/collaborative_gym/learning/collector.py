@@ -32,7 +32,7 @@ observations."""
 
 @dataclass(frozen=True)
 class Job:
-    """What all collectors of a run share.
+    """The arguments that all collectors of a run share.
 
     Attributes:
       task: what to learn.
@@ -195,7 +195,7 @@ class Player:
             self._finals.append(self._seen(final_observations)[late])
 
     def finish(self, observations: Observations) -> Rollout:
-        """Return what was recorded, before these observations, and begin anew."""
+        """Return the rollout until these last observations, and begin a new one."""
         rows, actions, log_prob, advice = zip(*self._steps, strict=True)
         last = self._seen(observations)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))

@@ -9,7 +9,7 @@ from collaborative_gym.policies.network import check_activation
 from collaborative_gym.tasks.settings import bounded, check_settings
 
 Mode = Literal["collaborative", "independent", "shared", "centralized"]
-"""Who learns what.
+"""Policies, critics and rewards of the robots.
 
 - collaborative: a policy for each robot on its own observation, and one critic on all
   observations; the robots share their mean reward (MAPPO).
@@ -49,7 +49,7 @@ FAULTS = ("delayed", "lost_grips", "missed_grips")
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """How it is learned, by PPO or SAC.
+    """Numbers of PPO or SAC, and of the worlds that they learn from.
 
     Attributes:
       total_steps: environment steps in all, counted over all worlds; the last update
@@ -251,7 +251,7 @@ class Hyperparameters:
 
 @dataclass(frozen=True, kw_only=True)
 class Resources:
-    """What a run may use; none of it is part of what is learned.
+    """Device, threads and collectors of a run, which do not change what it learns.
 
     Attributes:
       device: torch's device, such as cpu or cuda.
@@ -377,7 +377,7 @@ ADVISED: Mapping[str, Mapping[str, Any]] = {
     "PassTaskSawyers-v0": _ADVISED_PASS,
     "PassTaskJacoSawyer-v0": _ADVISED_PASS,
 }
-"""What advice makes needless of an environment's recipe, taken back."""
+"""Numbers of recipes that advice makes needless, taken back."""
 
 _OWN: Mapping[str, Sequence[str]] = {
     "ppo": (

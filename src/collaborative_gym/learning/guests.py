@@ -18,7 +18,7 @@ Odds = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Invitation:
-    """Who may be a guest in a rollout.
+    """The policies that may be guests in a rollout.
 
     Attributes:
       policies: by name, a policy or its name for `load_policy`.

@@ -205,7 +205,7 @@ class League(Pool):
         return dict(zip(names, strengths, strict=True))
 
     def _age(self, name: str) -> int:
-        """Return the run's steps at which a player became what it is."""
+        """Return the run's steps when a player was copied, or now if it learns."""
         own = self._players[name]
         return own.steps if own.parent else self._steps
 

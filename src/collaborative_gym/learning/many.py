@@ -64,7 +64,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """The end of a run: its result, or why it failed.
 
     Attributes:
       folder: where its files are.
@@ -114,7 +114,7 @@ def train_all(
       advised: whether they learn with the expert's advice, by recipes of its own.
       on_row: called with a plan after each of its iterations, with its numbers.
       progress: whether to show the progress, as the command line does.
-      options: with whom and with what each run learns, see `Options`.
+      options: partners, start, algorithm and resources, see `Options`.
 
     Returns:
       What became of each run, in the order of environments, modes and seeds.
@@ -261,7 +261,7 @@ class _Crew:
 
 
 def _several(kind: str, given: Any) -> Sequence[Any]:
-    """Return what was given as a sequence of at least one."""
+    """Return one or several as a sequence that is not empty."""
     if isinstance(given, str | Task):
         return [given]
     a = f"one {kind} or several"

@@ -1,4 +1,4 @@
-"""What training charges besides the task's reward, so that robots act gently."""
+"""Penalties of training besides the task's reward, so that robots act gently."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,11 +17,11 @@ _INNER = 0.9
 
 
 class Penalties:
-    """What each robot pays for its acts, and all of them for contacts.
+    """Penalties of each robot for its acts, and of all robots for contacts.
 
-    It is in no episode's return. Torque is measured as a control step ends; where that
-    ended an episode, the next one's start costs nothing. Contacts are measured in every
-    physics step, whoever is in them.
+    They are in no episode's return. Torque is measured as a control step ends; where
+    that ended an episode, the next one's start costs nothing. Contacts are measured in
+    every physics step, whoever is in them.
 
     A goal that counts only once it has been kept for a time, as BalancePath's, would
     cost the same whatever robots do until then. So a goal counts as met wherever a step
@@ -69,7 +69,7 @@ class Penalties:
         return charged
 
     def _met(self, agent: str, success: Any) -> np.ndarray:
-        """Return where an agent's side met its goal, or performs what it asks for."""
+        """Return where an agent's side met its goal, or performs."""
         task, sides = self._env.task, self._env.sides
         own = next(side for side, agents in sides.items() if agent in agents)
         met = success if len(sides) == 1 else success[own]

@@ -24,7 +24,7 @@ _ESTIMATES = "returns", "advantages"
 
 
 class PPOLearner(SkrlLearner):
-    """A critic of what is observed, and updates that stay near the policy."""
+    """A critic of observations, and updates that stay near the policy."""
 
     def _make_agent(self) -> PPO:
         self._value = self._critic("observations")
@@ -140,7 +140,7 @@ class _Memory(RandomMemory):
     """Holds what one update learns from, of any number of rows."""
 
     def hold(self, columns: dict[str, torch.Tensor]) -> None:
-        """Hold these, (steps, rows, ...) each, in place of what it held."""
+        """Hold columns, (steps, rows, ...) each, in place of the former ones."""
         self.tensors = columns
         self.tensors_view = {name: each.flatten(0, 1) for name, each in columns.items()}
 

@@ -45,7 +45,7 @@ class Result:
 
     Attributes:
       folder: where its files are.
-      settings: what it was started with.
+      settings: with which it was started.
       steps: environment steps that it took.
       seconds: time that it took.
       best: means of the best validation: `validation/return`,
@@ -74,7 +74,7 @@ class Run:
       folder: where its files go.
       task: what to learn.
       settings: how.
-      resources: what it may use.
+      resources: device, threads and collectors.
       started: from where it goes on, None for the start.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""What a run is started with, and whether it may continue with what is asked."""
+"""The settings of a run, and whether it may continue with others."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
@@ -95,7 +95,7 @@ def check_options(options: Options) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a run was started with.
+    """The settings with which a run was started.
 
     Attributes:
       identity: of its environment.
@@ -151,13 +151,13 @@ class Settings:
 
     @property
     def folder(self) -> Path:
-        """Where the run goes unless another folder is given."""
+        """The run's folder unless another one is given."""
         words = [self.identity.name, *self._kind, self.mode, f"seed{self.seed}"]
         return Path("runs", "-".join(words))
 
     @property
     def title(self) -> str:
-        """What heads the run's pictures."""
+        """The heading of the run's pictures."""
         robots = ", ".join(self.identity.robot_names)
         words = [*self._kind, self.mode, f"seed {self.seed}"]
         return f"{self.identity.name} ({robots}), {', '.join(words)}"
@@ -180,7 +180,7 @@ class Settings:
         return content | lists
 
     def how(self) -> dict[str, Any]:
-        """Return what it says of training, and not of the environment."""
+        """Return the plain settings of training alone, without the environment."""
         world = "identity", "layout"
         return {n: own for n, own in self.to_dict().items() if n not in world}
 
@@ -200,7 +200,7 @@ class Settings:
 def make_settings(
     task: Task, started: Settings | None = None, **asked: Any
 ) -> Settings:
-    """Return the settings of a run; what is None stays as it was, or is as usual.
+    """Return the settings of a run: those asked for, else kept, else the usual ones.
 
     Args:
       task: what to learn.
@@ -248,7 +248,7 @@ def make_settings(
 
 
 def _plain(asked: dict[str, Any]) -> dict[str, Any]:
-    """Return what is asked for, checked and by the names of `Settings`."""
+    """Return checked arguments, by the names of `Settings`."""
     if "hyperparameters" in asked:
         kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
         given = asked["hyperparameters"]

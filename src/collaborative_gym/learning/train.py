@@ -67,7 +67,7 @@ def train(
       on_row: called after each iteration with two dictionaries: its line of
         `progress.csv`, and that of the best validation so far.
       progress: whether to show the progress, as the command line does.
-      options: with whom and with what it learns, see `Options`.
+      options: partners, start, algorithm and resources, see `Options`.
 
     Raises:
       BlockingIOError: if a run is under way in the folder.
@@ -125,7 +125,7 @@ def train(
 
 
 def _checked(resources: Resources | None) -> Resources:
-    """Return what a run may use, once torch knows such a device."""
+    """Return the resources, if torch has the device."""
     resources = Resources() if resources is None else resources
     check_kind("resources", resources, Resources, "Resources(...)")
     try:
