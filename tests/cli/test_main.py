@@ -374,7 +374,7 @@ def test_the_help_of_train_is_short_and_names_all_options(capsys):
             main(["train", asked])
         told[asked] = capsys.readouterr().out
     assert told["--help"].count("\n") < 120
-    assert "price of torque" in told["--help-all"]
+    assert "penalty of torque" in told["--help-all"]
     options = {f"--{each.name.replace('_', '-')}" for each in fields(Hyperparameters)}
     for text in told.values():
         assert options <= {*re.findall(r"--[a-z-]+", text)}
@@ -420,8 +420,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         "any_env": False,
         "seed": 0,
         "web": False,
-        "host": "127.0.0.1",
-        "port": 8080,
+        "address": ("127.0.0.1", 8080),
     }
     other = asked[1][0][0]
     arms = [robot.name for robot in other.robots.values()]
@@ -432,8 +431,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         "any_env": True,
         "seed": 3,
         "web": True,
-        "host": "0.0.0.0",
-        "port": 99,
+        "address": ("0.0.0.0", 99),
     }
     tell("here"), warn("beware")
     assert capsys.readouterr() == ("here\n", "beware\n")
