@@ -6,7 +6,7 @@ import json
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from hashlib import sha256
 from io import StringIO
 from pathlib import Path
@@ -197,19 +197,15 @@ def _beside(path: Path) -> Iterator[Path]:
     If nothing can be written, this fails before the work. In a folder, a process that
     still writes, as an encoder does, cannot bring the file back after an interruption.
     """
-    with ExitStack() as stack:
-        with naming(path):
-            if path.exists() and not path.is_file():
-                raise IsADirectoryError(errno.EISDIR, "it is a folder or a device")
-            make_folder(path.parent)
-            folder = stack.enter_context(
-                TemporaryDirectory(
-                    prefix=f".{path.stem}.",
-                    suffix=".partial",
-                    dir=path.parent,
-                    ignore_cleanup_errors=True,
-                )
-            )
+    with naming(path):
+        if path.exists() and not path.is_file():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder or a device")
+        make_folder(path.parent)
+        name = f".{path.stem}."
+        made = TemporaryDirectory(
+            ".partial", name, path.parent, ignore_cleanup_errors=True
+        )
+    with made as folder:
         yield Path(folder)
 
 

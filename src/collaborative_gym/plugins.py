@@ -76,8 +76,7 @@ def load_module(name: str) -> ModuleType:
     if b"\0" in path.read_bytes():
         raise ValueError(f"module {name} is not Python: it contains null bytes")
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
+    assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     _tried.add(path)
     sys.path.insert(0, str(path.parent))

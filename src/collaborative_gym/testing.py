@@ -46,13 +46,13 @@ def check_task(
     if isinstance(task, type):
         arms = [get_robot(name) for name in robots or ("panda",) * task.robot_counts[0]]
         task, robots = task(arms, task.config_class()), None
-    trial = Trial(as_task(task, robots), check_count("episodes", episodes, 1))
+    tested = TaskUnderTest(as_task(task, robots), check_count("episodes", episodes, 1))
     faults, errors = [], []
     try:
-        trial.worlds(1)  # A definition that makes no world needs no further checks.
+        tested.worlds(1)  # A definition that makes no world needs no further checks.
         for check in CHECKS:
             try:
-                check(trial)
+                check(tested)
             except AssertionError as fault:
                 faults.append(str(fault))
             except Exception as error:
@@ -60,8 +60,8 @@ def check_task(
                 faults.append(f"it failed in checking: {promise} ({error!r})")
                 errors.append(error)
     finally:
-        trial.close()
-    name = type(trial.task).__name__
+        tested.close()
+    name = type(tested.task).__name__
     listed = "\n".join(f"- {fault}" for fault in faults)
     if errors:
         raise RuntimeError(
@@ -72,7 +72,7 @@ def check_task(
         raise AssertionError(f"{name} breaks {len(faults)} of its promises:\n{listed}")
 
 
-class Trial:
+class TaskUnderTest:
     """A task under test, batches of its worlds, and the number of episodes to play."""
 
     def __init__(self, task: Task, episodes: int = 20):
@@ -118,19 +118,17 @@ def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
 def leaves(value: Any) -> list[Any]:
     """Return the arrays in nested dataclasses, namespaces, dictionaries and tuples."""
     if is_dataclass(value) or isinstance(value, SimpleNamespace):
-        parts = list(vars(value).values())
-    elif isinstance(value, Mapping):
-        parts = list(value.values())
-    elif isinstance(value, (tuple, list)):
-        parts = list(value)
-    else:
+        value = vars(value)
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if not isinstance(value, (tuple, list)):
         return [value]
-    return [leaf for part in parts for leaf in leaves(part)]
+    return [leaf for part in value for leaf in leaves(part)]
 
 
-def check_values(trial: Trial) -> None:
+def check_values(tested: TaskUnderTest) -> None:
     """Observations fit their spaces and are finite, rewards keep their terms."""
-    env = trial.worlds(7)
+    env = tested.worlds(7)
     for step in range(20):
         actions = _episode_actions(env)
         terms = env.task.reward(env.facts, env.action_mode.commands(actions))
@@ -141,9 +139,8 @@ def check_values(trial: Trial) -> None:
                 " term at every step, zero where it does not count"
             )
             for name, term in terms[agent].items():
-                _check_finite(
-                    f"reward term {name!r} of {agent}", term, step, "reward()"
-                )
+                what = f"reward term {name!r} of {agent}"
+                _check_finite(what, term, step, "reward()")
         observations, *_, infos = env.step(actions)
         for points in _score(infos):
             _check_finite("the score", points, step + 1, "score()")
@@ -152,9 +149,9 @@ def check_values(trial: Trial) -> None:
             _check_finite(what, own, step + 1, where)
 
 
-def check_starts(trial: Trial) -> None:
+def check_starts(tested: TaskUnderTest) -> None:
     """Episodes start apart, arms at rest within their ranges, and differ."""
-    env = trial.worlds(7)
+    env = tested.worlds(7)
     for i in range(env.num_envs):
         for contact in env.sim.data(i).contact:
             names = [env.model.geom(geom).name or "?" for geom in contact.geom]
@@ -185,10 +182,10 @@ def check_starts(trial: Trial) -> None:
     )
 
 
-def check_batches(trial: Trial) -> None:
+def check_batches(tested: TaskUnderTest) -> None:
     """An episode has the same bits in any batch and with any number of threads."""
-    expected = play(trial.worlds(16), 4)
-    for env in (trial.worlds(1), trial.worlds(7), trial.worlds(7, num_threads=4)):
+    expected = play(tested.worlds(16), 4)
+    for env in (tested.worlds(1), tested.worlds(7), tested.worlds(7, num_threads=4)):
         for key, given in play(env, 4).items():
             assert _agree(given, expected.get(key, b"")), (
                 f"episode {key[1]} of seed {key[0]} depends on the {env.num_envs}"
@@ -197,11 +194,11 @@ def check_batches(trial: Trial) -> None:
             )
 
 
-def check_isolation(trial: Trial) -> None:
+def check_isolation(tested: TaskUnderTest) -> None:
     """Worlds that start an episode leave the others alone."""
-    env, other = trial.worlds(7), trial.worlds(7, copy=1)
+    env, other = tested.worlds(7), tested.worlds(7, copy=1)
     late = other.get_state([1, 3])
-    late.progress["step"][:] = trial.task.config.max_episode_steps - 2
+    late.progress["step"][:] = tested.task.config.max_episode_steps - 2
     other.set_state(late, [1, 3])
     expected, seen = play(env, 4), play(other, 4)
     for episode in (0, 2, 4, 5, 6):
@@ -220,9 +217,9 @@ def check_isolation(trial: Trial) -> None:
     ), "write only the rows env_ids in reset(), of sim and of sim.memory"
 
 
-def check_saving(trial: Trial) -> None:
+def check_saving(tested: TaskUnderTest) -> None:
     """A saved episode continues bit for bit in other worlds."""
-    env, other = trial.worlds(7), trial.worlds(7, copy=1)
+    env, other = tested.worlds(7), tested.worlds(7, copy=1)
     play(env, 3)
     state = env.get_state([0, 5])
     expected = play(env, 4)
@@ -237,9 +234,9 @@ def check_saving(trial: Trial) -> None:
         )
 
 
-def check_measuring(trial: Trial) -> None:
+def check_measuring(tested: TaskUnderTest) -> None:
     """Measuring twice in one state changes nothing; names of units are measured."""
-    env = trial.worlds(7)
+    env = tested.worlds(7)
     play(env, 3)
     task = env.task
     named = [*named_facts(env.facts)]
@@ -277,11 +274,11 @@ def check_measuring(trial: Trial) -> None:
         )
 
 
-def check_goal(trial: Trial) -> None:
+def check_goal(tested: TaskUnderTest) -> None:
     """Doing nothing does not reach the goal in every episode."""
-    env = trial.worlds(min(trial.episodes, 8))
+    env = tested.worlds(min(tested.episodes, 8))
     reached = np.zeros(env.num_envs, bool)
-    for _ in range(trial.task.config.max_episode_steps):
+    for _ in range(tested.task.config.max_episode_steps):
         *_, infos = env.step(env.idle())
         _check_shortfall(env)
         reached |= np.logical_and.reduce(_met(infos))
@@ -291,23 +288,23 @@ def check_goal(trial: Trial) -> None:
     )
 
 
-def check_expert(trial: Trial) -> None:
+def check_expert(tested: TaskUnderTest) -> None:
     """The expert, where there is one, reaches a goal from every start.
 
     Where there are several sides, each of them from some start, while the others hold
     still: even so, opponents are in the way.
     """
-    if type(trial.task).expert is Task.expert:
+    if type(tested.task).expert is Task.expert:
         return
-    for i, side in enumerate(trial.task.sides):
-        _check_side(trial, i, side)
+    for i, side in enumerate(tested.task.sides):
+        _check_side(tested, i, side)
 
 
-def _check_side(trial: Trial, i: int, side: Sequence[str]) -> None:
+def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     """Check that the expert reaches a side's goal."""
-    small, large = trial.worlds(1), trial.worlds(trial.episodes)
-    reached, is_divided = np.zeros(large.num_envs, bool), len(trial.task.sides) > 1
-    for _ in range(trial.task.config.max_episode_steps):
+    small, large = tested.worlds(1), tested.worlds(tested.episodes)
+    reached, is_divided = np.zeros(large.num_envs, bool), len(tested.task.sides) > 1
+    for _ in range(tested.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = small.progress["episode"][0] == large.progress["episode"][0]
         assert not is_same or all(_equal(one[a][0], many[a][0]) for a in one), (
@@ -333,7 +330,7 @@ def _check_side(trial: Trial, i: int, side: Sequence[str]) -> None:
     )
 
 
-CHECKS: tuple[Callable[[Trial], None], ...] = (
+CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
     check_values,
     check_starts,
     check_batches,

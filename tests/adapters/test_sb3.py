@@ -112,4 +112,4 @@ def test_policies_play_it(envs):
 def test_it_draws_all_worlds(envs):
     envs.reset()
     assert len(envs.get_images()) == 3
-    assert envs.render().shape == (960, 1280, 3)
+    assert envs.render().shape == (1440, 2560, 3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.certificate.play import find_starts, play
+from collaborative_gym.certificate.tries import find_starts, play
 from collaborative_gym.policies import as_policy
 
 

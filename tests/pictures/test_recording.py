@@ -61,7 +61,7 @@ def test_gif_plays_in_real_time(carry, tmp_path):
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
-    draw = recording._Player(env, env.expert, {}, 1, SIZE)._draw
+    draw = recording._Screen(env, env.expert, {}, 1, SIZE)._draw
     first, again = draw(), draw()
     env.sim.qpos[0, 3] += 0.1
     moved = draw()

@@ -95,18 +95,11 @@ class BenchMARLTask(TaskClass):
         ended = after["done"].squeeze(-1)
         if not ended.any():
             return {}
-        return {
-            name: torch.stack(
-                [
-                    value[ended].mean()
-                    for key, value in after.items(True, True)
-                    if key[-1] == name
-                ]
-            )
-            .mean()
-            .item()
-            for name in METRICS
-        }
+        found: dict[str, list[torch.Tensor]] = {name: [] for name in METRICS}
+        for (*_, name), value in after.items(True, True):
+            if name in METRICS:
+                found[name].append(value[ended].mean())
+        return {name: torch.stack(own).mean().item() for name, own in found.items()}
 
     def _by_group(self, env: Any, name: str) -> Composite:
         spec = env.full_observation_spec_unbatched.clone()

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.certificate.budget import Budget
-from collaborative_gym.certificate.play import Cast, Outcome, find_starts, play
 from collaborative_gym.certificate.report import Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
 from collaborative_gym.certificate.search import Motions, search
+from collaborative_gym.certificate.tries import Cast, Results, find_starts, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_kind
@@ -220,18 +220,18 @@ class _Work:
                 )
         return found
 
-    def _judge(self, row: Row, cast: Cast) -> Outcome:
+    def _judge(self, row: Row, cast: Cast) -> Results:
         starts = self._held_out[row[2]]
         which = np.arange(len(starts.physics))
         return play(self._env, starts, which, cast, on_step=self._on_steps)
 
-    def _judge_policy(self, row: Row, policy: str | Policy) -> Outcome:
+    def _judge_policy(self, row: Row, policy: str | Policy) -> Results:
         passive, partner, _ = row
         team: Any = dict.fromkeys(self._task.agents, policy) | {passive: partner}
         act = as_policy(team, self._env, any_env=True)
         return self._judge(row, lambda tries: act)
 
-    def _play_blindly(self, row: Row) -> Outcome:
+    def _play_blindly(self, row: Row) -> Results:
         starts = self._training[row[2]]
         group = np.arange(min(self._budget.training_starts, len(starts.physics)))
         motions = self._motions(row)
@@ -239,7 +239,7 @@ class _Work:
         every = np.repeat(best, len(self._held_out[row[2]].physics), axis=0)
         return self._judge(row, motions.cast(every))
 
-    def _search_each(self, row: Row) -> Outcome:
+    def _search_each(self, row: Row) -> Results:
         starts, motions = self._held_out[row[2]], self._motions(row)
         groups = np.arange(min(self._budget.searched_starts, len(starts.physics)))
         return self._search(row, motions, starts, groups[:, None], "search")[1]
@@ -255,7 +255,7 @@ class _Work:
         starts: EnvState,
         groups: np.ndarray,
         player: str,
-    ) -> tuple[np.ndarray, Outcome]:
+    ) -> tuple[np.ndarray, Results]:
         seeds = [self._seed, self._rows.index(row), player == "search"]
         return search(
             self._env,
@@ -267,7 +267,7 @@ class _Work:
             on_step=self._on_steps,
         )
 
-    def _train(self, row: Row) -> Outcome:
+    def _train(self, row: Row) -> Results:
         passive, partner, fraction = row
         policy = train_rival(
             self._task,
@@ -294,7 +294,7 @@ def _counting(part: Callable[[float], object], cost: int) -> Callable[[float], o
     return add
 
 
-def _trial(row: Row, player: str, outcome: Outcome) -> Trial:
+def _trial(row: Row, player: str, outcome: Results) -> Trial:
     return Trial(
         *row,
         player,

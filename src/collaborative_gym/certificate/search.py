@@ -7,7 +7,7 @@ import numpy as np
 
 from collaborative_gym.blocks import columns_of, split_columns
 from collaborative_gym.certificate.budget import Budget
-from collaborative_gym.certificate.play import Cast, Outcome, play
+from collaborative_gym.certificate.tries import Cast, Results, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
@@ -78,7 +78,7 @@ def search(
     budget: Budget,
     rng: np.random.Generator,
     on_step: Callable[[int], object] | None = None,
-) -> tuple[np.ndarray, Outcome]:
+) -> tuple[np.ndarray, Results]:
     """Search for a motion that reaches the goal from all starts of a group.
 
     It uses the cross-entropy method, for each group by itself: candidates are drawn by
@@ -122,4 +122,4 @@ def search(
             if cost[row, first] < least[group]:
                 least[group], best[group] = cost[row, first], tried[row, first]
                 nearest[group] = near[row, first].mean()
-    return best, Outcome(least <= -1.0, nearest)
+    return best, Results(least <= -1.0, nearest)

@@ -1,5 +1,7 @@
 """How fast the environments are, beside the bare physics they run on."""
 
+import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -199,12 +201,10 @@ def _memory_per_env(env_id: str) -> float:
 
 
 def _resident_kb() -> float:
-    """Return the memory this process occupies; NaN where the system does not say."""
+    """Return the memory of this process; NaN where the system does not say."""
     status = Path("/proc/self/status")
-    if not status.exists():
-        return float("nan")
-    fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
-    return float(fields["VmRSS"].split()[0])
+    found = re.search(r"VmRSS:\s*(\d+)", status.read_text() if status.exists() else "")
+    return float(found[1]) if found else math.nan
 
 
 def _in_fresh_process(function: Callable[[str], float], argument: str) -> float:

@@ -125,7 +125,7 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            cast.append(_Player(world, act, players, shots, (width, height)))
+            cast.append(_Screen(world, act, players, shots, (width, height)))
         frames = _film(cast, seconds, seed, only_episodes, on_progress)
         write(output, frames, round(shots / CONTROL_DT))
     return output
@@ -221,7 +221,7 @@ def _spread(env: VectorEnv) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
-class _Player:
+class _Screen:
     """A policy that plays one world, and its camera.
 
     The camera draws only when something has moved far enough to be seen: experts hold
@@ -278,7 +278,7 @@ class _Player:
 
 
 def _film(
-    cast: Sequence[_Player],
+    cast: Sequence[_Screen],
     seconds: float,
     seed: int,
     episodes: Sequence[int] | None,

@@ -59,25 +59,24 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
       policy: one of these, or a dictionary with one for each agent, such as
         `{"robot_1": "baseline", "robot_2": "runs/mine"}`: "baseline", the trained
         policy that is shipped for `env`; an environment id, for the baseline of that
-        environment; "ego", the shipped one that has learned to work with partners of
-        many kinds, for some environments; a path to a policy file or to the folder of a
-        training run, which the name of one of its players may follow, as in
-        "runs/league/main-3"; "expert", the task's scripted expert, which looks at the
-        state of the worlds and not at the observations; "expert:late" and the like, the
-        expert in another style ("late" and "slow" for every task, and those of
-        `Task.styles`); "random", uniform actions, the same for an episode of a seed in
-        any batch; "idle", which holds still with an open grip; "gripping", which holds
-        still with a closed grip; "frozen", which holds still and keeps what it holds; a
-        path to a network of another library in ONNX (`.onnx`), from the observations of
-        the robots side by side, in the order of the agents, to their actions; a
-        function from observations to actions; or a model of Stable-Baselines3 that
-        commands all robots.
+        environment; "ego", the shipped one for some environments that has learned to
+        work with partners of many kinds; a path to a policy file, to the folder of a
+        training run, or to one of its players, as in "runs/league/main-3"; a path to a
+        network of another library in ONNX (`.onnx`), from the observations of the
+        robots side by side, in the order of the agents, to their actions; "expert", the
+        task's scripted expert, which looks at the state of the worlds and not at the
+        observations; "expert:late" and the like, the expert in another style ("late"
+        and "slow" for every task, and those of `Task.styles`); "random", uniform
+        actions, the same for an episode of a seed in any batch; "idle", "gripping" and
+        "frozen", which hold still with an open grip, with a closed one, and with what
+        they hold; a function from observations to actions; or a model of
+        Stable-Baselines3 that commands all robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
-        under the contract of PettingZoo, Gymnasium or Stable-Baselines3. The policy
-        then takes and returns the observations and actions of that contract. Without
-        it, you can give an id or a path, and the policy plays a `VectorEnv`.
-      any_env: whether a trained policy may play another environment than the one that
-        it is for, if its observations and actions have the same blocks.
+        under the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose
+        observations and actions the policy then takes and returns. Without it, you can
+        give an id or a path, and the policy plays a `VectorEnv`.
+      any_env: whether a trained policy may play another environment than its own, if
+        its observations and actions have the same blocks.
 
     Raises:
       FileNotFoundError: if there is no such file, or no such policy is shipped for the

@@ -87,7 +87,7 @@ class Player:
         return ""
 
 
-_Cast = Mapping[str, Player]
+_Seating = Mapping[str, Player]
 """The player of each seat."""
 
 
@@ -240,9 +240,9 @@ def _casts(
     players: Sequence[Player],
     seats: Mapping[str, tuple[str, ...]],
     turns: Sequence[str],
-) -> tuple[list[_Cast], dict[str, str]]:
+) -> tuple[list[_Seating], dict[str, str]]:
     """Return all that can be played, and why the others cannot, by their titles."""
-    casts: dict[tuple[str, ...], _Cast] = {}
+    casts: dict[tuple[str, ...], _Seating] = {}
     left_out: dict[str, str] = {}
     for turn, one, other in product(turns, players, players):
         cast = {seat: one if seat == turn else other for seat in seats}
@@ -261,7 +261,7 @@ def _casts(
     return list(casts.values()), left_out
 
 
-def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> str:
+def _misfits(cast: _Seating, seats: Mapping[str, tuple[str, ...]]) -> str:
     """Return why players of a cast cannot command the robots of their seats, if so."""
     agents: dict[str, list[str]] = {}
     for seat, player in cast.items():
@@ -273,7 +273,7 @@ def _misfits(cast: _Cast, seats: Mapping[str, tuple[str, ...]]) -> str:
 
 def _play(
     env: VectorEnv,
-    cast: _Cast,
+    cast: _Seating,
     seats: Mapping[str, tuple[str, ...]],
     settings: Mapping[str, Any],
     on_progress: OnProgress,
@@ -304,7 +304,7 @@ class _Kept:
             self._folder = Path(folder) / PAIRINGS
             check_writable(self._folder / "any.json")
 
-    def read(self, cast: _Cast) -> Pairing | None:
+    def read(self, cast: _Seating) -> Pairing | None:
         """Return the pairing of a cast, if the folder has it.
 
         Raises:
@@ -335,7 +335,7 @@ class _Kept:
             )
         return Pairing({seat: player.name for seat, player in cast.items()}, columns)
 
-    def _differences(self, found: Mapping[str, Any], cast: _Cast) -> Iterator[str]:
+    def _differences(self, found: Mapping[str, Any], cast: _Seating) -> Iterator[str]:
         own, other = (
             Identity.from_dict(each["identity"]) for each in (self._settings, found)
         )
@@ -347,7 +347,7 @@ class _Kept:
             if found["players"][name] != mark:
                 yield f"the player {name!r} has changed since"
 
-    def write(self, cast: _Cast, pairing: Pairing) -> None:
+    def write(self, cast: _Seating, pairing: Pairing) -> None:
         """Keep a pairing, whole or not at all."""
         if self._folder is not None:
             content = {"format": _FORMAT, **self._settings, "players": _marks(cast)}
@@ -355,11 +355,11 @@ class _Kept:
             write_text(self._folder / _file_name(cast), sealed(content, indent=None))
 
 
-def _marks(cast: _Cast) -> dict[str, str | None]:
+def _marks(cast: _Seating) -> dict[str, str | None]:
     return {player.name: player.mark for player in cast.values()}
 
 
-def _file_name(cast: _Cast) -> str:
+def _file_name(cast: _Seating) -> str:
     """Return a name with those of the players, which no other pairing has."""
     names = [player.name for player in cast.values()]
     words = re.sub(r"[^\w.-]+", "_", "+".join(names))[-80:].strip("_.")

@@ -272,13 +272,14 @@ class Tournament:
             if not np.isnan(self.values[self.measures[0]][:, i, j]).all()
         }
         worst = min(means, key=means.__getitem__, default=None)
+        places = {turn: slice(s, s + 1) for s, turn in enumerate(self.turns)}
         standing = Standing(
             self_play={name: self._statistic(name, rows) for name, rows in own.items()},
             cross_play={n: self._over_others(n, rows) for n, rows in cross.items()},
             gap={},
             by_seat={
-                turn: {n: self._over_others(n, rows[[s]]) for n, rows in cross.items()}
-                for s, turn in enumerate(self.turns)
+                turn: {n: self._over_others(n, rows[s]) for n, rows in cross.items()}
+                for turn, s in places.items()
             },
             worst=None if worst is None else self.players[worst],
         )

@@ -52,7 +52,15 @@ def view(
         is_shared = not isinstance(policy, Mapping)
         policies = dict.fromkeys(world.agents, policy) if is_shared else policy
         session = Session(world, act, warn, policies=policies)
-        face = None if web else _window(session, say)
+        face: Any = None
+        if not web:
+            # Imported here because a page needs no windowing system.
+            from collaborative_gym.viewer.window import Window
+
+            try:
+                face = Window(session)
+            except RuntimeError as error:
+                say(f"{error}; showing it in the browser instead")
         if face is None:
             face = _page(session, any_env, *address)
             if face.is_public:
@@ -64,18 +72,6 @@ def view(
             say(f"open {face.url} in a browser; Ctrl-C ends it")
         with closing(face):
             session.run(face.refresh)
-
-
-def _window(session: Session, say: Callable[[str], object]) -> Any:
-    """Return a window, or None where none can be opened, and say so."""
-    # Imported here because a page needs no windowing system.
-    from collaborative_gym.viewer.window import Window
-
-    try:
-        return Window(session)
-    except RuntimeError as error:
-        say(f"{error}; showing it in the browser instead")
-        return None
 
 
 def _page(session: Session, any_env: bool, host: str, port: int) -> Any:

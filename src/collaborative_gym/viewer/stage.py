@@ -69,12 +69,9 @@ class Stage:
         own = [model.camera(i).name for i in range(model.ncam)]
         views = [CAMERA, *filter(None, own), _HANDS, *_FROM]
         self.views = tuple(dict.fromkeys(views))
+        owners = [model.body(i).name.partition("/")[0] for i in range(model.nbody)]
         self._arms = {
-            agent: [
-                i
-                for i in range(model.nbody)
-                if model.body(i).name.startswith(f"{agent}/")
-            ]
+            agent: [i for i, owner in enumerate(owners) if owner == agent]
             for agent in self.env.agents
         }
         scene = server.scene
@@ -108,10 +105,8 @@ class Stage:
                 label.visible = labels
                 if labels:
                     name = name_policy(self._session.policies[agent])
-                    label.text, places = (
-                        f"{agent}: {name}",
-                        data.xpos[self._arms[agent]],
-                    )
+                    label.text = f"{agent}: {name}"
+                    places = data.xpos[self._arms[agent]]
                     top = places[:, 2].max() + _ABOVE
                     label.position = np.append(places[0, :2], top)
             self._forces.visible = forces

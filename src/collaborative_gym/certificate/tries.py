@@ -23,7 +23,7 @@ _MOST_TRIES = 4
 """Most episodes that the expert plays for each state that is wanted."""
 
 
-class Outcome(NamedTuple):
+class Results(NamedTuple):
     """Results of tries, (tries,) each.
 
     `completed` says whether the goal was reached, as `evaluate` counts it; `nearest` is
@@ -42,7 +42,7 @@ def play(
     *,
     steps: int | None = None,
     on_step: Callable[[int], object] | None = None,
-) -> Outcome:
+) -> Results:
     """Play on from states, each try in a world of its own, as many rounds as it takes.
 
     A round ends early where the goal is reached in all of its worlds, or nothing moves.
@@ -62,7 +62,7 @@ def play(
         begun = starts.rows(which[tries])
         rounds.append(_play_round(env, begun, cast(tries), steps, on_step))
     completed, nearest = (np.concatenate(each) for each in zip(*rounds, strict=True))
-    return Outcome(completed[: len(which)], nearest[: len(which)])
+    return Results(completed[: len(which)], nearest[: len(which)])
 
 
 def _play_round(
@@ -71,7 +71,7 @@ def _play_round(
     policy: Policy,
     steps: int | None,
     on_step: Callable[[int], object] | None,
-) -> Outcome:
+) -> Results:
     task, observations = env.task, env.set_state(starts)
     nearest = now = np.full(env.num_envs, _FAR)
     completed, rested = np.zeros(env.num_envs, bool), 0
@@ -89,7 +89,7 @@ def _play_round(
         rested = rested + 1 if moves < _REST else 0
         if not left.any() or rested > _PATIENCE:
             break
-    return Outcome(completed, np.where(completed, 0.0, nearest))
+    return Results(completed, np.where(completed, 0.0, nearest))
 
 
 def find_starts(
