@@ -111,7 +111,7 @@ class Disturbances:
             self._sim.vary(env_ids, factors)
 
     def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
-        """Return the actions by agent that arrive; none comes late where worlds rest."""
+        """Return the actions by agent that arrive; none is queued where worlds rest."""
         rows, xp = self._progress.rows, self._sim.xp
         if self._bounds.delay:
             late, due = xp.asarray(self._is_late)[:, None], {}

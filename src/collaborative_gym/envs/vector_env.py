@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control import Command
-from collaborative_gym.envs.arguments import check_env_ids, check_episodes, where
+from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.disturbances import Disturbances
-from collaborative_gym.envs.progress import Progress, copied
+from collaborative_gym.envs.progress import Progress, copied, where
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, take
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
@@ -93,6 +93,11 @@ class VectorEnv:
       strain: what measures the strain, None unless it was asked for.
     """
 
+    _facts: Any = None
+    _camera: Camera | None = None
+    _watcher: Callable[[], object] | None = None
+    _shots, _is_started, _is_closed = 1, False, False
+
     def __init__(
         self,
         task: Task,
@@ -116,30 +121,17 @@ class VectorEnv:
         sim, self.action_mode = world.batch(num_envs, num_threads)
         self.sim, mode = sim, self.action_mode
         self.strain = Strain(self.scene, sim, mode) if strain else None
-        self.observation_blocks = world.definition.layout.observation
-        self.action_parts = world.definition.layout.action
-        self.single_observation_spaces = world.definition.observation_spaces
-        self.single_action_spaces = world.definition.action_spaces
-        self.reward_terms = world.definition.reward_terms
-        self.sides = world.definition.sides
+        defined = world.definition
+        self.observation_blocks = defined.layout.observation
+        self.action_parts = defined.layout.action
+        self.single_observation_spaces = defined.observation_spaces
+        self.single_action_spaces = defined.action_spaces
+        self.reward_terms, self.sides = defined.reward_terms, defined.sides
         self._starts = Starts(world, num_envs, num_threads)
-        self._facts: Any = None
         self._turns = Turns()
-        self._camera: Camera | None = None
-        self._watcher: Callable[[], object] | None = None
-        self._shots = 1
         self._style_draws = EpisodeDraws(num_envs, (STYLE_DRAWS,), Stream.STYLE)
         self._auto_reset = auto_reset
-        self._is_started = self._is_closed = False
-        self._progress = Progress(
-            self.task,
-            sim.xp,
-            num_envs=num_envs,
-            seed=seed,
-            sides=self.sides,
-            reward_terms=self.reward_terms,
-            has_strain=strain,
-        )
+        self._progress = Progress(world, sim.xp, num_envs=num_envs, seed=seed)
         parts = self.task, self.scene, sim, mode, self._progress
         self._disturbances = Disturbances(*parts)
 
@@ -457,16 +449,18 @@ class VectorEnv:
         self, facts: Any, commands: dict[str, Command], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
-        terms: dict[str, Terms] = self.task.reward(facts, commands)
-        if xp.any(lost):
-            terms = {
-                agent: {name: xp.where(lost, 0.0, term) for name, term in own.items()}
-                for agent, own in terms.items()
-            }
-        terms = {
-            agent: {name: xp.astype(term, xp.float32) for name, term in own.items()}
-            for agent, own in terms.items()
-        }
+        terms: dict[str, Terms] = {}
+        for agent, own in self.task.reward(facts, commands).items():
+            names = self.reward_terms[agent]
+            if own.keys() ^ names:
+                raise ValueError(
+                    f"{type(self.task).__name__}.reward() has the terms {tuple(own)}"
+                    f" for {agent}, but {names} at first; return every term at every"
+                    " step, zero where it does not count"
+                )
+            if xp.any(lost):
+                own = {name: xp.where(lost, 0.0, term) for name, term in own.items()}
+            terms[agent] = {n: xp.astype(term, xp.float32) for n, term in own.items()}
         return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
 
     def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:
