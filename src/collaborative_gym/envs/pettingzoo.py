@@ -36,7 +36,7 @@ class PettingZooEnv(ParallelEnv):
       task: what to do, from `make_task`.
       render_mode: "rgb_array", or None for no pictures.
       name: what the environment calls itself.
-      strain: whether to measure the strain, too; see `VectorEnv`.
+      strain: as in `make`.
 
     Raises:
       KeyError: if there is no such render mode.

@@ -157,7 +157,7 @@ def descend(
     if orientation is not None:
         orientation = np.full((len(angles), orientation.shape[-1]), orientation)
     missed = np.zeros((len(angles), 3 if orientation is None else 6))
-    rows = np.arange(len(angles))
+    rows = np.arange(len(missed))
     for step in range(steps + 1):
         here, rotation, jacobian = postures.at(angles[rows], rows)
         error, quat = position[rows] - here, np.empty((len(rows), 4))
