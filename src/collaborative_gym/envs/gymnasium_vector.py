@@ -184,7 +184,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             self._agents.split(np.asarray(actions))
         )
         observations = self._agents.joined(by_agent)
-        told, ended = _step_info(infos), infos["ended"]
+        info, ended = _step_info(infos), infos["ended"]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             masked = self._final_infos(infos)
         else:
@@ -192,9 +192,9 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 by_agent, begun = self.vector_env.reset(env_ids=begins)
                 started = self._agents.joined(by_agent)
                 observations = np.where(begins[:, None], started, observations)
-                told = _chosen(begins, _step_info(begun), told)
+                info = _chosen(begins, _step_info(begun), info)
             self._ended = ended & ~begins
-            masked = _masked(told, np.ones(self.num_envs, bool))
+            masked = _masked(info, np.ones(self.num_envs, bool))
         return (
             observations,
             np.sum([each.astype(np.float64) for each in rewards.values()], axis=0),
@@ -217,15 +217,15 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.vector_env.close()
 
     def _final_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
-        ended, told = infos["ended"], _step_info(infos)
-        masked = _masked(told, ~ended)
+        ended, info = infos["ended"], _step_info(infos)
+        masked = _masked(info, ~ended)
         if ended.any():
             final = self._agents.joined(infos["final_observation"])
             final_obs = np.full(self.num_envs, None, object)
             for i in np.flatnonzero(ended):
                 final_obs[i] = final[i]
             masked["final_obs"], masked["_final_obs"] = final_obs, ended.copy()
-            masked["final_info"] = _masked(told, ended)
+            masked["final_info"] = _masked(info, ended)
             masked["_final_info"] = ended.copy()
         return masked
 

@@ -149,13 +149,13 @@ class PettingZooEnv(ParallelEnv):
         self.vector_env.close()
 
     def _infos(self, infos: Mapping[str, Any]) -> ByAgent:
-        told = first_row({name: infos[name] for name in STEP_INFO})
+        row = first_row({name: infos[name] for name in STEP_INFO})
         by_agent = {}
         for side, agents in self.vector_env.sides.items():
             for agent in agents:
-                info = _of_side(told, side)
-                info["reward_terms"] = told["reward_terms"][agent]
-                info["metrics"] = _of_side(told["metrics"], side)
+                info = _of_side(row, side)
+                info["reward_terms"] = row["reward_terms"][agent]
+                info["metrics"] = _of_side(row["metrics"], side)
                 by_agent[agent] = info
         return {agent: by_agent[agent] for agent in self.possible_agents}
 
@@ -178,7 +178,7 @@ def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
 
 
 def _of_side(by_name: Mapping[str, Any], side: str) -> ByAgent:
-    """Return values; of those that are told by side, the values of one side."""
+    """Return values; of those that each side has, the values of one side."""
     return {
         name: value[side] if isinstance(value, dict) and side in value else value
         for name, value in by_name.items()

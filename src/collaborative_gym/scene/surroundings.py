@@ -14,7 +14,7 @@ _WALL = (0.90, 0.92, 0.94)
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
-    # A quiet room: a pale floor that fades into walls without corners.
+    # A plain room: a pale floor that fades into walls without corners.
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

@@ -81,7 +81,7 @@ def _roll(
         change = motion.joint_change(
             motion.tcp_jacobian(sim, arm, hand[0]),
             np.concatenate(error, axis=1),
-            lean=0.3 * (task.postures[agent] - angle),
+            nullspace=0.3 * (task.postures[agent] - angle),
             room=(low - angle, high - angle),
         )
         change = motion.settling(sim, arm, change=change)

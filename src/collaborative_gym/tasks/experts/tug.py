@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _HAUL = 0.1
 """How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
 
-_LEAN = 0.3
+_TO_STRONGER = 0.3
 """How far in a step the expert asks its joints to go to a stronger posture, in rad."""
 
 
@@ -29,7 +29,7 @@ def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
         change = motion.joint_change(
             jacobian[:, :3],
             np.tile(_HAUL * pull, (sim.num_envs, 1)),
-            lean=_LEAN * relief(arm.robot, jacobian, pull),
+            nullspace=_TO_STRONGER * relief(arm.robot, jacobian, pull),
             room=(low - angle, high - angle),
         )
         motions[agent] = Motion(change)
