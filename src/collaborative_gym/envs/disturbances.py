@@ -169,9 +169,7 @@ def _columns(model: mujoco.MjModel, kind: mujoco.mjtSensor) -> np.ndarray:
     return model.sensor_adr[own][:, None] + np.arange(size)
 
 
-def _bodies(
-    scene: Scene, model: mujoco.MjModel
-) -> tuple[list[list[int]], list[list[int]]]:
+def _bodies(scene: Scene, model: mujoco.MjModel) -> tuple[list[list[int]], ...]:
     """Return the bodies of each arm's links, and those of each tool and loose thing."""
     links = {agent: [] for agent in scene.arms}
     loads: dict[str, list[int]] = {}

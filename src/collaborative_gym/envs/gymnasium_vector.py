@@ -77,13 +77,8 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
         task = make_task(env_id, robots, randomization=randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
-        self.vector_env = VectorEnv(
-            task,
-            num_envs,
-            num_threads=num_threads,
-            auto_reset=is_same,
-            strain=strain,
-        )
+        how = {"num_threads": num_threads, "auto_reset": is_same, "strain": strain}
+        self.vector_env = VectorEnv(task, num_envs, **how)
         self._agents = SingleAgent(self.vector_env)
         self.num_envs = num_envs
         self.single_observation_space = self._agents.observation_space
@@ -180,9 +175,8 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             observations, infos = self.reset()
             never = np.zeros(self.num_envs, bool)
             return observations, np.zeros(self.num_envs), never, never.copy(), infos
-        by_agent, rewards, terminated, truncated, infos = self.vector_env.step(
-            self._agents.split(np.asarray(actions))
-        )
+        done = self._agents.split(np.asarray(actions))
+        by_agent, rewards, terminated, truncated, infos = self.vector_env.step(done)
         observations = self._agents.joined(by_agent)
         info, ended = _step_info(infos), infos["ended"]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:

@@ -62,9 +62,8 @@ class PettingZooEnv(ParallelEnv):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         self.metadata = {**_METADATA, "name": name or type(task).__name__}
-        self.vector_env = VectorEnv(
-            task, 1, num_threads=1, auto_reset=False, strain=strain
-        )
+        how = {"num_threads": 1, "auto_reset": False, "strain": strain}
+        self.vector_env = VectorEnv(task, 1, **how)
         self.possible_agents = list(self.vector_env.agents)
         self.agents: list[str] = []
         self.observation_spaces = {**self.vector_env.single_observation_spaces}
@@ -162,15 +161,13 @@ class PettingZooEnv(ParallelEnv):
     def _batch_of_one(self, actions: Mapping[str, Array]) -> Mapping[str, Array]:
         if not isinstance(actions, Mapping):
             return actions
-        batch = {}
-        for agent, action in actions.items():
-            space, shape = self.action_spaces.get(agent), np.shape(action)
-            if space is not None and shape != space.shape:
+        for agent, space in self.action_spaces.items():
+            if agent in actions and np.shape(actions[agent]) != space.shape:
                 raise ValueError(
-                    f"the action of {agent} has shape {shape}, not {space.shape}"
+                    f"the action of {agent} has shape {np.shape(actions[agent])}, not"
+                    f" {space.shape}"
                 )
-            batch[agent] = np.asarray(action)[None]
-        return batch
+        return {agent: np.asarray(action)[None] for agent, action in actions.items()}
 
 
 def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:

@@ -62,8 +62,7 @@ class VectorEnv:
 
     Only one thread at a time may use an environment, and only in the process that made
     it. A call that fails leaves every world as it was. Copies and pickles continue from
-    the present state. For this, the task's class must be able to make the task again
-    from its arms and config.
+    the present state, if the task's class can make the task again from arms and config.
 
     Args:
       task: what to do, from `make_task`.
@@ -79,12 +78,12 @@ class VectorEnv:
       num_envs: how many worlds.
       agents: the agents' names.
       sides: the agents of each side, by its name: "side_1" and so on.
-      single_observation_spaces: space of one world's observation, by agent.
-      single_action_spaces: space of one world's action, by agent.
+      single_observation_spaces: of one world, by agent.
+      single_action_spaces: of one world, by agent.
       observation_blocks: a `Block` for each part of an observation, by agent and name.
       action_parts: the same of an action: `moves`, and `grip` if the task has gripping.
       reward_terms: names of a reward's parts, by agent.
-      model: the compiled world.
+      model: MuJoCo's model of the world.
       scene: handles into it.
       sim: the physics.
       action_mode: what actions mean here.
@@ -281,8 +280,7 @@ class VectorEnv:
     ) -> dict[str, np.ndarray]:
         """Return actions of robots that hold still.
 
-        Args:
-          grips: whether they grip, or by agent in which worlds, (num_envs,).
+        They grip if `grips` says so, or by agent in which worlds, (num_envs,).
         """
         return self.action_mode.idle(self.num_envs, grips)
 
