@@ -96,9 +96,9 @@ class Disturbances:
         if self._changes_models:
             model = self._sim.model
             masses = np.ones((len(env_ids), model.nbody))
-            for own, factors in (self._links, links), (self._loads, loads):
-                for bodies, factor in zip(own, factors.T, strict=True):
-                    masses[:, bodies] = factor[:, None]
+            changed = zip(self._links + self._loads, [*links.T, *loads.T], strict=True)
+            for bodies, factor in changed:
+                masses[:, bodies] = factor[:, None]
             torques = np.ones((len(env_ids), model.nu, 1))
             for i, arm in enumerate(self._scene.arms.values()):
                 torques[weak == i, arm.servos] -= bounds.lost_torque
