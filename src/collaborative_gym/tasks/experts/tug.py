@@ -7,6 +7,7 @@ import numpy as np
 from collaborative_gym import motion
 from collaborative_gym.control import Motion
 from collaborative_gym.motion.loads import relief
+from collaborative_gym.motion.solver import tcp_jacobian
 from collaborative_gym.sim.sim import Sim
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
     motions = {}
     for agent, arm in self.scene.arms.items():
         pull = np.array([0.0, self.ways[agent], 0.0])
-        jacobian = motion.tcp_jacobian(sim, arm, facts.tcps[agent])
+        jacobian = tcp_jacobian(sim, arm, facts.tcps[agent])
         angle, (low, high) = facts.joints[agent], arm.joint_range
         change = motion.joint_change(
             jacobian[:, :3],
