@@ -11,7 +11,7 @@ def test_joint_change_keeps_joints_in_their_room():
     jacobian = np.array([[[1.0, 1.0, 0.5]]])
     room = np.array([[-1.0, -1.0, -1.0]]), np.array([[0.1, 1.0, 1.0]])
     change = motion.joint_change(
-        jacobian, np.array([[1.0]]), lean=np.zeros((1, 3)), room=room
+        jacobian, np.array([[1.0]]), nullspace=np.zeros((1, 3)), room=room
     )
     assert change[0, 0] <= 0.1
     # The other joints take over what the first cannot do.

@@ -61,11 +61,9 @@ class Grips:
         holds = wanted & (is_held | (gap < self._thresholds)) & ~has_torn
         sim.eq_active[:, self._equalities] = holds
         sim.userdata[:, : len(self._agents)] = holds
-        closing = zip(self._fingers, self._closed, strict=True)
-        for i, (fingers, closed) in enumerate(closing):
-            is_closed = holds[:, i, None, None]
-            opened = controls[:, :, fingers]
-            controls[:, :, fingers] = xp.where(is_closed, closed, opened)
+        for i, fingers in enumerate(self._fingers):
+            is_closed, opened = holds[:, i, None, None], controls[:, :, fingers]
+            controls[:, :, fingers] = xp.where(is_closed, self._closed[i], opened)
 
     def tears(self, sensordata: Array, active: Array) -> Array:
         """Return which grips tear; see `Breaks` of the simulation."""

@@ -16,7 +16,7 @@ _FARTHEST = np.array([0.05] * 3 + [0.15] * 3)
 """Greatest translation in m, and greatest turn in rad, of a control step."""
 
 _ROUNDS = 2  # Newton steps in a control step; one alone misses a tenth of the way
-_LEANING, _FULLY = 0.2, 0.2
+_TO_POSTURE, _FULLY = 0.2, 0.2
 """Gain towards the posture, and the size of an action from which on it is full."""
 
 
@@ -94,18 +94,20 @@ class TcpChanges(ServoMode):
         xp, angles, size = self._sim.xp, self._angles(), self._size(asked)
         way = asked * self._farthest / xp.maximum(size, 1.0)
         low, high = self._low - angles, self._high - angles
-        # Only an arm that moves leans: one that is not asked to stays as it is.
-        share = _LEANING / _FULLY * xp.minimum(size, _FULLY)
-        lean = share * (self._postures - angles)
-        lean = xp.minimum(xp.maximum(lean, -self._stride), self._stride)
+        # Only an arm that moves goes to its posture; another stays as it is.
+        share = _TO_POSTURE / _FULLY * xp.minimum(size, _FULLY)
+        nullspace = share * (self._postures - angles)
+        nullspace = xp.minimum(xp.maximum(nullspace, -self._stride), self._stride)
         free = self._kinematics.moves + xp.zeros_like(angles)
         change, (start, jacobian) = xp.zeros_like(angles), self._kinematics(angles)
         left = way
         for step in range(_ROUNDS):
             if step > 0:
                 here, jacobian = self._kinematics(angles + change)
-                left, lean = way - travel(start, here), xp.zeros_like(lean)
-            more = damped_change(jacobian, left, lean=lean, free=free, damping=DAMPING)
+                left, nullspace = way - travel(start, here), xp.zeros_like(nullspace)
+            more = damped_change(
+                jacobian, left, nullspace=nullspace, free=free, damping=DAMPING
+            )
             tried = change + more
             change = xp.minimum(xp.maximum(tried, low), high)
             # What a joint at the end of its range cannot do, the others do.

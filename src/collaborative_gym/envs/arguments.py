@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.errors import shown
-from collaborative_gym.math import Array
 from collaborative_gym.sim.sim import EnvIds
 
 _LAST_EPISODE = 2**62
@@ -73,8 +72,3 @@ def _array(what: str, given: Any) -> np.ndarray:
         return np.asarray(given)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{what} cannot be read as numbers: {error}") from None
-
-
-def where(mask: Array, xp: Any) -> np.ndarray:
-    """Return the worlds of a mask as NumPy's integers, which name worlds."""
-    return np.array([int(i) for i in xp.nonzero(mask)[0]], dtype=np.int64)

@@ -13,11 +13,9 @@ from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.task import Blocks, Task, Terms
+from collaborative_gym.tasks.task import Task
 
-_NUMBERS = "bool", "integral", "real floating"
-"""Kinds of numbers of which a block may be."""
-
+_NUMBERS = "bool", "integral", "real floating"  # kinds of which a block may be
 _HAND = 0.3  # what a hand, and what it holds, add to an arm's rated reach, in m
 
 
@@ -39,32 +37,31 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
       ValueError: if the task's methods return something that cannot be used, or a
         target is out of every arm's reach; says what to change.
     """
-    name, mode = type(task).__name__, task.action_mode
-    tried = np.arange(min(sim.num_envs, 2))
+    trial, mode = _Trial(task, sim), task.action_mode
     sim.memory = task.remember(sim.num_envs)
-    task.reset(sim, tried, rng=EpisodeRandom(0 * tried, tried))
-    mode.start(tried)
+    task.reset(sim, trial.rows, rng=EpisodeRandom(0 * trial.rows, trial.rows))
+    mode.start(trial.rows)
     sim.forward()
-    _check_targets(name, task, scene, sim)
+    trial.check_targets(scene)
     facts = task.measure(sim)
     blocks = task.observe(facts)
-    _check_blocks(name, task, blocks, tried, sim)
+    trial.check_blocks(blocks)
     idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
     terms = task.reward(facts, mode.commands(idle))
-    _check_terms(name, task, terms, tried, sim)
-    sides = _sides(name, task)
-    for method in ("success", "performing"):
-        given = getattr(task, method)(facts)
-        if method == "performing" and given is None:
-            continue
-        for what, mask in _by_side(f"{name}.{method}()", given, sides):
-            _check_mask(what, mask, sim)
-    _check_score(f"{name}.score()", task.score(facts), sides, tried, sim)
-    _check_over(f"{name}.over()", task.over(facts), tried, sim)
+    trial.check_terms(terms)
+    trial.check_masks("success", task.success(facts))
+    performing, over = task.performing(facts), task.over(facts)
+    if performing is not None:
+        trial.check_masks("performing", performing)
+    trial.check_score(task.score(facts))
+    if over is not None:
+        trial.check_over(over)
     layout = Layout(
         {
-            agent: {b: _block(task, b, rows, sim.xp) for b, rows in own.items()}
-            for agent, own in ((agent, blocks[agent]) for agent in task.agents)
+            agent: {
+                name: trial.block(name, each) for name, each in blocks[agent].items()
+            }
+            for agent in task.agents
         },
         {agent: mode.parts(agent) for agent in task.agents},
     )
@@ -74,99 +71,161 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
         observation_spaces={a: Box(-np.inf, np.inf, (n,), np.float32) for a, n in seen},
         action_spaces={a: Box(-1.0, 1.0, (n,), np.float32) for a, n in done},
         reward_terms={agent: tuple(terms[agent]) for agent in task.agents},
-        sides=sides,
+        sides=trial.sides,
     )
 
 
-def _check_targets(name: str, task: Task, scene: Scene, sim: Sim) -> None:
-    """Raise if a target is so far away that no arm can bring anything there."""
-    if scene.tools:
-        return  # How far they reach is not known here.
-    bases = {a: np.array(p.position) for a, p in task.placements.items()}
-    for target, places in scene.targets(sim).items():
-        place = np.array([float(places[0, i]) for i in range(3)])
-        room = {
-            agent: task.robots[agent].reach
-            + _HAND
-            - float(np.linalg.norm(place - bases[agent] - SHOULDER))
-            for agent in task.agents
-        }
-        if max(room.values()) < 0.0:
-            listed = ", ".join(
-                f"{agent}'s by {-missing:.2f} m" for agent, missing in room.items()
-            )
+class _Trial:
+    """Checks what a task's methods return; `rows` are the worlds that are tried."""
+
+    def __init__(self, task: Task, sim: Sim):
+        self._name, self._task, self._sim = type(task).__name__, task, sim
+        self.rows = np.arange(min(sim.num_envs, 2))
+        self.sides = self._sides()
+
+    def check_targets(self, scene: Scene) -> None:
+        """Raise if a target is so far away that no arm can bring anything there."""
+        if scene.tools:
+            return  # How far they reach is not known here.
+        task, placements = self._task, self._task.placements
+        for target, places in scene.targets(self._sim).items():
+            place, missing = np.array([float(places[0, i]) for i in range(3)]), {}
+            for agent, placement in placements.items():
+                far = np.linalg.norm(place - np.array(placement.position) - SHOULDER)
+                missing[agent] = float(far) - task.robots[agent].reach - _HAND
+            if min(missing.values()) > 0.0:
+                listed = [f"{agent}'s by {far:.2f} m" for agent, far in missing.items()]
+                raise ValueError(
+                    f"{self._name}: {target!r} at {np.round(place, 2).tolist()} is out"
+                    f" of every arm's reach ({', '.join(listed)}); put it nearer to an"
+                    " arm, or mount an arm nearer to it"
+                )
+
+    def check_blocks(self, blocks: Any) -> None:
+        worlds, xp = self._sim.num_envs, self._sim.xp
+        for what, rows in self._each("observe", "block", blocks):
+            shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
+            if len(shape) < 2 or shape[0] != worlds:
+                raise ValueError(
+                    f"{what} has shape {shape}; it needs a row for each world,"
+                    f" ({worlds}, k) or with more axes: index one number per world as"
+                    " [:, None]"
+                )
+            if not hasattr(rows, "dtype") or not xp.isdtype(kind, _NUMBERS):
+                raise ValueError(
+                    f"{what} is of type {kind}; it must be an array of real numbers,"
+                    " integers or booleans"
+                )
+            self._check_finite(what, rows)
+
+    def block(self, name: str, rows: Array) -> Block:
+        """Return what a checked block is."""
+        task = self._task
+        is_real = self._sim.xp.isdtype(rows.dtype, "real floating")
+        dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
+        words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
+        units = task.block_units
+        unit = units.get(name, units.get(" ".join(words), ""))
+        return Block(name, tuple(rows.shape[1:]), dtype, unit)
+
+    def check_terms(self, terms: Any) -> None:
+        for what, values in self._each("reward", "term", terms):
+            self._check_numbers(what, f"has shape {np.shape(values)}", values)
+
+    def check_masks(self, method: str, given: Any) -> None:
+        for what, mask in self._by_side(method, given):
+            kind = getattr(mask, "dtype", type(mask).__name__)
+            worlds = self._sim.num_envs
+            if np.shape(mask) != (worlds,) or kind != self._sim.xp.bool:
+                raise ValueError(
+                    f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for"
+                    f" each world, ({worlds},), as a comparison gives"
+                )
+
+    def check_score(self, points: Any) -> None:
+        if points is None:
+            return
+        if len(self.sides) == 1:
             raise ValueError(
-                f"{name}: {target!r} at {np.round(place, 2).tolist()} is out of every"
-                f" arm's reach ({listed}); put it nearer to an arm, or mount an arm"
-                " nearer to it"
+                f"{self._name}.score() is for tasks of several sides; a single one is"
+                " judged by success() and reward()"
             )
+        for what, gained in self._by_side("score", points):
+            self._check_numbers(what, f"is {_kind(gained)}", gained)
 
-
-def _check_blocks(
-    name: str, task: Task, blocks: Mapping[str, Blocks], tried: np.ndarray, sim: Sim
-) -> None:
-    for what, rows in _each(f"{name}.observe()", "block", task, blocks):
-        shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
-        if len(shape) < 2 or shape[0] != sim.num_envs:
+    def check_over(self, over: Any) -> None:
+        self.check_masks("over", over)
+        if self._sim.xp.any(over[self.rows]):
             raise ValueError(
-                f"{what} has shape {shape}; it needs a row for each world,"
-                f" ({sim.num_envs}, k) or with more axes: index one number per world"
-                " as [:, None]"
+                f"{self._name}.over() ends an episode at its very start; let it begin"
+                " with a state that is not over"
             )
-        if not hasattr(rows, "dtype") or not sim.xp.isdtype(kind, _NUMBERS):
+
+    def _sides(self) -> dict[str, tuple[str, ...]]:
+        task = self._task
+        try:
+            sides = {f"side_{i + 1}": tuple(own) for i, own in enumerate(task.sides)}
+        except TypeError:
+            sides = {}
+        members = [str(agent) for own in sides.values() for agent in own]
+        if sorted(members) != sorted(task.agents) or not all(sides.values()):
             raise ValueError(
-                f"{what} is of type {kind}; it must be an array of real numbers,"
-                " integers or booleans"
+                f"{self._name}.sides is {task.sides!r}; each of"
+                f" {', '.join(task.agents)} must be on exactly one side, and no side"
+                " empty"
             )
-        _check_finite(what, rows, tried, sim)
+        return sides
 
-
-def _block(task: Task, name: str, rows: Array, xp: Any) -> Block:
-    """Return what a checked block is."""
-    is_real = xp.isdtype(rows.dtype, "real floating")
-    dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
-    words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
-    units = task.block_units
-    unit = units.get(name, units.get(" ".join(words), ""))
-    return Block(name, tuple(rows.shape[1:]), dtype, unit)
-
-
-def _check_terms(
-    name: str, task: Task, terms: Mapping[str, Terms], tried: np.ndarray, sim: Sim
-) -> None:
-    for what, values in _each(f"{name}.reward()", "term", task, terms):
-        if np.shape(values) != (sim.num_envs,):
+    def _each(self, method: str, kind: str, given: Any) -> Iterator[tuple[str, Array]]:
+        """Yield what to call each named array that a method returned, and the array."""
+        method, agents = f"{self._name}.{method}()", self._task.agents
+        if not isinstance(given, Mapping):
             raise ValueError(
-                f"{what} has shape {np.shape(values)}; it needs one number for"
-                f" each world, ({sim.num_envs},)"
+                f"{method} returns a {type(given).__name__}; it must return a"
+                f" dictionary with an entry for each of {', '.join(agents)}"
             )
-        _check_finite(what, values, tried, sim)
+        for agent in given:
+            if agent not in agents:
+                raise ValueError(f"{method}: {unknown('agent', agent, agents)}")
+        for agent in agents:
+            if agent not in given:
+                raise ValueError(f"{method} has no entry for {agent}; add one")
+            named = given[agent]
+            if not isinstance(named, Mapping) or not named:
+                raise ValueError(
+                    f"{method}: the entry of {agent} is {_kind(named)}; it must be a"
+                    " dictionary of named arrays"
+                )
+            for name, array in named.items():
+                yield f"{method}: {kind} {name!r} of {agent}", array
 
-
-def _each(
-    method: str, kind: str, task: Task, given: Any
-) -> Iterator[tuple[str, Array]]:
-    """Yield what to call each named array that a method returned, and the array."""
-    if not isinstance(given, Mapping):
-        raise ValueError(
-            f"{method} returns a {type(given).__name__}; it must return a dictionary"
-            f" with an entry for each of {', '.join(task.agents)}"
-        )
-    for agent in given:
-        if agent not in task.agents:
-            raise ValueError(f"{method}: {unknown('agent', agent, task.agents)}")
-    for agent in task.agents:
-        if agent not in given:
-            raise ValueError(f"{method} has no entry for {agent}; add one")
-    for agent in task.agents:
-        named = given[agent]
-        if not isinstance(named, Mapping) or not named:
+    def _by_side(self, method: str, given: Any) -> list[tuple[str, Any]]:
+        """Return what to call the array of each side, and the array."""
+        what, sides = f"{self._name}.{method}()", self.sides
+        if len(sides) == 1 or method == "over":
+            return [(what, given)]
+        if not isinstance(given, tuple) or len(given) != len(sides):
             raise ValueError(
-                f"{method}: the entry of {agent} is {_kind(named)}; it must be a"
-                " dictionary of named arrays"
+                f"{what} is {_kind(given)}; a task of {len(sides)} sides returns a"
+                " tuple with an array for each, in the order of its sides"
             )
-        for name, array in named.items():
-            yield f"{method}: {kind} {name!r} of {agent}", array
+        return [(f"{what} of {s}", own) for s, own in zip(sides, given, strict=True)]
+
+    def _check_numbers(self, what: str, found: str, values: Any) -> None:
+        worlds = self._sim.num_envs
+        if np.shape(values) != (worlds,):
+            raise ValueError(
+                f"{what} {found}; it needs one number for each world, ({worlds},)"
+            )
+        self._check_finite(what, values)
+
+    def _check_finite(self, what: str, values: Array) -> None:
+        xp = self._sim.xp
+        if not xp.all(xp.isfinite(xp.asarray(values)[self.rows])):
+            raise ValueError(
+                f"{what} is not finite at the start of an episode; look for a division"
+                " by zero, or for a place that reset() does not write"
+            )
 
 
 def _kind(thing: Any) -> str:
@@ -175,76 +234,3 @@ def _kind(thing: Any) -> str:
         return "an empty dictionary"
     shape = f" of shape {thing.shape}" if hasattr(thing, "shape") else ""
     return f"of type {type(thing).__name__}{shape}"
-
-
-def _sides(name: str, task: Task) -> dict[str, tuple[str, ...]]:
-    try:
-        sides = {f"side_{i + 1}": tuple(own) for i, own in enumerate(task.sides)}
-    except TypeError:
-        sides = {}
-    members = [str(agent) for own in sides.values() for agent in own]
-    if sorted(members) != sorted(task.agents) or not all(sides.values()):
-        raise ValueError(
-            f"{name}.sides is {task.sides!r}; each of {', '.join(task.agents)} must be"
-            " on exactly one side, and no side empty"
-        )
-    return sides
-
-
-def _by_side(what: str, given: Any, sides: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Return what to call the array of each side, and the array."""
-    if len(sides) == 1:
-        return [(what, given)]
-    if not isinstance(given, tuple) or len(given) != len(sides):
-        raise ValueError(
-            f"{what} is {_kind(given)}; a task of {len(sides)} sides returns a tuple"
-            " with an array for each, in the order of its sides"
-        )
-    return [(f"{what} of {side}", own) for side, own in zip(sides, given, strict=True)]
-
-
-def _check_mask(what: str, mask: Any, sim: Sim) -> None:
-    kind = getattr(mask, "dtype", type(mask).__name__)
-    if np.shape(mask) != (sim.num_envs,) or kind != sim.xp.bool:
-        raise ValueError(
-            f"{what} is {kind} of shape {np.shape(mask)}; it needs a bool for each"
-            f" world, ({sim.num_envs},), as a comparison gives"
-        )
-
-
-def _check_score(
-    what: str, points: Any, sides: Mapping[str, Any], tried: np.ndarray, sim: Sim
-) -> None:
-    if points is None:
-        return
-    if len(sides) == 1:
-        raise ValueError(
-            f"{what} is for tasks of several sides; a single one is judged by success()"
-            " and reward()"
-        )
-    for own, gained in _by_side(what, points, sides):
-        if np.shape(gained) != (sim.num_envs,):
-            raise ValueError(
-                f"{own} is {_kind(gained)}; it needs one number for each world,"
-                f" ({sim.num_envs},)"
-            )
-        _check_finite(own, gained, tried, sim)
-
-
-def _check_over(what: str, over: Any, tried: np.ndarray, sim: Sim) -> None:
-    if over is None:
-        return
-    _check_mask(what, over, sim)
-    if sim.xp.any(over[tried]):
-        raise ValueError(
-            f"{what} ends an episode at its very start; let it begin with a state that"
-            " is not over"
-        )
-
-
-def _check_finite(what: str, values: Array, tried: np.ndarray, sim: Sim) -> None:
-    if not sim.xp.all(sim.xp.isfinite(sim.xp.asarray(values)[tried])):
-        raise ValueError(
-            f"{what} is not finite at the start of an episode; look for a division by"
-            " zero, or for a place that reset() does not write"
-        )

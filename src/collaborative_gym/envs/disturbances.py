@@ -96,9 +96,9 @@ class Disturbances:
         if self._changes_models:
             model = self._sim.model
             masses = np.ones((len(env_ids), model.nbody))
-            for own, factors in (self._links, links), (self._loads, loads):
-                for bodies, factor in zip(own, factors.T, strict=True):
-                    masses[:, bodies] = factor[:, None]
+            changed = zip(self._links + self._loads, [*links.T, *loads.T], strict=True)
+            for bodies, factor in changed:
+                masses[:, bodies] = factor[:, None]
             torques = np.ones((len(env_ids), model.nu, 1))
             for i, arm in enumerate(self._scene.arms.values()):
                 torques[weak == i, arm.servos] -= bounds.lost_torque
@@ -111,7 +111,7 @@ class Disturbances:
             self._sim.vary(env_ids, factors)
 
     def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
-        """Return the actions by agent that arrive; none comes late where worlds rest."""
+        """Return the actions by agent that arrive; none is queued where worlds rest."""
         rows, xp = self._progress.rows, self._sim.xp
         if self._bounds.delay:
             late, due = xp.asarray(self._is_late)[:, None], {}
@@ -169,9 +169,7 @@ def _columns(model: mujoco.MjModel, kind: mujoco.mjtSensor) -> np.ndarray:
     return model.sensor_adr[own][:, None] + np.arange(size)
 
 
-def _bodies(
-    scene: Scene, model: mujoco.MjModel
-) -> tuple[list[list[int]], list[list[int]]]:
+def _bodies(scene: Scene, model: mujoco.MjModel) -> tuple[list[list[int]], ...]:
     """Return the bodies of each arm's links, and those of each tool and loose thing."""
     links = {agent: [] for agent in scene.arms}
     loads: dict[str, list[int]] = {}

@@ -61,9 +61,8 @@ class GymnasiumEnv(gymnasium.Env):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         task = make_task(env_id, robots, randomization=randomization, **settings)
-        self.vector_env = VectorEnv(
-            task, 1, num_threads=1, auto_reset=False, strain=strain
-        )
+        how = {"num_threads": 1, "auto_reset": False, "strain": strain}
+        self.vector_env = VectorEnv(task, 1, **how)
         self._agents = SingleAgent(self.vector_env)
         self.observation_space = self._agents.observation_space
         self.action_space = self._agents.action_space
@@ -112,9 +111,8 @@ class GymnasiumEnv(gymnasium.Env):
                 f"the action has shape {np.shape(action)}, not"
                 f" {self.action_space.shape}: {self._agents.describe_action()}"
             )
-        observations, rewards, terminated, _, infos = self.vector_env.step(
-            self._agents.split(np.asarray(action)[None])
-        )
+        actions = self._agents.split(np.asarray(action)[None])
+        observations, rewards, terminated, _, infos = self.vector_env.step(actions)
         is_terminated = bool(self._agents.shared(terminated)[0])
         ended = bool(infos["ended"][0])
         info = first_row({name: infos[name] for name in STEP_INFO})
@@ -146,13 +144,11 @@ class SingleAgent:
                 f" {type(env.task).__name__}, which are opponents; use make() or"
                 " make_vec(), where each robot has its agent"
             )
-        self._sizes = {
-            agent: space.shape[0] for agent, space in env.single_action_spaces.items()
-        }
-        spaces = env.single_observation_spaces.values()
-        observation_size = sum(space.shape[0] for space in spaces)
-        self.observation_space = Box(-np.inf, np.inf, (observation_size,), np.float32)
-        self.action_space = Box(-1.0, 1.0, (sum(self._sizes.values()),), np.float32)
+        layout = env.world.definition.layout
+        self._sizes = layout.action_sizes
+        seen, done = sum(layout.observation_sizes.values()), sum(self._sizes.values())
+        self.observation_space = Box(-np.inf, np.inf, (seen,), np.float32)
+        self.action_space = Box(-1.0, 1.0, (done,), np.float32)
 
     def joined(self, observations: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the observations of all agents side by side."""

@@ -77,13 +77,8 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
         task = make_task(env_id, robots, randomization=randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
-        self.vector_env = VectorEnv(
-            task,
-            num_envs,
-            num_threads=num_threads,
-            auto_reset=is_same,
-            strain=strain,
-        )
+        how = {"num_threads": num_threads, "auto_reset": is_same, "strain": strain}
+        self.vector_env = VectorEnv(task, num_envs, **how)
         self._agents = SingleAgent(self.vector_env)
         self.num_envs = num_envs
         self.single_observation_space = self._agents.observation_space
@@ -180,11 +175,10 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             observations, infos = self.reset()
             never = np.zeros(self.num_envs, bool)
             return observations, np.zeros(self.num_envs), never, never.copy(), infos
-        by_agent, rewards, terminated, truncated, infos = self.vector_env.step(
-            self._agents.split(np.asarray(actions))
-        )
+        done = self._agents.split(np.asarray(actions))
+        by_agent, rewards, terminated, truncated, infos = self.vector_env.step(done)
         observations = self._agents.joined(by_agent)
-        told, ended = _step_info(infos), infos["ended"]
+        info, ended = _step_info(infos), infos["ended"]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             masked = self._final_infos(infos)
         else:
@@ -192,9 +186,9 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 by_agent, begun = self.vector_env.reset(env_ids=begins)
                 started = self._agents.joined(by_agent)
                 observations = np.where(begins[:, None], started, observations)
-                told = _chosen(begins, _step_info(begun), told)
+                info = _chosen(begins, _step_info(begun), info)
             self._ended = ended & ~begins
-            masked = _masked(told, np.ones(self.num_envs, bool))
+            masked = _masked(info, np.ones(self.num_envs, bool))
         return (
             observations,
             np.sum([each.astype(np.float64) for each in rewards.values()], axis=0),
@@ -217,15 +211,15 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.vector_env.close()
 
     def _final_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
-        ended, told = infos["ended"], _step_info(infos)
-        masked = _masked(told, ~ended)
+        ended, info = infos["ended"], _step_info(infos)
+        masked = _masked(info, ~ended)
         if ended.any():
             final = self._agents.joined(infos["final_observation"])
             final_obs = np.full(self.num_envs, None, object)
             for i in np.flatnonzero(ended):
                 final_obs[i] = final[i]
             masked["final_obs"], masked["_final_obs"] = final_obs, ended.copy()
-            masked["final_info"] = _masked(told, ended)
+            masked["final_info"] = _masked(info, ended)
             masked["_final_info"] = ended.copy()
         return masked
 

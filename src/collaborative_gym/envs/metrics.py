@@ -62,7 +62,7 @@ class Metrics(Mapping[str, Any]):
         if name == "returns":
             return {a: sum(rows[row] for row in own.values()) for a, own in sums}
         if name == "strain":
-            return strain.told(rows)
+            return strain.measured(rows)
         xp = array_namespace(rows["length"])
         if name == "reward_terms":
             return {

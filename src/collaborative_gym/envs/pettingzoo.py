@@ -36,7 +36,7 @@ class PettingZooEnv(ParallelEnv):
       task: what to do, from `make_task`.
       render_mode: "rgb_array", or None for no pictures.
       name: what the environment calls itself.
-      strain: whether to measure the strain, too; see `VectorEnv`.
+      strain: as in `make`.
 
     Raises:
       KeyError: if there is no such render mode.
@@ -62,9 +62,8 @@ class PettingZooEnv(ParallelEnv):
         check_render_mode(render_mode, RENDERING["render_modes"])
         self.render_mode = render_mode
         self.metadata = {**_METADATA, "name": name or type(task).__name__}
-        self.vector_env = VectorEnv(
-            task, 1, num_threads=1, auto_reset=False, strain=strain
-        )
+        how = {"num_threads": 1, "auto_reset": False, "strain": strain}
+        self.vector_env = VectorEnv(task, 1, **how)
         self.possible_agents = list(self.vector_env.agents)
         self.agents: list[str] = []
         self.observation_spaces = {**self.vector_env.single_observation_spaces}
@@ -149,28 +148,26 @@ class PettingZooEnv(ParallelEnv):
         self.vector_env.close()
 
     def _infos(self, infos: Mapping[str, Any]) -> ByAgent:
-        told = first_row({name: infos[name] for name in STEP_INFO})
+        row = first_row({name: infos[name] for name in STEP_INFO})
         by_agent = {}
         for side, agents in self.vector_env.sides.items():
             for agent in agents:
-                info = _of_side(told, side)
-                info["reward_terms"] = told["reward_terms"][agent]
-                info["metrics"] = _of_side(told["metrics"], side)
+                info = _of_side(row, side)
+                info["reward_terms"] = row["reward_terms"][agent]
+                info["metrics"] = _of_side(row["metrics"], side)
                 by_agent[agent] = info
         return {agent: by_agent[agent] for agent in self.possible_agents}
 
     def _batch_of_one(self, actions: Mapping[str, Array]) -> Mapping[str, Array]:
         if not isinstance(actions, Mapping):
             return actions
-        batch = {}
-        for agent, action in actions.items():
-            space, shape = self.action_spaces.get(agent), np.shape(action)
-            if space is not None and shape != space.shape:
+        for agent, space in self.action_spaces.items():
+            if agent in actions and np.shape(actions[agent]) != space.shape:
                 raise ValueError(
-                    f"the action of {agent} has shape {shape}, not {space.shape}"
+                    f"the action of {agent} has shape {np.shape(actions[agent])}, not"
+                    f" {space.shape}"
                 )
-            batch[agent] = np.asarray(action)[None]
-        return batch
+        return {agent: np.asarray(action)[None] for agent, action in actions.items()}
 
 
 def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
@@ -178,7 +175,7 @@ def _row(observations: Mapping[str, np.ndarray]) -> ByAgent:
 
 
 def _of_side(by_name: Mapping[str, Any], side: str) -> ByAgent:
-    """Return values; of those that are told by side, the values of one side."""
+    """Return values; of those that each side has, the values of one side."""
     return {
         name: value[side] if isinstance(value, dict) and side in value else value
         for name, value in by_name.items()

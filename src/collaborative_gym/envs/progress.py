@@ -7,8 +7,9 @@ import numpy as np
 
 from collaborative_gym.envs import strain
 from collaborative_gym.envs.metrics import Metrics
+from collaborative_gym.envs.world import World
 from collaborative_gym.math import Array
-from collaborative_gym.tasks.task import Task, Terms
+from collaborative_gym.tasks.task import Terms
 
 
 class Progress:
@@ -20,26 +21,17 @@ class Progress:
     Attributes:
       rows: (num_envs,) arrays by name, part of a saved state, which are replaced and
         never written to: `seed` and index (`episode`) of the episode, its control steps
-        (`step`; `length` counts only those that were played where starts are staggered),
+        (`step`; `length` counts only those that were played if starts are staggered),
         the sums, and how it ended (`terminated` or `truncated`, and `diverged`).
     """
 
-    def __init__(
-        self,
-        task: Task,
-        xp: Any,
-        *,
-        num_envs: int,
-        seed: int,
-        sides: Mapping[str, tuple[str, ...]],
-        reward_terms: Mapping[str, tuple[str, ...]],
-        has_strain: bool = False,
-    ):
-        self._task, self._xp, self._num_envs = task, xp, num_envs
-        self._sides, self._is_divided = sides, len(sides) > 1
+    def __init__(self, world: World, xp: Any, *, num_envs: int, seed: int):
+        self._task, self._xp, self._num_envs = world.task, xp, num_envs
+        self._sides = sides = world.definition.sides
+        self._is_divided = len(sides) > 1
         self._sums = {
             agent: {name: f"{agent}: {name}" for name in names}
-            for agent, names in reward_terms.items()
+            for agent, names in world.definition.reward_terms.items()
         }
         blank: dict[str, float] = {"step": 0, "length": 0}
         blank |= dict.fromkeys(("terminated", "truncated", "diverged"), False)
@@ -49,7 +41,7 @@ class Progress:
                 blank[f"{side}: score"] = 0.0
         for names in self._sums.values():
             blank |= dict.fromkeys(names.values(), 0.0)
-        if has_strain:
+        if world.has_strain:
             blank |= strain.BLANK
         kinds = {bool: xp.bool, int: xp.int64, float: xp.float64}
         self._blank, self.rows = blank, {}
@@ -108,12 +100,6 @@ class Progress:
         for name in "step", "length":
             rows[name] = rows[name] + moved
         for agent, names in self._sums.items():
-            if terms[agent].keys() ^ names:
-                raise ValueError(
-                    f"{type(task).__name__}.reward() has the terms"
-                    f" {tuple(terms[agent])} for {agent}, but {tuple(names)} at first;"
-                    " return every term at every step, zero where it does not count"
-                )
             for name, row in names.items():
                 rows[row] = rows[row] + terms[agent][name]
         met, performing = task.success(facts), task.performing(facts)
@@ -186,3 +172,8 @@ class Progress:
 def copied(arrays: Mapping[str, Array], xp: Any) -> dict[str, Array]:
     """Return copies of named arrays."""
     return {name: xp.asarray(array, copy=True) for name, array in arrays.items()}
+
+
+def where(mask: Array, xp: Any) -> np.ndarray:
+    """Return the worlds of a mask as NumPy's integers, which name worlds."""
+    return np.array([int(i) for i in xp.nonzero(mask)[0]], dtype=np.int64)

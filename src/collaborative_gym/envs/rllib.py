@@ -29,23 +29,11 @@ class RLlibEnv(MultiAgentEnv):
     """A `PettingZooEnv` under RLlib's contract.
 
     All agents act in every step, and all their episodes end in the same one: truncated
-    as time is up, terminated where the task says that it is over. Observations, rewards
-    and infos are those of `PettingZooEnv`.
-
-    Args:
-      task: what to do, from `make_task`.
-      render_mode: "rgb_array", or None for no pictures.
-      name: what the environment calls itself.
-
-    Raises:
-      KeyError: if there is no such render mode.
+    as time is up, terminated where the task says that it is over. Arguments, attributes
+    and all that it returns are those of `PettingZooEnv`, but for `__all__`.
 
     Attributes:
       env: the environment below.
-      possible_agents: the agents' names.
-      agents: the same.
-      observation_spaces: by agent.
-      action_spaces: by agent.
     """
 
     def __init__(self, task: Task, render_mode: str | None = None, name: str = ""):
@@ -68,7 +56,7 @@ class RLlibEnv(MultiAgentEnv):
     def step(
         self, action_dict: Mapping[str, Array]
     ) -> tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]:
-        """Do one control step.
+        """Do one control step; see `PettingZooEnv.step`.
 
         Args:
           action_dict: by agent, (k,); what lies beyond [-1, 1] counts as the nearest
@@ -77,10 +65,6 @@ class RLlibEnv(MultiAgentEnv):
         Returns:
           Observations, rewards, terminated, truncated and infos by agent; terminated
           and truncated also of "__all__".
-
-        Raises:
-          ValueError: if the actions are not what the spaces say; nothing is changed.
-          RuntimeError: before the first `reset`, after an episode's end, after `close`.
         """
         observations, rewards, terminated, truncated, infos = self.env.step(action_dict)
         terminated["__all__"] = all(terminated.values())

@@ -225,8 +225,8 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         columns: Columned = {a: {Columns.OBS: o} for a, o in self._observations.items()}
         for name, rows in self._rows.items():
             module = self.module[name]
-            told = np.concatenate([self._observations[a][w] for a, w in rows])
-            batch = {Columns.OBS: torch.from_numpy(told).to(self._device)}
+            seen = np.concatenate([self._observations[a][w] for a, w in rows])
+            batch = {Columns.OBS: torch.from_numpy(seen).to(self._device)}
             with torch.no_grad():
                 if explore:
                     inputs = module.forward_exploration(batch)

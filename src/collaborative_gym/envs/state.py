@@ -102,19 +102,21 @@ def check_state(
                 " options, and give as many env_ids as it has rows"
             )
         for name, array in given.items():
-            rows, wanted = np.asarray(array), np.asarray(own[name]).dtype
-            if rows.dtype.kind != wanted.kind:
-                raise ValueError(
-                    f"the state's {part} {name!r} is of type {rows.dtype}, not {wanted}"
-                )
-            # What a task remembers may be infinite, such as the least distance so far.
-            is_sane = rows == rows if part == "memory" else np.isfinite(rows)
-            if not is_sane.all():
-                raise ValueError(
-                    f"the state's {part} {name!r} is not finite; take it from"
-                    " get_state()"
-                )
+            _check_rows(part, name, np.asarray(array), np.asarray(own[name]).dtype)
     _check_counts(state.progress, max_steps)
+
+
+def _check_rows(part: str, name: str, rows: np.ndarray, wanted: np.dtype) -> None:
+    if rows.dtype.kind != wanted.kind:
+        raise ValueError(
+            f"the state's {part} {name!r} is of type {rows.dtype}, not {wanted}"
+        )
+    # What a task remembers may be infinite, such as the least distance so far.
+    is_sane = rows == rows if part == "memory" else np.isfinite(rows)
+    if not is_sane.all():
+        raise ValueError(
+            f"the state's {part} {name!r} is not finite; take it from get_state()"
+        )
 
 
 def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:

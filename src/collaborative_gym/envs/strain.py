@@ -67,7 +67,7 @@ _BLANK = {
 """The clearance with which an episode begins; larger ones are not measured."""
 
 STRAIN = tuple(_BLANK)
-"""The names of what is told, in their order."""
+"""The names of the measures, in their order."""
 
 _HELD_STEPS = "strain: held steps"
 
@@ -284,7 +284,7 @@ def internal_force(forces: Sequence[Array]) -> Array:
     return np.max(spent, axis=0)
 
 
-def told(rows: Mapping[str, Array]) -> dict[str, Array]:
+def measured(rows: Mapping[str, Array]) -> dict[str, Array]:
     """Return the strain of episodes, by the names of `STRAIN`, from their rows."""
     strain = {name: rows[f"strain: {name}"] + 0.0 for name in STRAIN}
     strain["torque_limit_share"] /= np.maximum(rows["length"], 1) * SUBSTEPS

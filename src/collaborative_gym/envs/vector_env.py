@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.control import Command
-from collaborative_gym.envs.arguments import check_env_ids, check_episodes, where
+from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.disturbances import Disturbances
-from collaborative_gym.envs.progress import Progress, copied
+from collaborative_gym.envs.progress import Progress, copied, where
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, take
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
@@ -62,8 +62,7 @@ class VectorEnv:
 
     Only one thread at a time may use an environment, and only in the process that made
     it. A call that fails leaves every world as it was. Copies and pickles continue from
-    the present state. For this, the task's class must be able to make the task again
-    from its arms and config.
+    the present state, if the task's class can make the task again from arms and config.
 
     Args:
       task: what to do, from `make_task`.
@@ -79,12 +78,12 @@ class VectorEnv:
       num_envs: how many worlds.
       agents: the agents' names.
       sides: the agents of each side, by its name: "side_1" and so on.
-      single_observation_spaces: space of one world's observation, by agent.
-      single_action_spaces: space of one world's action, by agent.
+      single_observation_spaces: of one world, by agent.
+      single_action_spaces: of one world, by agent.
       observation_blocks: a `Block` for each part of an observation, by agent and name.
       action_parts: the same of an action: `moves`, and `grip` if the task has gripping.
       reward_terms: names of a reward's parts, by agent.
-      model: the compiled world.
+      model: MuJoCo's model of the world.
       scene: handles into it.
       sim: the physics.
       action_mode: what actions mean here.
@@ -92,6 +91,11 @@ class VectorEnv:
       control_dt: time of a control step, in s.
       strain: what measures the strain, None unless it was asked for.
     """
+
+    _facts: Any = None
+    _camera: Camera | None = None
+    _watcher: Callable[[], object] | None = None
+    _shots, _is_started, _is_closed = 1, False, False
 
     def __init__(
         self,
@@ -116,30 +120,17 @@ class VectorEnv:
         sim, self.action_mode = world.batch(num_envs, num_threads)
         self.sim, mode = sim, self.action_mode
         self.strain = Strain(self.scene, sim, mode) if strain else None
-        self.observation_blocks = world.definition.layout.observation
-        self.action_parts = world.definition.layout.action
-        self.single_observation_spaces = world.definition.observation_spaces
-        self.single_action_spaces = world.definition.action_spaces
-        self.reward_terms = world.definition.reward_terms
-        self.sides = world.definition.sides
+        defined = world.definition
+        self.observation_blocks = defined.layout.observation
+        self.action_parts = defined.layout.action
+        self.single_observation_spaces = defined.observation_spaces
+        self.single_action_spaces = defined.action_spaces
+        self.reward_terms, self.sides = defined.reward_terms, defined.sides
         self._starts = Starts(world, num_envs, num_threads)
-        self._facts: Any = None
         self._turns = Turns()
-        self._camera: Camera | None = None
-        self._watcher: Callable[[], object] | None = None
-        self._shots = 1
         self._style_draws = EpisodeDraws(num_envs, (STYLE_DRAWS,), Stream.STYLE)
         self._auto_reset = auto_reset
-        self._is_started = self._is_closed = False
-        self._progress = Progress(
-            self.task,
-            sim.xp,
-            num_envs=num_envs,
-            seed=seed,
-            sides=self.sides,
-            reward_terms=self.reward_terms,
-            has_strain=strain,
-        )
+        self._progress = Progress(world, sim.xp, num_envs=num_envs, seed=seed)
         parts = self.task, self.scene, sim, mode, self._progress
         self._disturbances = Disturbances(*parts)
 
@@ -289,8 +280,7 @@ class VectorEnv:
     ) -> dict[str, np.ndarray]:
         """Return actions of robots that hold still.
 
-        Args:
-          grips: whether they grip, or by agent in which worlds, (num_envs,).
+        They grip if `grips` says so, or by agent in which worlds, (num_envs,).
         """
         return self.action_mode.idle(self.num_envs, grips)
 
@@ -457,16 +447,18 @@ class VectorEnv:
         self, facts: Any, commands: dict[str, Command], lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
-        terms: dict[str, Terms] = self.task.reward(facts, commands)
-        if xp.any(lost):
-            terms = {
-                agent: {name: xp.where(lost, 0.0, term) for name, term in own.items()}
-                for agent, own in terms.items()
-            }
-        terms = {
-            agent: {name: xp.astype(term, xp.float32) for name, term in own.items()}
-            for agent, own in terms.items()
-        }
+        terms: dict[str, Terms] = {}
+        for agent, own in self.task.reward(facts, commands).items():
+            names = self.reward_terms[agent]
+            if own.keys() ^ names:
+                raise ValueError(
+                    f"{type(self.task).__name__}.reward() has the terms {tuple(own)}"
+                    f" for {agent}, but {names} at first; return every term at every"
+                    " step, zero where it does not count"
+                )
+            if xp.any(lost):
+                own = {name: xp.where(lost, 0.0, term) for name, term in own.items()}
+            terms[agent] = {n: xp.astype(term, xp.float32) for n, term in own.items()}
         return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
 
     def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:

@@ -24,8 +24,7 @@ class World:
     """A task's scene, compiled, and all that follows from it.
 
     Environments share it and change nothing of it. `World.of` compiles a task only
-    once, however many environments, and variations by `Task.varied`, ask for it. With
-    `strain` it has the sensors that measure strain.
+    once, however many environments, and variations by `Task.varied`, ask for it.
 
     Attributes:
       task: a copy of the task that knows the compiled world.
@@ -34,10 +33,11 @@ class World:
       refinement: how physics steps are refined.
       mode: the class of what actions mean.
       definition: spaces, names and sides, as the task's methods come to them.
+      has_strain: whether the sensors that measure strain are in it.
     """
 
     def __init__(self, task: Task, strain: bool = False):
-        self.task, self.scene = copy(task), Scene()
+        self.task, self.scene, self.has_strain = copy(task), Scene(), strain
         self.mode = get_mode(task.config.action)
         self.task.build(self.scene)
         self.mode.add_drives(self.scene)

@@ -10,12 +10,7 @@ from collaborative_gym.motion.poses import (
     solve_pose,
     turn_fingers,
 )
-from collaborative_gym.motion.solver import (
-    Chains,
-    joint_change,
-    rotation_error,
-    tcp_jacobian,
-)
+from collaborative_gym.motion.solver import Chains, joint_change, rotation_error
 from collaborative_gym.motion.steering import (
     carry,
     reach,
@@ -41,6 +36,5 @@ __all__ = [
     "solve_pose",
     "standoff",
     "strongest_way",
-    "tcp_jacobian",
     "turn_fingers",
 ]

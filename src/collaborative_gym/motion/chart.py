@@ -65,7 +65,7 @@ class Chart:
             steps=_STEPS,
             is_there=lambda error: greatest(error) < _NEAR,
             # This keeps the free motion near the middle's, and fades out.
-            lean=lambda step, angle, *_: 0.03 * 0.97**step * (centre - angle),
+            nullspace=lambda step, angle, *_: 0.03 * 0.97**step * (centre - angle),
         )
         misses = greatest(missed)
         if misses.max() > 10 * _NEAR:

@@ -114,17 +114,17 @@ def travel(start: Pose, end: Pose) -> Array:
 
 
 def damped_change(
-    jacobian: Array, error: Array, *, lean: Array, free: Array, damping: float
+    jacobian: Array, error: Array, *, nullspace: Array, free: Array, damping: float
 ) -> Array:
     """Return changes as `joint_change` does, of joints where `free` is 1 and not 0."""
-    active, lean = jacobian * free, lean * free
-    joints = range(lean.shape[0])
-    missing = error - _total([active[:, j] * lean[j] for j in joints])
+    active, nullspace = jacobian * free, nullspace * free
+    joints = range(nullspace.shape[0])
+    missing = error - _total([active[:, j] * nullspace[j] for j in joints])
     square = _total([active[:, None, j] * active[None, :, j] for j in joints])
     for i in range(6):
         square[i, i] = square[i, i] + damping**2
     solved = _solve(square, missing)
-    return lean + _total([active[i] * solved[i] for i in range(6)])
+    return nullspace + _total([active[i] * solved[i] for i in range(6)])
 
 
 def _solve(matrix: Array, right: Array) -> Array:

@@ -146,7 +146,7 @@ def _strengthen(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return strong postures with the tcp at positions, and what they hold."""
 
-    def lean(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
+    def nullspace(step: int, angle: Array, rows: Array, jacobian: Array) -> Array:
         # The last moves only restore the position.
         return 0.3 * max(0.0, 1 - step / (moves - 6)) * relief(robot, jacobian, pull)
 
@@ -156,7 +156,7 @@ def _strengthen(
         goal=goal,
         steps=moves,
         bound=lambda error: np.clip(error, -0.3, 0.3),
-        lean=lean,
+        nullspace=nullspace,
     )
     here, _, jacobian = postures.at(angles, np.arange(len(angles)))
     shares = np.abs(torque_shares(robot, jacobian, pull)).max(axis=1)

@@ -62,7 +62,7 @@ def solve_pose(
             steps=100,
             is_there=lambda error: _in_tolerances(error) < 0.1,
             bound=_within_sight,
-            lean=lambda step, angle, rows, _, middle=middle: (
+            nullspace=lambda step, angle, rows, _, middle=middle: (
                 0.02 * (middle[rows] - angle)
             ),
         )

@@ -65,7 +65,7 @@ def joint_change(
     jacobian: Array,
     error: Array,
     *,
-    lean: Array,
+    nullspace: Array,
     room: tuple[Array, Array],
     damping: float = DAMPING,
     longest: float = np.inf,
@@ -78,22 +78,22 @@ def joint_change(
     Args:
       jacobian: (n, m, joints) of the error's coordinates.
       error: (n, m) what is missing, in m and rad.
-      lean: (n, joints) change that the free motion of the arm should make.
+      nullspace: (n, joints) change of the arm's null-space motion, in rad.
       room: (n, joints) lowest and highest change that the joints' ranges leave.
       damping: bounds the changes where the arm hardly moves the tcp.
       longest: change of a joint, in rad, beyond which all are scaled down.
       rounds: how often to solve at most; after the last, joints stop at their limits.
     """
-    free, change = np.ones(lean.shape), np.zeros(lean.shape)
+    free, change = np.ones(nullspace.shape), np.zeros(nullspace.shape)
     damped, (lowest, highest) = damping**2 * np.eye(jacobian.shape[1]), room
     for _ in range(rounds):
         active = jacobian * free[:, None, :]
         square = active @ active.transpose(0, 2, 1) + damped
         fixed = (jacobian @ (change * (1 - free))[..., None])[..., 0]
-        leaning = lean * free
-        needed = error - fixed - (active @ leaning[..., None])[..., 0]
+        wanted = nullspace * free
+        needed = error - fixed - (active @ wanted[..., None])[..., 0]
         solved = np.linalg.solve(square, needed[..., None])
-        step = leaning + (active.transpose(0, 2, 1) @ solved)[..., 0]
+        step = wanted + (active.transpose(0, 2, 1) @ solved)[..., 0]
         step = step / np.maximum(1.0, greatest(step)[:, None] / longest)
         change = np.where(free > 0, step, change)
         limited = np.minimum(np.maximum(change, lowest), highest)
@@ -131,7 +131,7 @@ def descend(
     steps: int,
     is_there: Callable[[Array], Array] = lambda error: np.zeros(len(error), bool),
     bound: Callable[[Array], Array] = lambda error: error,
-    lean: Callable[[int, Array, Array, Array], Array] | None = None,
+    nullspace: Callable[[int, Array, Array, Array], Array] | None = None,
     change: Callable[..., Array] = joint_change,
 ) -> tuple[Array, Array]:
     """Return joint angles that bring tcps to their goals, and what they still miss.
@@ -145,8 +145,8 @@ def descend(
       steps: greatest number of steps.
       is_there: returns for which errors a row stops.
       bound: returns the part of an error that one step works on.
-      lean: takes a step's number, and the angles (n, joints), indices and Jacobians of
-        the rows that go on; returns changes beside.
+      nullspace: takes a step's number, and the angles (n, joints), indices and
+        Jacobians of the rows that go on; returns changes beside.
       change: `joint_change`, or a partial of it with other options.
     """
     angles = np.array(start)
@@ -157,7 +157,7 @@ def descend(
     if orientation is not None:
         orientation = np.full((len(angles), orientation.shape[-1]), orientation)
     missed = np.zeros((len(angles), 3 if orientation is None else 6))
-    rows = np.arange(len(angles))
+    rows = np.arange(len(missed))
     for step in range(steps + 1):
         here, rotation, jacobian = postures.at(angles[rows], rows)
         error, quat = position[rows] - here, np.empty((len(rows), 4))
@@ -176,9 +176,13 @@ def descend(
         if aims:
             axis = math.axis_z(quat[goes_on])
             reduced, error = without_spin(reduced, error, axis)
-        free = lean(step, angle, rows, jacobian) if lean else np.zeros(angle.shape)
+        free = (
+            nullspace(step, angle, rows, jacobian)
+            if nullspace
+            else np.zeros(angle.shape)
+        )
         room = low[rows] - angle, high[rows] - angle
-        angles[rows] = angle + change(reduced, error, lean=free, room=room)
+        angles[rows] = angle + change(reduced, error, nullspace=free, room=room)
     return angles, missed
 
 

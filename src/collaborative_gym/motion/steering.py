@@ -19,7 +19,7 @@ _GAIN, _BRAKE = 0.45, 0.1
 asks for. With actions that are done at once, a miss falls to 0.61 in a step, and with
 actions that are a control step late to 0.58; no other pair has both as small."""
 
-_LEANING, _KEEPING = 0.2, 0.8
+_REACHING, _CARRYING = 0.2, 0.8
 """Gains of `reach` and `carry` towards the posture; `settling` leaves a part."""
 
 _NEAR = 0.05
@@ -67,8 +67,8 @@ def reach(
     if orientation.shape[-1] == 3:
         jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
     size = np.maximum(math.norm(missing), math.norm(turn) / 3)
-    share = _LEANING * np.minimum(1.0, size / _NEAR)
-    change = _leaning(sim, arm, jacobian, error, posture, share)
+    share = _REACHING * np.minimum(1.0, size / _NEAR)
+    change = _with_posture(sim, arm, jacobian, error, posture, share)
     return settling(sim, arm, change=change)
 
 
@@ -86,15 +86,15 @@ def settling(sim: Sim, arm: Arm, *, change: Array) -> Array:
     return _GAIN * change - _BRAKE * CONTROL_DT * sim.qvel[:, arm.dof]
 
 
-def _leaning(
+def _with_posture(
     sim: Sim, arm: Arm, jacobian: Array, error: Array, posture: Array, share: Array
 ) -> np.ndarray:
     """Return joint changes that make up for an error and go a share to a posture."""
     angle = np.asarray(sim.qpos[:, arm.qpos])
     low, high = arm.joint_range
-    lean = np.clip(share[:, None] * (posture - angle), -arm.stride, arm.stride)
+    nullspace = np.clip(share[:, None] * (posture - angle), -arm.stride, arm.stride)
     room = low - angle, high - angle
-    return joint_change(jacobian, error, lean=lean, room=room)
+    return joint_change(jacobian, error, nullspace=nullspace, room=room)
 
 
 def standoff(
@@ -145,6 +145,6 @@ def carry(
     """
     rows = sim.jacobian(arm.hand, tcp)[0][:, :, arm.dof]
     nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
-    share = _KEEPING * np.where(is_loaded, 1.0, nearness)
-    change = _leaning(sim, arm, rows, goal - tcp, posture, share)
+    share = _CARRYING * np.where(is_loaded, 1.0, nearness)
+    change = _with_posture(sim, arm, rows, goal - tcp, posture, share)
     return settling(sim, arm, change=change)

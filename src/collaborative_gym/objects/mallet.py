@@ -13,7 +13,7 @@ _FRICTION = (0.1, 0.005, 0.0001)  # of felt; the greater friction of a pair coun
 
 
 def mallet(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
-    """Return a mallet: a disc of 5 cm radius, of a colour, below a handle, without joints.
+    """Return a mallet: a disc of 5 cm radius below a handle, without joints.
 
     The body `mallet` has its origin in the middle of the hand that holds it and z down,
     as a tcp has that points down. The site `mallet` is in the middle of the disc's

@@ -1,7 +1,7 @@
 """What a user says about an arm and its gripper, before its model file is read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,15 +30,6 @@ _PER_JOINT = {
 }
 """Least and greatest values of a joint, and their unit. Those that no law of physics
 gives are our choice: a hundred times what the heaviest industrial arms have."""
-
-_GRIPPER_NUMBERS = (
-    "open_position",
-    "closed_position",
-    "open_gap",
-    "closed_gap",
-    "force",
-    "holding_force",
-)
 
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
@@ -75,10 +66,10 @@ class Gripper:
 
     def __post_init__(self) -> None:
         freeze(self, joints=_names(self.joints))
-        for field_name in _GRIPPER_NUMBERS:
-            given = getattr(self, field_name)
-            value = check_number(field_name, given, at_least=-1e6, at_most=1e6)
-            freeze(self, **{field_name: value})
+        for each in fields(self)[1:]:
+            given = getattr(self, each.name)
+            value = check_number(each.name, given, at_least=-1e6, at_most=1e6)
+            freeze(self, **{each.name: value})
         _check_gripper(self)
 
     def position(self, gap: float) -> float:
@@ -88,9 +79,8 @@ class Gripper:
             return self.open_position
         gap = min(max(gap, self.closed_gap), self.open_gap)
         fraction = (gap - self.closed_gap) / (self.open_gap - self.closed_gap)
-        return self.closed_position + fraction * (
-            self.open_position - self.closed_position
-        )
+        travel = self.open_position - self.closed_position
+        return self.closed_position + fraction * travel
 
 
 @dataclass(frozen=True)
@@ -221,9 +211,9 @@ def check_per_joint(robot: RobotData, name: str) -> None:
             )
 
 
-def freeze(value: Any, **fields: Any) -> None:
+def freeze(value: Any, **contents: Any) -> None:
     """Set fields of a frozen value that is being made."""
-    for name, content in fields.items():
+    for name, content in contents.items():
         object.__setattr__(value, name, content)
 
 

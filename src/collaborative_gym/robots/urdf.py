@@ -1,6 +1,7 @@
 """URDF files as they come from makers, read without editing them."""
 
 import re
+from collections import Counter
 from math import tau
 from pathlib import Path
 from xml.etree import ElementTree
@@ -69,12 +70,11 @@ def _check_tree(root: ElementTree.Element) -> None:
         for kind in ("link", "joint")
     }
     for kind, given in names.items():
-        for name in given:
-            if given.count(name) > 1:
-                raise ValueError(
-                    f"it has {given.count(name)} {kind}s {name!r}; give each of them a"
-                    " name of its own"
-                )
+        name, count = Counter(given).most_common(1)[0] if given else ("", 0)
+        if count > 1:
+            raise ValueError(
+                f"it has {count} {kind}s {name!r}; give each of them a name of its own"
+            )
     for joint in root.findall("joint"):
         for role, kind in (("parent", "link"), ("child", "link"), ("mimic", "joint")):
             other = joint.find(role)

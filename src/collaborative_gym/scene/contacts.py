@@ -18,7 +18,7 @@ Place = tuple[mujoco.mjtObj, str]
 _TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
 _DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
 _NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
-"""What a contact sensor tells, and how it sums up many contacts: the distance of the
+"""What a contact sensor measures, and how it sums up many contacts: the distance of the
 deepest (`mindist`), or the force of all (`netforce`)."""
 
 
@@ -48,7 +48,7 @@ def add_depth_sensors(spec: mujoco.MjSpec, agents: Collection[str]) -> None:
     """Let `depth_sensors` read how deep contacts are."""
     for kind, pairs in contact_pairs(spec, agents).items():
         for i, pair in enumerate(pairs):
-            add_contact_sensor(spec, f"{kind} deep {i}", *pair, tells=_DEEPEST)
+            add_contact_sensor(spec, f"{kind} deep {i}", *pair, fields=_DEEPEST)
 
 
 def add_contact_sensor(
@@ -57,7 +57,7 @@ def add_contact_sensor(
     one: Place,
     other: Place = (mujoco.mjtObj.mjOBJ_UNKNOWN, ""),
     *,
-    tells: tuple[int, int] = _NET,
+    fields: tuple[int, int] = _NET,
 ) -> None:
     """Add a sensor of a place's contacts with another, or with all: their net force."""
     spec.add_sensor(
@@ -67,7 +67,7 @@ def add_contact_sensor(
         objname=one[1],
         reftype=other[0],
         refname=other[1],
-        intprm=[*tells, 1],
+        intprm=[*fields, 1],
     )
 
 

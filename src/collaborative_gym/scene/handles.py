@@ -52,11 +52,7 @@ class Arm:
     stride: np.ndarray  # (joints,) greatest turn in a control step, in rad
     tcp: int  # site id of its tool centre point
     hand: int  # id of the body that carries the tcp
-
-    @property
-    def num_joints(self) -> int:
-        """How many joints it has."""
-        return len(self.robot.joints)
+    num_joints: int
 
 
 @dataclass(frozen=True)
@@ -103,6 +99,7 @@ def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:
         stride=np.minimum(MAX_CHANGE, limits * CONTROL_DT),
         tcp=tcp.id,
         hand=int(tcp.bodyid[0]),
+        num_joints=len(joints),
     )
 
 

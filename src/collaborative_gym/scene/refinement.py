@@ -16,8 +16,9 @@ from collections.abc import Collection
 
 import mujoco
 import numpy as np
+from array_api_compat import array_namespace
 
-from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.math import Array
 from collaborative_gym.scene.collisions import SOLREF
 from collaborative_gym.scene.contacts import depth_sensors
 from collaborative_gym.scene.handles import Arm
@@ -84,7 +85,7 @@ class _Rules:
         return ~xp.all(xp.abs(qvel) / xp.asarray(self._limits) <= _STOPPED, axis=-1)
 
     def stop(self, start: Array, qpos: Array, qvel: Array) -> None:
-        """Slow arms down, (worlds, ...) each, that are still too fast after a short step."""
+        """Slow arms down that are still too fast after a short step."""
         xp = array_namespace(qpos)
         for arm in self._arms:
             limits = xp.asarray(arm.robot.velocity_limits)

@@ -14,7 +14,7 @@ _WALL = (0.90, 0.92, 0.94)
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
-    # A quiet room: a pale floor that fades into walls without corners.
+    # A plain room: a pale floor that fades into walls without corners.
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -43,8 +43,6 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         size=[0, 0, 0.05],
         material="floor",
     )
-    # Haze hides where the floor ends.
-    spec.visual.rgba.haze = [*_WALL, 1.0]
     # A lamp above the camera throws the shadows; weaker ones fill them.
     for position, direction, diffuse in (
         ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.5),
@@ -59,9 +57,14 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
             specular=[0.25] * 3,
             castshadow=diffuse > 0.4,
         )
-    light = spec.visual.headlight
+    _set_visuals(spec.visual)
+
+
+def _set_visuals(visual: mujoco.MjVisual) -> None:
+    # Haze hides where the floor ends.
+    visual.rgba.haze = [*_WALL, 1.0]
+    light = visual.headlight
     light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.2] * 3, [0.05] * 3
-    visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = LARGEST
     visual.quality.shadowsize = 3072
     visual.quality.offsamples = 4

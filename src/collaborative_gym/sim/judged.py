@@ -5,7 +5,7 @@ a constraint or was too long for what happened in it, the worlds go back and tak
 again: up to the first that was wrong, which is mended alone, and then all that follow.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -42,26 +42,21 @@ class Worlds:
         """Advance worlds as `Steps` says; return which of them MuJoCo gave up."""
         every = slice(None) if rows is None else rows
         before, out = self._warnings()[every], dict(records)
-        failed = self._fails(
-            lambda: self._batch.rollout(
-                controls.shape[1], controls, record=tuple(out), ids=rows, out=out
-            )
-        )
+        failed, steps = np.zeros(len(self.state), bool), controls.shape[1]
+        try:
+            self._batch.rollout(steps, controls, record=tuple(out), ids=rows, out=out)
+        except batch.SimulationError as error:
+            failed[error.ids] = True
         return failed[every] | (self._warnings()[every] > before)
 
     def sense(self, rows: np.ndarray | None) -> np.ndarray:
         """Make sensors current; return in which worlds MuJoCo gave up, (rows,)."""
-        failed = self._fails(lambda: self._batch.forward(rows, stage=CURRENT))
-        return failed if rows is None else failed[rows]
-
-    def _fails(self, call: Callable[[], object]) -> np.ndarray:
-        """Make a call and return in which worlds it raised an error, (num_envs,)."""
         failed = np.zeros(len(self.state), bool)
         try:
-            call()
+            self._batch.forward(rows, stage=CURRENT)
         except batch.SimulationError as error:
             failed[error.ids] = True
-        return failed
+        return failed if rows is None else failed[rows]
 
     def _warnings(self) -> np.ndarray:
         """Return how often MuJoCo has warned of each world, where rollouts stop."""
@@ -161,9 +156,9 @@ class Steps:
         Both are (worlds, steps). It makes the sensors of these worlds current.
         """
         worlds, every = self._worlds, self._rows is None and isinstance(left, slice)
-        rows = None if every else self._ids(left)
-        self.failed[left] |= worlds.sense(rows)
-        broken = self._broken(left)
+        ids = self._ids(left)
+        self.failed[left] |= worlds.sense(None if every else ids)
+        broken = self._broken(left, ids)
         if self._refinement is None:
             return broken, np.zeros_like(broken)
         records, refinement = self.records, self._refinement
@@ -171,11 +166,11 @@ class Steps:
         # A step finds the contacts of the state before it.
         deep = refinement.too_deep(records["sensordata"][left, 1:])
         rough[:, :-1] |= deep
-        rough[:, -1] |= refinement.too_deep(worlds.sensordata[self._ids(left)])
+        rough[:, -1] |= refinement.too_deep(worlds.sensordata[ids])
         return broken, rough
 
-    def _broken(self, left: Any) -> np.ndarray:
-        active = self._worlds.eq_active[self._ids(left)] > 0
+    def _broken(self, left: Any, ids: Any) -> np.ndarray:
+        active = self._worlds.eq_active[ids] > 0
         if self._breaks is None or not active.any():
             return np.zeros((len(active), self._controls.shape[1]), bool)
         sensed = self.records["sensordata"][left]
@@ -265,7 +260,7 @@ class _ShortSteps(Steps):
     def _judge(self, left: Any) -> tuple[np.ndarray, np.ndarray]:
         assert self._refinement is not None
         fast = self._refinement.too_fast(self.records["qvel"][left])
-        return self._broken(left), fast
+        return self._broken(left, self._ids(left)), fast
 
     def _mend(self, left: np.ndarray, at: np.ndarray, broken: np.ndarray) -> None:
         assert self._refinement is not None

@@ -123,7 +123,7 @@ class Identity:
         if "name" not in ignore:
             found += _differing("environment", self.name, other.name)
         if self.task != other.task:
-            # Settings of another task tell nothing.
+            # Settings of another task say nothing.
             return [*found, *_differing("task", self.task, other.task)]
         if self.robots.keys() != other.robots.keys():
             found += _differing("robots", self.robot_names, other.robot_names)
@@ -135,7 +135,7 @@ class Identity:
                 elif robot != wanted:
                     found.append(f"{agent} is another arm of the name {robot['name']}")
         if self.robot_names != other.robot_names:
-            # Other arms stand elsewhere, which tells nothing more.
+            # Other arms stand elsewhere, which says nothing more.
             ignore = {*ignore, "placements"}
         own, others = ({**each.config, "action": each.action} for each in (self, other))
         own = {name: value for name, value in own.items() if name not in ignore}
@@ -180,7 +180,7 @@ def _plain(value: Any) -> Any:
 
 @lru_cache
 def _digest(robot: Robot, changed: int) -> str:
-    """Return a short digest that tells apart arms of one name.
+    """Return a short digest that differs between arms of one name.
 
     It stays for as long as the model file was last `changed` at that time. Fields that
     are left at their defaults do not count, so that a new field changes nothing. What

@@ -204,17 +204,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._start: dict[str, np.ndarray] = {}
-        for i, agent in enumerate(self.agents):
-            arm, way = scene.arms[agent], self.ways[agent]
-            angles = turn_fingers(
-                model, arm, angles=way.angles, bar=np.array([1.0, 0.0, 0.0])
-            )
+        self._start, bar = {}, np.array([1.0, 0.0, 0.0])
+        for i, (agent, arm) in enumerate(scene.arms.items()):
+            way = self.ways[agent]
+            angles = turn_fingers(model, arm, angles=way.angles, bar=bar)
             self.ways[agent] = replace(way, angles=angles)
-            place = START + GRIP_OFFSETS[i] - _STANDOFF * way.approach
-            self._start[agent] = solve_pose(
-                model, arm, goal=(place, way.approach), start=angles[0]
-            )
+            goal = START + GRIP_OFFSETS[i] - _STANDOFF * way.approach, way.approach
+            self._start[agent] = solve_pose(model, arm, goal=goal, start=angles[0])
             scene.postures[agent] = self.ways[agent].at(np.array([0.5]))[0]
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
@@ -229,6 +225,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}
         tcps = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
+        to_handle = {a: math.distance(tcps[a][0], handles[a][0]) for a in self.agents}
         pose, (target, _) = sim.pose("pot"), sim.pose("target")
         roll, pitch = math.roll_pitch(pose[1])
         xp = array_namespace(roll)
@@ -239,10 +236,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             tcps=tcps,
             pot=pose,
             target=target,
-            to_handle={
-                agent: math.distance(tcps[agent][0], handles[agent][0])
-                for agent in self.agents
-            },
+            to_handle=to_handle,
             to_target=math.distance(pose[0], target),
             tilt=xp.abs(roll) + xp.abs(pitch),
             speed=math.norm(sim.velocity("pot")[0]),

@@ -211,14 +211,12 @@ class Pass(Task[PassConfig, PassFacts]):
         )
 
     def observe(self, facts: PassFacts) -> dict[str, Blocks]:
-        xp = array_namespace(facts.target)
-        kind = facts.target.dtype
+        xp, kind = array_namespace(facts.target), facts.target.dtype
+        hands = {agent: math.pose(*pose) for agent, pose in facts.tcp.items()}
+        grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
         shared = {
-            **columns("end effector", {a: math.pose(*p) for a, p in facts.tcp.items()}),
-            **columns(
-                "gripping",
-                {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()},
-            ),
+            **columns("end effector", hands),
+            **columns("gripping", grips),
             "cube": math.pose(*facts.cube),
             "target": facts.target,
         }

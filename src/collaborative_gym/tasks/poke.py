@@ -259,7 +259,7 @@ def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _spread(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """Return joint changes per m of a tcp along x, y, z and per rad of its turn about z."""
+    """Return joint changes per m of a tcp along x, y, z and per rad about z."""
     data = mujoco.MjData(model)
     data.qpos[arm.qpos] = angles
     mujoco.mj_forward(model, data)

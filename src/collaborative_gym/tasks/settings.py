@@ -9,7 +9,7 @@ from collaborative_gym.errors import check_count, check_flag, check_number
 
 
 def bounded(default: float | None, at_least: float, at_most: float) -> Any:
-    """Return a field of settings: a number within bounds, or None if that is its default."""
+    """Return a field of settings: a number in bounds, or None if it is None."""
     return field(default=default, metadata={"at_least": at_least, "at_most": at_most})
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from collaborative_gym import math, motion
 from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
+from collaborative_gym.motion.solver import tcp_jacobian
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
 
@@ -79,9 +80,9 @@ def _roll(
         error = [goal[0] - hand[0], motion.rotation_error(hand[1], goal[1])]
         angle, (low, high) = np.asarray(sim.qpos[:, arm.qpos]), arm.joint_range
         change = motion.joint_change(
-            motion.tcp_jacobian(sim, arm, hand[0]),
+            tcp_jacobian(sim, arm, hand[0]),
             np.concatenate(error, axis=1),
-            lean=0.3 * (task.postures[agent] - angle),
+            nullspace=0.3 * (task.postures[agent] - angle),
             room=(low - angle, high - angle),
         )
         change = motion.settling(sim, arm, change=change)

@@ -7,6 +7,7 @@ import numpy as np
 from collaborative_gym import motion
 from collaborative_gym.control import Motion
 from collaborative_gym.motion.loads import relief
+from collaborative_gym.motion.solver import tcp_jacobian
 from collaborative_gym.sim.sim import Sim
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 _HAUL = 0.1
 """How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
 
-_LEAN = 0.3
+_TO_STRONGER = 0.3
 """How far in a step the expert asks its joints to go to a stronger posture, in rad."""
 
 
@@ -24,12 +25,12 @@ def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
     motions = {}
     for agent, arm in self.scene.arms.items():
         pull = np.array([0.0, self.ways[agent], 0.0])
-        jacobian = motion.tcp_jacobian(sim, arm, facts.tcps[agent])
+        jacobian = tcp_jacobian(sim, arm, facts.tcps[agent])
         angle, (low, high) = facts.joints[agent], arm.joint_range
         change = motion.joint_change(
             jacobian[:, :3],
             np.tile(_HAUL * pull, (sim.num_envs, 1)),
-            lean=_LEAN * relief(arm.robot, jacobian, pull),
+            nullspace=_TO_STRONGER * relief(arm.robot, jacobian, pull),
             room=(low - angle, high - angle),
         )
         motions[agent] = Motion(change)
