@@ -63,7 +63,10 @@ def load_module(name: str) -> ModuleType:
         module = _import(name)
         _check_registers(name, name)
         return module
-    path = Path(name).resolve()
+    try:
+        path = Path(name).resolve()
+    except RuntimeError as error:
+        raise ValueError(f"module {name}: {error}") from None
     if path in _loaded:
         return _loaded[path]
     if not path.is_file():

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym import control
 from collaborative_gym.certificate.budget import Budget
+from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies import as_policy
 from collaborative_gym.tournaments.play import enter
 
@@ -44,6 +46,20 @@ def env():
         (lambda env: env.expert(pace=-1), ValueError, "pace must be 0 to 1"),
         (lambda env: env.expert(pace=np.nan), ValueError, "pace must be finite"),
         (lambda env: cg.Motion(3), TypeError, "change must be an array"),
+        (
+            lambda env: cg.Motion(np.zeros((2, 7)), mass=-1.0),
+            ValueError,
+            "mass must be",
+        ),
+        (lambda env: cg.Motion(np.zeros((2, 7)), mass="x"), ValueError, "mass must be"),
+        (
+            lambda env: control.register_mode("x", 3),
+            TypeError,
+            "subclass of ActionMode",
+        ),
+        (lambda env: cg.evaluate(env, "idle"), TypeError, "give env.task"),
+        (lambda env: cg.Placement((0, 0, 1e300)), ValueError, r"position\[2\] must be"),
+        (lambda env: record("Poke", "a\0.gif"), ValueError, "output must be a path"),
         (lambda env: Budget(fractions=()), ValueError, "fractions must have a share"),
         (
             lambda env: cg.make_vec("Lift", 1, success_tilt=10.0),

@@ -44,6 +44,17 @@ def test_paused_it_stands_still_and_is_still_drawn(make_session, start, wait_unt
     wait_until(lambda: session.reading.time > time_then)
 
 
+def test_a_second_after_a_success_it_moves_on(make_session, start, wait_until):
+    session = make_session(max_episode_steps=1000)
+    session.moves_on, session.speed = True, FASTEST
+    start(session)
+    wait_until(lambda: session.reading.episode == 1)
+    assert not session.reading.has_ended
+    session.moves_on = False
+    wait_until(lambda: session.reading.time > 3.0)
+    assert session.reading.episode == 1
+
+
 def test_a_step_is_one_and_pauses(make_session, start, wait_until):
     session = make_session()
     start(session)

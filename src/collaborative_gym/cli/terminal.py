@@ -53,7 +53,7 @@ class Command:
         raise NotImplementedError
 
 
-OWN_SIZE = (0, 0)
+OWN_SIZE = (-1, -1)
 """Stands for the usual size of videos of a format."""
 
 Env = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENV")]

@@ -52,6 +52,11 @@ class Motion:
     def __post_init__(self) -> None:
         a = "an array (num_envs, joints) of changes in rad"
         check_kind("a Motion's change", self.change, np.ndarray, a)
+        mass = np.asarray(self.mass)
+        if mass.dtype.kind not in "iuf" or not (np.isfinite(mass) & (mass >= 0)).all():
+            raise ValueError(
+                f"a Motion's mass must be finite and 0 or more, got {shown(self.mass)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -306,9 +311,12 @@ def register_mode(name: str, mode: type[ActionMode]) -> None:
     """Let `TaskConfig.action` choose an action mode by name.
 
     Raises:
+      TypeError: if the mode is no subclass of `ActionMode`.
       ValueError: if the name is taken, or not one word.
     """
     check_word("name", name)
+    if not (isinstance(mode, type) and issubclass(mode, ActionMode)):
+        raise TypeError(f"mode must be a subclass of ActionMode, got {shown(mode)}")
     if name in _MODES:
         raise ValueError(f"action mode {name!r} is registered already")
     _MODES[name] = mode

@@ -95,12 +95,15 @@ def check_state(
         check_kind(f"the state's {part}", given, Mapping, "a dictionary of arrays")
         shapes = {name: np.shape(array) for name, array in given.items()}
         needed = {name: tuple(array.shape) for name, array in own.items()}
-        if shapes != needed:
-            raise ValueError(
-                f"the state does not fit these worlds: its {part} is {shapes}, not"
-                f" {needed}; take it from an environment with the same id and"
-                " options, and give as many env_ids as it has rows"
-            )
+        for name in {**needed, **shapes}:
+            given_shape, own_shape = shapes.get(name), needed.get(name)
+            if given_shape != own_shape:
+                raise ValueError(
+                    f"the state does not fit these worlds: its {part} {name!r} has"
+                    f" shape {given_shape}, not {own_shape}; take it from an"
+                    " environment with the same id and options, and give as many"
+                    " env_ids as it has rows"
+                )
         for name, array in given.items():
             _check_rows(part, name, np.asarray(array), np.asarray(own[name]).dtype)
     _check_counts(state.progress, max_steps)

@@ -102,8 +102,10 @@ def record(
             raise ValueError("only_episodes must name at least one")
     seconds = 10.0 if seconds is None else seconds
     seconds = check_number("seconds", seconds, above=0.0, at_most=_LONGEST)
-    check_kind("output", output, (str, Path), "path")
+    check_kind("output", output, (str, Path), "a path")
     output = Path(output)
+    if "\0" in str(output):
+        raise ValueError(f"output must be a path, got {str(output)!r}")
     suffix = output.suffix.lower()
     if suffix not in _FORMATS:
         raise ValueError(

@@ -30,6 +30,8 @@ class Placement:
 
     def __post_init__(self) -> None:
         position = check_numbers("position", self.position, 3)
+        for i, value in enumerate(position):
+            check_number(f"position[{i}]", value, at_least=-1000.0, at_most=1000.0)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "yaw", check_number("yaw", self.yaw))
 

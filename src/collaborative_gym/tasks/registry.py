@@ -179,8 +179,11 @@ def as_task(
     """Return a task as it is, or the one of a name as `make_task` does.
 
     Raises:
+      TypeError: if it is an environment.
       ValueError: if robots, randomization or settings are given beside a task.
     """
+    if isinstance(getattr(env, "task", None), Task):
+        raise TypeError("this takes an environment's id or a task; give env.task")
     if not isinstance(env, Task):
         return make_task(env, robots, randomization=randomization, **settings)
     if robots is not None or randomization is not None or settings:

@@ -51,7 +51,7 @@ def view(
         act = as_policy(policy, world, any_env=any_env)
         is_shared = not isinstance(policy, Mapping)
         policies = dict.fromkeys(world.agents, policy) if is_shared else policy
-        session = Session(world, act, warn, policies=policies)
+        session = Session(world, act, warn, policies=policies, moves_on=True)
         face: Any = None
         if not web:
             # Imported here because a page needs no windowing system.

@@ -144,6 +144,11 @@ class Panel:
             "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
         )
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
+        moves_on = gui.add_checkbox(
+            "Move on",
+            session.moves_on,
+            hint="Go to the next start a second after a success",
+        )
         # Not in a tab: no script finds what is in a tab that is not open.
         self._shadows = gui.add_checkbox(
             _SHADOWS, True, hint="Slow where there is no graphics card"
@@ -155,6 +160,7 @@ class Panel:
         step = session.env.control_dt
         _on_user(self._time, lambda value: session.seek(round(value / step)))
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
+        _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
 
     def _add_looks(self, on_view: Callable[[str], object]) -> None:
         gui = self._gui

@@ -54,11 +54,13 @@ class Session:
       policy: commands the robots. Where it fails, the session says so and pauses.
       warn: called with a sentence about what went wrong.
       policies: the policy of each agent, as `evaluate` takes it; None for `policy`.
+      moves_on: whether the next start comes a second after a success of a single side.
 
     Attributes:
       env: the world.
       policies: the policy of each agent.
       is_paused: whether time stands still.
+      moves_on: as given.
       reading: of the present state.
       film: the episode so far, a frame for its start and for each control step. Later
         frames are of a future that may differ once time goes on again.
@@ -73,6 +75,7 @@ class Session:
         warn: Callable[[str], object],
         *,
         policies: Mapping[str, Any] | None = None,
+        moves_on: bool = False,
     ):
         if env.num_envs != 1:
             raise ValueError(f"a session plays 1 world, got {env.num_envs}")
@@ -84,6 +87,7 @@ class Session:
         self._warn = warn
         self._speed = 1.0
         self.is_paused = False
+        self.moves_on = moves_on
         self._has_ended = False
         self._requests: deque[Callable[[], None]] = deque()
         self._asked = threading.Event()
@@ -240,7 +244,7 @@ class Session:
             self._go_to(len(self.film))
 
     def _step(self) -> None:
-        if self.reading.has_ended:
+        if self.reading.has_ended or self._is_done():
             self._start()
             return
         try:
@@ -255,6 +259,14 @@ class Session:
         self._roll_on(infos, self.reading)
         if self.is_paused:
             self._draw()
+
+    def _is_done(self) -> bool:
+        """Return whether the goal was met a second ago, and the next start is due."""
+        if not self.moves_on or self.is_paused or len(self.env.sides) > 1:
+            return False
+        step = int(self.env.progress["step"][0])
+        until = max(0, step + 1 - round(_HOLD / self.env.control_dt))
+        return any(any(frame.reading.success.values()) for frame in self.film[:until])
 
     def _stop(self, what: str, error: Exception) -> None:
         """Pause, and warn of a failure; to play on is to try again."""
