@@ -118,6 +118,15 @@ def without_spin(jacobian: Array, error: Array, axis: Array) -> tuple[Array, Arr
     return rows, np.concatenate([error[:, :3], turn], axis=1)
 
 
+def _quats(rotation: Array) -> np.ndarray:
+    """Return quaternions of rotation matrices (n, 3, 3)."""
+    quats = np.empty((len(rotation), 4))
+    # One by one is quickest for the few worlds that start together.
+    for quat, entries in zip(quats, rotation.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quat, entries)
+    return quats
+
+
 def greatest(error: Array) -> np.ndarray:
     """Return the worst coordinate of each error."""
     return np.abs(error).max(axis=1)
@@ -160,10 +169,7 @@ def descend(
     rows = np.arange(len(missed))
     for step in range(steps + 1):
         here, rotation, jacobian = postures.at(angles[rows], rows)
-        error, quat = position[rows] - here, np.empty((len(rows), 4))
-        # One by one is quickest for the few worlds that start together.
-        for own, entries in zip(quat, rotation.reshape(-1, 9), strict=True):
-            mujoco.mju_mat2Quat(own, entries)
+        error, quat = position[rows] - here, _quats(rotation)
         if orientation is not None:
             turn = rotation_error(quat, orientation[rows])
             error = np.concatenate([error, turn], axis=1)

@@ -43,6 +43,11 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         size=[0, 0, 0.05],
         material="floor",
     )
+    _add_lights(spec)
+    _set_visuals(spec.visual)
+
+
+def _add_lights(spec: mujoco.MjSpec) -> None:
     # A lamp above the camera throws the shadows; weaker ones fill them.
     for position, direction, diffuse in (
         ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.5),
@@ -57,7 +62,6 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
             specular=[0.25] * 3,
             castshadow=diffuse > 0.4,
         )
-    _set_visuals(spec.visual)
 
 
 def _set_visuals(visual: mujoco.MjVisual) -> None:
