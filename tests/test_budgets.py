@@ -9,7 +9,6 @@ ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 
 LONG = {
-    "add_surroundings",
     "descend",
     "search",
     "train",

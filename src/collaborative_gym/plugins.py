@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import os
 import sys
 import traceback
 import warnings
@@ -63,10 +64,7 @@ def load_module(name: str) -> ModuleType:
         module = _import(name)
         _check_registers(name, name)
         return module
-    try:
-        path = Path(name).resolve()
-    except RuntimeError as error:
-        raise ValueError(f"module {name}: {error}") from None
+    path = Path(os.path.realpath(name))  # which takes a circle of links, too
     if path in _loaded:
         return _loaded[path]
     if not path.is_file():
