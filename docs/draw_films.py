@@ -15,6 +15,8 @@ MEDIA = Path(__file__).parent / "media"
 SIZE = 480, 270
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
+GAME, STEPS, EPISODE = "HockeyPandas-v0", 200, 3
+"""A typical game: of 64 of this length, the baseline won 41 and lost 8."""
 
 
 def film(env_id: str) -> None:
@@ -22,7 +24,11 @@ def film(env_id: str) -> None:
     path = MEDIA / "baselines" / f"{env_id}.gif"
     sides = cg.make_vec(env_id, 1, num_threads=1).sides
     policy = "baseline" if len(sides) == 1 else AGAINST
-    record(env_id, path, policy=policy, size=SIZE)
+    if env_id == GAME:
+        game = cg.task(env_id, max_episode_steps=STEPS)
+        record(game, path, policy=policy, only_episodes=[EPISODE], size=SIZE)
+    else:
+        record(env_id, path, policy=policy, size=SIZE)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 

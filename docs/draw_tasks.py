@@ -67,7 +67,7 @@ PICTURES = {
     ),
     "teamwork": (
         World("BalanceTaskSawyers-v0", 20, policy=beside("idle")),
-        World("BalancePathSawyers-v0", 30, policy=beside("idle")),
+        World("BalancePathSawyers-v0", 60, policy=beside("idle")),
     ),
 }
 """By name: the worlds side by side."""

@@ -10,15 +10,16 @@ so that every page can be read as a file; a test fails where they are stale.
 
 import contextlib
 import dataclasses
+import importlib
 import inspect
 import io
 import os
+import pkgutil
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 
 import griffe
 import numpy as np
@@ -53,6 +54,9 @@ COMMANDS = (
 """The verbs of the command line, in the order of its own help."""
 
 _TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey", "Tug")
+_MOMENT = {"LiftTaskSawyers-v0": 27, "LiftTaskJacos-v0": 40, "TugPandas-v0": 30}
+"""Moments of films, in % of their time, that show more than the half."""
+
 _AGAINST = ("Hockey", "Tug")
 """Those in which robots play against each other."""
 
@@ -215,9 +219,7 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
     paragraphs = [f"## {env_id}"]
     film = f"media/baselines/{env_id}.gif"
     if (ROOT / "docs" / film).exists():
-        paragraphs.append(
-            f"![{env_id}, played by those whom the picture names](../{film})"
-        )
+        paragraphs.append(f"![{env_id}, played by its baseline](../{film})")
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
     card = shipped_file("baseline", env_id).with_suffix(".md")
     if card.exists():
@@ -343,10 +345,10 @@ def _certificates() -> str:
 
 
 def _still(film: Path) -> bytes:
-    """Return a film's picture after 1.5 seconds, as JPEG."""
+    """Return a film's picture at half of its time, as JPEG."""
     content = io.BytesIO()
     with Image.open(film) as image:
-        image.seek(min(15, image.n_frames - 1))
+        image.seek(image.n_frames * _MOMENT.get(film.stem, 50) // 100)
         image.convert("RGB").save(content, format="JPEG", quality=85)
     return content.getvalue()
 
@@ -364,19 +366,29 @@ def _films(tasks: Sequence[str]) -> str:
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
                     f"### [{env_id}]({page})",
-                    f"[![{env_id}, played by those whom the picture names; to its film]"
+                    f"[![{env_id}; click for its film]"
                     f"({film.removesuffix('.gif')}.jpg)]({film})",
                 ]
     return "\n\n".join(paragraphs)
 
 
-def _names(module: ModuleType) -> str:
-    """Return a table of what a module offers, with the first line of each docstring."""
-    rows = [
-        (f"`{name}`", " ".join(summary.split()))
-        for name in sorted(module.__all__, key=str.lower)
-        for summary in [inspect.getdoc(getattr(module, name)).partition("\n\n")[0]]
-    ]
+def _names(module: str = "collaborative_gym", page: str = "") -> str:
+    """Return a table of names, with the first line of each docstring.
+
+    They are all that a module offers, or those that a page of the reference has.
+    """
+    if page:
+        text = (DOCS / page).read_text()
+        paths = re.findall(rf"^::: {module}\.(\S+)$", text, re.M)
+    else:
+        paths = sorted(importlib.import_module(module).__all__, key=str.lower)
+    rows = []
+    for path in paths:
+        thing = pkgutil.resolve_name(f"{module}.{path}")
+        if not callable(thing) and not inspect.ismodule(thing):
+            continue  # A value has no docstring of its own.
+        summary = inspect.getdoc(thing).partition("\n\n")[0]
+        rows.append((f"`{path}`", " ".join(summary.split())))
     return _table(("name", "what it is"), rows)
 
 
@@ -449,7 +461,7 @@ def _arm(robot: cg.Robot) -> str:
         (
             f"### {robot.name}",
             _picture(robot.title, f"media/robots/{robot.name}.jpg", 360),
-            f"{robot.title}. {_first_comment(robot.model_file)}",
+            _first_comment(robot.model_file),
             _table(columns, rows),
             f"The source of each number stands in `{definition.as_posix()}`.",
         )
@@ -505,7 +517,10 @@ def _help(*command: str) -> str:
     lines = [
         part.rstrip()
         for line in text.getvalue().strip().splitlines()
-        for part in textwrap.wrap(line, _WIDTH, drop_whitespace=False) or [""]
+        for part in textwrap.wrap(
+            line, _WIDTH, drop_whitespace=False, break_long_words=False
+        )
+        or [""]
     ]
     return "\n".join(("```text", *lines, "```"))
 
@@ -547,7 +562,8 @@ _MADE = {
     "environments": _environments,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
     "films against": partial(_films, _AGAINST),
-    "names": partial(_names, cg),
+    "names": _names,
+    "names for tasks": partial(_names, page="reference/tasks.md"),
 }
 """What is made in a page, by the name of what makes it."""
 

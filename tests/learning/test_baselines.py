@@ -138,7 +138,7 @@ def test_what_is_changed_is_laid_over_the_recipe(
     settings = Checkpoint.load(tmp_path / "seed0" / LAST).settings
     assert settings.hyperparameters.assistance == 0.5
     assert settings.hyperparameters.discount == 0.8
-    assert "a curriculum: at first 50 % of the weight" in card.read_text()
+    assert "the simulator carried 50 % of the weight" in card.read_text()
     assert "--discount 0.8" in card.read_text()
 
 

@@ -21,7 +21,7 @@ class Budget:
       motion_steps: control steps of a motion; it holds still then.
       knots: points of a motion.
       candidates: motions tried in a round of the search.
-      rounds: of the search.
+      rounds: how often the search draws candidates anew.
       training_starts: starts on which the one motion for all is searched for.
       searched_starts: held-out starts for each of which a motion of its own is searched
         for, with the simulator at hand; 0 for none.

@@ -128,9 +128,9 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
     curriculum = "no curriculum"
     if numbers.assistance:
         curriculum = (
-            f"and a curriculum: at first {100 * numbers.assistance:g} % of the"
-            " weight of what moves freely was carried, the less the more episodes were"
-            " completed (none in what is reported)"
+            f"and a curriculum: the simulator carried {100 * numbers.assistance:g} % of"
+            " the weight at first, and less as success grew (nothing in what is"
+            " reported)"
         )
     among = (
         ", and among seeds by completion, performance, clearance and energy in"
@@ -141,7 +141,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         "",
         f"A policy for each robot ({', '.join(identity.robot_names)}), trained by PPO"
         f" on the thesis's reward, {_beginning(settings.to_dict())}; mode"
-        f" collaborative, no shaping, {curriculum}.",
+        f" collaborative, {curriculum}; penalties and late actions, where they are"
+        " listed below, are in no return.",
         "",
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.config['randomization'])}`",
