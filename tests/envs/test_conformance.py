@@ -98,7 +98,7 @@ def trial(request):
         )
     else:
         task = make_task(name, robots, action=action)
-    trial = testing.Trial(task, episodes=7)
+    trial = testing.TaskUnderTest(task, episodes=7)
     yield trial
     trial.close()
 
