@@ -125,7 +125,10 @@ def test_a_signal_ends_a_page_and_leaves_no_process(sent, status):
             output, errors = process.communicate(timeout=30)
     finally:
         process.kill()
-    assert (process.returncode, output, errors) == (status, "", "")
+    # Where Ctrl-C meets an import, Python ends by the signal itself; to a shell that is
+    # the same status.
+    assert process.returncode in (status, -sent)
+    assert output == errors == ""
     with pytest.raises(ProcessLookupError):  # Its group had nobody else.
         os.killpg(process.pid, 0)
 
