@@ -96,6 +96,15 @@ def test_labels_stand_over_the_arms_and_say_who_plays(poke, wait_until):
     wait_until(lambda: not any(label.visible for label in labels.values()))
 
 
+def test_how_to_pull_is_written_on_the_scene_until_somebody_did(poke, wait_until):
+    session, page = poke
+    hint = page._stage._hint
+    wait_until(lambda: hint.visible)
+    session.perturb = mujoco.MjvPerturb()
+    session.step()
+    wait_until(lambda: session.was_pulled and not hint.visible)
+
+
 def test_plots_follow_the_episode(poke, wait_until):
     session, page = poke
     for _ in range(3):

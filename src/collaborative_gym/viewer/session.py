@@ -61,6 +61,7 @@ class Session:
       policies: the policy of each agent.
       is_paused: whether time stands still.
       moves_on: as given.
+      was_pulled: whether anybody has pulled at anything.
       reading: of the present state.
       film: the episode so far, a frame for its start and for each control step. Later
         frames are of a future that may differ once time goes on again.
@@ -88,6 +89,7 @@ class Session:
         self._speed = 1.0
         self.is_paused = False
         self.moves_on = moves_on
+        self.was_pulled = False
         self._has_ended = False
         self._requests: deque[Callable[[], None]] = deque()
         self._asked = threading.Event()
@@ -249,6 +251,7 @@ class Session:
             return
         try:
             actions = self._policy(self._observations)
+            self.was_pulled |= self.perturb is not None
             self._spring.pull(self.perturb)
             self._observations, _, _, _, infos = self.env.step(actions)
         except Exception as error:

@@ -26,6 +26,9 @@ _ABOVE = 0.2
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
+_HINT = "Ctrl-drag a thing to pull at it"
+"""What newcomers do not find out by themselves; on a Mac it is Cmd."""
+
 NEWTONS_PER_METRE = 100.0
 """Contact force whose arrow is 1 m long."""
 
@@ -82,6 +85,10 @@ class Stage:
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
+        # On the floor, between the arms, until somebody has pulled.
+        self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
+        bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
+        self._hint.position = (*bases[:, :2].mean(axis=0), 0.05)
         self._forces = scene.add_arrows(
             "/forces",
             np.zeros((0, 2, 3)),
@@ -101,6 +108,7 @@ class Stage:
         with self._server.atomic():
             for body, frame in self._frames.items():
                 frame.position, frame.wxyz = data.xpos[body], data.xquat[body]
+            self._hint.visible = labels and not self._session.was_pulled
             for agent, label in self._labels.items():
                 label.visible = labels
                 if labels:
