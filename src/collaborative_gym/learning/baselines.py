@@ -153,8 +153,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f" chosen by {numbers.validation_episodes} validation episodes{among}; they are"
         " not those below",
         *training_commands(settings, resources),
-        f"- machine: {machine['cpu']}, {machine['cores']} cores,"
-        f" MuJoCo {machine['mujoco']}",
+        f"- machine: {machine['cpu']}, {machine['cores']} core"
+        f"{'s' * (machine['cores'] > 1)}, MuJoCo {machine['mujoco']}",
         "",
         f"Episodes of seed {_SEED} ({episodes}); means, 95 % intervals."
         " Where starts are all the same there is one deterministic episode, and no"
