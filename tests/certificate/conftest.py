@@ -105,5 +105,6 @@ def small():
         rounds=4,
         training_starts=2,
         searched_starts=2,
+        replays=0,
         ppo_steps=0,
     )

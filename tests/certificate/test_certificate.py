@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from collaborative_gym.certificate.budget import Budget
-from collaborative_gym.certificate.report import Certificate, Trial, upper_bound
+from collaborative_gym.certificate.report import TEAM, Certificate, Trial, upper_bound
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import make_task
 
@@ -36,16 +36,21 @@ def test_a_row_tells_the_best_and_the_surest():
         Trial(*frozen, "expert", 400, 10, 0.2),
         Trial(*idle, "search", 32, 0, 0.4),
         Trial(*frozen, "search", 32, 8, 0.1),
+        Trial(*TEAM, "replay", 500, 5, 0.3),
     )
     identity = Identity.of(make_task("Pass", ("panda", "jaco"))).to_dict()
     certificate = Certificate("Some-v0", {"identity": identity}, trials)
-    assert certificate.best == {idle: trials[0], frozen: trials[3]}
+    assert certificate.best == {idle: trials[0], frozen: trials[3], TEAM: trials[4]}
     table = certificate.to_markdown()
-    assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | 0.6% | 0.40 |" in table
-    assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | 4" in table
+    assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | - | 0.6% | 0.40 |" in table
+    assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | - | 4" in table
     assert "- Pass with panda, jaco, with one arm still: 0.0% (up to 0.6%)" in table
     assert "if from the start on, 25.0%" in table
     assert "25.0% (up to 40.6%) if from 50 % of the way on" in table
+    assert (
+        "| none: the team is blind | - | - | - | 5 of 500 | - | 2.1% | 0.30 |" in table
+    )
+    assert "; by a team that looks at nothing: 1.0% (up to 2.1%)" in table
 
 
 @pytest.mark.parametrize(

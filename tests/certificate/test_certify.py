@@ -3,6 +3,7 @@
 import json
 import resource
 import signal
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,9 @@ import collaborative_gym as cg
 from collaborative_gym.certificate import certify as module
 from collaborative_gym.certificate import rival
 from collaborative_gym.certificate.budget import QUICK
-from collaborative_gym.certificate.report import Certificate
+from collaborative_gym.certificate.report import TEAM, Certificate
+from collaborative_gym.certificate.search import record, replayed
+from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.folder import claimed
 
@@ -49,6 +52,33 @@ def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
         )
         assert frozen < idle
     assert "0.0% (up to 22.1%) if from the start on, 0.0% (up" in certificate.statement
+
+
+def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small):
+    budget = replace(small, replays=4, rounds=8)
+    certificate = cg.certify(press(), budget=budget, num_threads=1)
+    assert len(certificate.trials) == 14 and len(certificate.rows) == 5
+    replay, motion = (
+        next(t for t in certificate.rows[TEAM] if t.player == player)
+        for player in ("replay", "blind")
+    )
+    # Buttons are within 4 cm of where they are in another episode.
+    assert replay.completion > 0.0 and motion.completion > 0.0
+    assert replay.episodes == motion.episodes == small.episodes
+    assert "by a team that looks at nothing: " in certificate.statement
+
+
+def test_recorded_actions_played_again_are_the_episode_itself(press):
+    with closing(VectorEnv(press(), 3, num_threads=1, auto_reset=False)) as env:
+        actions = record(env, seed=4, episodes=2)
+        assert {rows.shape[:2] for rows in actions.values()} == {(2, 15)}
+        whole = env.sim.qpos[:2].copy()
+        env.reset(seed=4, episodes=range(3))
+        policy = replayed(env, actions, np.array([0, 1, 1]))(np.arange(3))
+        for _ in range(15):
+            env.step(policy({}))
+        np.testing.assert_array_equal(env.sim.qpos[:2], whole)
+        assert not np.array_equal(env.sim.qpos[1], env.sim.qpos[2])
 
 
 def test_grips_are_closed_or_open_and_completion_is_that_of_evaluate(carry, small):

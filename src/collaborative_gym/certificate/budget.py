@@ -25,6 +25,8 @@ class Budget:
       training_starts: starts on which the one motion for all is searched for.
       searched_starts: held-out starts for each of which a motion of its own is searched
         for, with the simulator at hand; 0 for none.
+      replays: recorded episodes, of the expert and of the baseline if one is shipped,
+        of which the best is played by a team that looks at nothing; 0 for no such team.
       ppo_steps: environment steps of each training; 0 for none.
       ppo_rows: number of still arms to train against: those where nobody reached the
         goal, the nearest first.
@@ -38,6 +40,7 @@ class Budget:
     rounds: int = bounded(12, 1, _MOST)
     training_starts: int = bounded(16, 1, _MOST)
     searched_starts: int = bounded(32, 0, _MOST)
+    replays: int = bounded(24, 0, _MOST)
     ppo_steps: int = bounded(1_000_000, 0, _MOST)
     ppo_rows: int = bounded(2, 0, _MOST)
 
@@ -60,6 +63,7 @@ QUICK = Budget(
     rounds=1,
     training_starts=2,
     searched_starts=1,
+    replays=2,
     ppo_steps=0,
 )
 """Takes seconds, and proves nothing."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.certificate.budget import Budget
-from collaborative_gym.certificate.report import Certificate, Trial
+from collaborative_gym.certificate.report import TEAM, Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
-from collaborative_gym.certificate.search import Motions, search
+from collaborative_gym.certificate.search import Motions, record, replayed, search
 from collaborative_gym.certificate.tries import Cast, Results, find_starts, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
@@ -57,8 +57,9 @@ def certify(
     The other arms then play the task's expert; one motion for all starts, which a
     search finds on other starts; a motion for each start, which a search finds on that
     start; and, in the rows where nobody reached the goal and somebody came nearest, a
-    policy that is trained for this. Except for the motions for each start, all play the
-    first episodes of the seed, the same as `evaluate` does.
+    policy that is trained for this. Then all arms play blindly: one motion for all
+    starts, and the best of some recorded episodes. Except for the motions for each
+    start, all play the first episodes of the seed, the same as `evaluate` does.
 
     Args:
       env: an environment id, a task's name, or a task.
@@ -105,12 +106,12 @@ def certify(
             check_kind("output", output, (str, Path), "a folder's name")
             folder = Path(output)
             stack.enter_context(claimed(folder))
-        work = _Work(task, budget, seed=seed, folder=folder, num_threads=num_threads)
+        work = Work(task, budget, seed=seed, folder=folder, num_threads=num_threads)
         stack.enter_context(closing(work))
         return work.finish(on_trial, on_progress)
 
 
-class _Work:
+class Work:
     """A certificate in the making; its worlds are freed by `close`.
 
     The arguments are those of `certify`, checked.
@@ -145,21 +146,30 @@ class _Work:
         self, on_trial: Callable[[Trial], object] | None, on_progress: OnProgress
     ) -> Certificate:
         """Do the trials that are left, and return the certificate."""
-        players = {
+        players: dict[str, Callable[[Row], Results]] = {
             "expert": lambda row: self._judge_policy(row, "expert"),
             "blind": self._play_blindly,
             "search": self._search_each,
+            "replay": self._replay,
             "ppo": self._train,
         }
         costs, count = self._costs(), len(self._rows)
+        team = [TEAM] * bool(self._budget.replays)
         counts = dict.fromkeys(players, count)
+        counts["blind"] += len(team)
+        counts["replay"] = len(team)
         counts["ppo"] = min(self._budget.ppo_rows, count)
         sizes = [costs[player] for player in players for _ in range(counts[player])]
         parts = iter(parts_of(on_progress, sizes))
         done = {(trial.row, trial.player) for trial in self._certificate.trials}
         for player, try_out in players.items():
             # A training must know how near the others came.
-            for row in self._nearest_rows() if player == "ppo" else self._rows:
+            rows = self._rows
+            if player == "ppo":
+                rows = self._nearest_rows()
+            elif player in ("blind", "replay"):
+                rows = [*rows, *team] if player == "blind" else team
+            for row in rows:
                 part = next(parts) or (lambda share: None)
                 self._on_steps = _counting(part, costs[player])
                 if costs[player] and (row, player) not in done:
@@ -172,6 +182,10 @@ class _Work:
                 part(1.0)
         return self._certificate
 
+    def blind_team(self) -> tuple[Results, Results]:
+        """Return what the team does blindly: by one motion, by a recorded episode."""
+        return self._play_blindly(TEAM), self._replay(TEAM)
+
     def _costs(self) -> dict[str, int]:
         """Return about how many control steps a trial of each player takes."""
         budget = self._budget
@@ -181,13 +195,18 @@ class _Work:
             "expert": judging,
             "blind": judging + one * budget.training_starts,
             "search": one * budget.searched_starts,
+            "replay": budget.replays
+            * (1 + budget.training_starts)
+            * self._task.config.max_episode_steps
+            + judging,
             "ppo": budget.ppo_steps and judging + budget.ppo_steps,
         }
 
     def _nearest_rows(self) -> list[Row]:
         """Return the rows to train in: the nearest of those least often completed."""
         others = [t for t in self._certificate.trials if t.player != "ppo"]
-        rows = replace(self._certificate, trials=tuple(others)).rows
+        found = replace(self._certificate, trials=tuple(others)).rows
+        rows = {row: trials for row, trials in found.items() if row != TEAM}
 
         def rank(row: Row) -> tuple[float, float]:
             trials = rows[row]
@@ -244,9 +263,24 @@ class _Work:
         groups = np.arange(min(self._budget.searched_starts, len(starts.physics)))
         return self._search(row, motions, starts, groups[:, None], "search")[1]
 
+    def _replay(self, row: Row) -> Results:
+        """Return the results of the recorded episode that does best on other starts."""
+        actions = record(self._env, training_seed(self._seed), self._budget.replays)
+        count = len(next(iter(actions.values())))
+        starts = self._training[0.0]
+        used = min(self._budget.training_starts, len(starts.physics))
+        which = np.tile(np.arange(used), count)
+        episodes = np.repeat(np.arange(count), used)
+        cast = replayed(self._env, actions, episodes)
+        tried = play(self._env, starts, which, cast, on_step=self._on_steps)
+        cost = (tried.nearest - tried.completed).reshape(count, used).mean(axis=1)
+        every = np.full(len(self._held_out[0.0].physics), cost.argmin())
+        return self._judge(row, replayed(self._env, actions, every))
+
     def _motions(self, row: Row) -> Motions:
         passive, partner, _ = row
-        return Motions(self._env, {passive: partner}, self._budget)
+        still = {} if row == TEAM else {passive: partner}
+        return Motions(self._env, still, self._budget)
 
     def _search(
         self,
@@ -256,7 +290,8 @@ class _Work:
         groups: np.ndarray,
         player: str,
     ) -> tuple[np.ndarray, Results]:
-        seeds = [self._seed, self._rows.index(row), player == "search"]
+        index = len(self._rows) if row == TEAM else self._rows.index(row)
+        seeds = [self._seed, index, player == "search"]
         return search(
             self._env,
             starts,

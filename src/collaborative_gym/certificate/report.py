@@ -1,4 +1,4 @@
-"""Results of trying a task with one arm still, as values, JSON and Markdown."""
+"""Results of trying a task with one arm still or blindly, as values, JSON, Markdown."""
 
 import math
 from collections.abc import Sequence
@@ -15,9 +15,13 @@ PLAYERS = {
     "expert": "expert",
     "blind": "one motion for all",
     "search": "a motion for each",
+    "replay": "a recorded episode",
     "ppo": "trained",
 }
 """Players against a still arm, and their names in the table."""
+
+TEAM = "team", "blind", 0.0
+"""In place of a still arm: the whole team plays, and looks at nothing."""
 
 _FORMAT = 1
 """Number of the file format; others are refused."""
@@ -44,7 +48,9 @@ class Trial:
 
     @property
     def still(self) -> str:
-        """The still arm in words, such as "robot_1 frozen at 50 %"."""
+        """The still arm in words, such as "robot_1 frozen at 50 %"; or the team."""
+        if self.row == TEAM:
+            return "none: the team is blind"
         at = f" at {100 * self.fraction:.0f} %" if self.fraction else ""
         return f"{self.passive} {self.partner}{at}"
 
@@ -136,7 +142,7 @@ class Certificate:
     def statement(self) -> str:
         """The results in one sentence."""
         by_fraction: dict[float, list[Trial]] = {}
-        for trial in self.best.values():
+        for trial in (each for row, each in self.best.items() if row != TEAM):
             by_fraction.setdefault(trial.fraction, []).append(trial)
         found = []
         for fraction, trials in sorted(by_fraction.items()):
@@ -145,7 +151,16 @@ class Certificate:
             found.append(
                 f"{most.completion:.1%} (up to {most.bound:.1%}) if from {since} on"
             )
-        return f"{self.title}, with one arm still: {', '.join(found)}"
+        blind = self.best.get(TEAM)
+        team = (
+            ""
+            if blind is None
+            else (
+                f"; by a team that looks at nothing: {blind.completion:.1%} (up to"
+                f" {blind.bound:.1%})"
+            )
+        )
+        return f"{self.title}, with one arm still: {', '.join(found)}{team}"
 
     def to_json(self) -> str:
         """Return everything as JSON."""
@@ -193,7 +208,8 @@ CERTIFICATE_NOTE = (
     "How often the goal was reached while one arm was still, by who commanded the other"
     " arms; up to: upper end of the 95 % interval of the best of them; nearest: the"
     " least median distance from the goal. A motion for each is searched for on the"
-    " very start that it is played on."
+    " very start that it is played on. A blind team plays one motion, or the best of"
+    " some recorded episodes, from every start."
 )
 """Note below the table."""
 

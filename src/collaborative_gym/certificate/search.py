@@ -1,7 +1,8 @@
 """Motions that are played blindly, and the search for good ones."""
 
+import itertools
 from collections.abc import Callable, Mapping
-from itertools import count
+from contextlib import suppress
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from collaborative_gym.certificate.tries import Cast, Results, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
+from collaborative_gym.policies.policy import is_shipped
 
 _FIRST_STD, _LEAST_STD = 0.7, 0.05
 """Standard deviation of the first candidates, and the least one later."""
@@ -49,7 +51,7 @@ class Motions:
         """Return the players of these motions, (tries, knots, columns)."""
 
         def policy(tries: np.ndarray) -> Policy:
-            own, steps = motions[tries], count()
+            own, steps = motions[tries], itertools.count()
 
             def act(observations):
                 return self._actions(own, next(steps))
@@ -67,6 +69,49 @@ class Motions:
         if step >= self._steps:
             now = np.where(self.is_grip, now, 0.0)
         return split_columns(now, self._sizes)
+
+
+def record(env: VectorEnv, seed: int, episodes: int) -> dict[str, np.ndarray]:
+    """Return the actions of the first episodes of a seed, as many as there are worlds.
+
+    The expert and the baseline, if one is shipped for this task, play in turn. The
+    worlds must not reset themselves.
+
+    Returns:
+      (episodes, steps, k) for each agent.
+    """
+    players = [as_policy("expert", env)]
+    if is_shipped("baseline", env.task.name):
+        # Of other mounts, or another action mode, it is no policy of this task.
+        with suppress(ValueError):
+            players.append(as_policy("baseline", env))
+    is_first = (np.arange(env.num_envs) % len(players) == 0)[:, None]
+    observations, _ = env.reset(seed=seed, episodes=range(env.num_envs))
+    steps: list[dict[str, np.ndarray]] = []
+    for _ in range(env.task.config.max_episode_steps):
+        acted = [player(observations) for player in players]
+        actions = {a: np.where(is_first, acted[0][a], acted[-1][a]) for a in env.agents}
+        steps.append({agent: rows[:episodes] for agent, rows in actions.items()})
+        observations, *_ = env.step(actions)
+    return {a: np.stack([step[a] for step in steps], axis=1) for a in env.agents}
+
+
+def replayed(
+    env: VectorEnv, actions: dict[str, np.ndarray], episodes: np.ndarray
+) -> Cast:
+    """Return players of recorded actions, of `episodes`, (tries,) rows of them."""
+    last = next(iter(actions.values())).shape[1] - 1
+
+    def policy(tries: np.ndarray) -> Policy:
+        own, steps = episodes[tries], itertools.count()
+
+        def act(observations):
+            step = min(next(steps), last)
+            return {agent: rows[own, step] for agent, rows in actions.items()}
+
+        return as_policy(act, env)
+
+    return policy
 
 
 def search(
