@@ -154,7 +154,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         " not those below",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} core"
-        f"{'s' * (machine['cores'] > 1)}, MuJoCo {machine['mujoco']}",
+        f"{'s' * (machine['cores'] != 1)}, MuJoCo {machine['mujoco']}",
         "",
         f"Episodes of seed {_SEED} ({episodes}); means, 95 % intervals."
         " Where starts are all the same there is one deterministic episode, and no"
