@@ -10,7 +10,6 @@ so that every page can be read as a file; a test fails where they are stale.
 
 import contextlib
 import dataclasses
-import importlib
 import inspect
 import io
 import os
@@ -375,19 +374,12 @@ def _films(tasks: Sequence[str]) -> str:
     return "\n\n".join(paragraphs)
 
 
-def _names(module: str = "collaborative_gym", page: str = "") -> str:
-    """Return a table of names, with the first line of each docstring.
-
-    They are all that a module offers, or those that a page of the reference has.
-    """
-    if page:
-        text = (DOCS / page).read_text()
-        paths = re.findall(rf"^::: {module}\.(\S+)$", text, re.M)
-    else:
-        paths = sorted(importlib.import_module(module).__all__, key=str.lower)
+def _names(page: str) -> str:
+    """Return a table of a reference page's names, each with its docstring's start."""
+    text = (DOCS / page).read_text()
     rows = []
-    for path in paths:
-        thing = pkgutil.resolve_name(f"{module}.{path}")
+    for path in re.findall(r"^::: collaborative_gym\.(\S+)$", text, re.M):
+        thing = pkgutil.resolve_name(f"collaborative_gym.{path}")
         if not callable(thing) and not inspect.ismodule(thing):
             continue  # A value has no docstring of its own.
         summary = inspect.getdoc(thing).partition("\n\n")[0]
@@ -564,8 +556,8 @@ _MADE = {
     "environments": _environments,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
     "films against": partial(_films, _AGAINST),
-    "names": _names,
-    "names for tasks": partial(_names, page="reference/tasks.md"),
+    "names": partial(_names, "reference/python.md"),
+    "names for tasks": partial(_names, "reference/tasks.md"),
 }
 """What is made in a page, by the name of what makes it."""
 

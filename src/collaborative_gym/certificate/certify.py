@@ -153,23 +153,17 @@ class Work:
             "replay": self._replay,
             "ppo": self._train,
         }
-        costs, count = self._costs(), len(self._rows)
-        team = [TEAM] * bool(self._budget.replays)
-        counts = dict.fromkeys(players, count)
-        counts["blind"] += len(team)
-        counts["replay"] = len(team)
-        counts["ppo"] = min(self._budget.ppo_rows, count)
+        costs, team = self._costs(), [TEAM] * bool(self._budget.replays)
+        rows = dict.fromkeys(players, self._rows)
+        rows |= {"blind": [*self._rows, *team], "replay": team}
+        counts = {player: len(own) for player, own in rows.items()}
+        counts["ppo"] = min(self._budget.ppo_rows, counts["ppo"])
         sizes = [costs[player] for player in players for _ in range(counts[player])]
         parts = iter(parts_of(on_progress, sizes))
         done = {(trial.row, trial.player) for trial in self._certificate.trials}
         for player, try_out in players.items():
             # A training must know how near the others came.
-            rows = self._rows
-            if player == "ppo":
-                rows = self._nearest_rows()
-            elif player in ("blind", "replay"):
-                rows = [*rows, *team] if player == "blind" else team
-            for row in rows:
+            for row in self._nearest_rows() if player == "ppo" else rows[player]:
                 part = next(parts) or (lambda share: None)
                 self._on_steps = _counting(part, costs[player])
                 if costs[player] and (row, player) not in done:

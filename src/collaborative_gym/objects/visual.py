@@ -4,6 +4,9 @@ from collections.abc import Sequence
 
 import mujoco
 
+_SEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
+"""What makes a geom one that is only seen."""
+
 
 def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
     """Return a model that has a name, and its body of that name."""
@@ -27,10 +30,7 @@ def add_visual(
         size=(*size, 0.0, 0.0)[:3],
         pos=pos,
         rgba=rgba,
-        contype=0,
-        conaffinity=0,
-        group=2,
-        mass=0.0,
+        **_SEEN,
     )
     if fromto is not None:
         geom.fromto = fromto
@@ -49,8 +49,5 @@ def add_wire_sphere(
             meshname=mesh.name,
             quat=turn,
             rgba=rgba,
-            contype=0,
-            conaffinity=0,
-            group=2,
-            mass=0.0,
+            **_SEEN,
         )
