@@ -13,7 +13,7 @@ import numpy as np
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.report import TEAM, Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
-from collaborative_gym.certificate.search import Motions, record, replayed, search
+from collaborative_gym.certificate.search import Motions, record, search
 from collaborative_gym.certificate.tries import Cast, Results, find_starts, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
@@ -247,10 +247,12 @@ class Work:
     def _play_blindly(self, row: Row) -> Results:
         starts = self._training[row[2]]
         group = np.arange(min(self._budget.training_starts, len(starts.physics)))
-        motions = self._motions(row)
-        best, _ = self._search(row, motions, starts, group[None], "blind")
-        every = np.repeat(best, len(self._held_out[row[2]].physics), axis=0)
-        return self._judge(row, motions.cast(every))
+        motions, record = self._motions(row), 0
+        if row == TEAM:
+            record = self._best_record(motions, starts, group)
+        found = self._search(row, motions, starts, group[None], "blind", record)
+        judged = self._judge_motion(row, motions, found[0], record)
+        return judged._replace(converged=found[1].converged)
 
     def _search_each(self, row: Row) -> Results:
         starts, motions = self._held_out[row[2]], self._motions(row)
@@ -258,23 +260,40 @@ class Work:
         return self._search(row, motions, starts, groups[:, None], "search")[1]
 
     def _replay(self, row: Row) -> Results:
-        """Return the results of the recorded episode that does best on other starts."""
-        actions = record(self._env, training_seed(self._seed), self._budget.replays)
-        count = len(next(iter(actions.values())))
-        starts = self._training[0.0]
-        used = min(self._budget.training_starts, len(starts.physics))
-        which = np.tile(np.arange(used), count)
-        episodes = np.repeat(np.arange(count), used)
-        cast = replayed(self._env, actions, episodes)
+        motions, starts = self._motions(row), self._training[0.0]
+        group = np.arange(min(self._budget.training_starts, len(starts.physics)))
+        record = self._best_record(motions, starts, group)
+        return self._judge_motion(row, motions, np.zeros((1, *motions.shape)), record)
+
+    def _best_record(
+        self, motions: Motions, starts: EnvState, group: np.ndarray
+    ) -> int:
+        """Return the recorded episode that does best on these starts."""
+        count = len(motions.records)
+        episodes = np.repeat(np.arange(count), len(group))
+        cast = motions.cast(np.zeros((len(episodes), *motions.shape)), episodes)
+        which = np.tile(group, count)
         tried = play(self._env, starts, which, cast, on_step=self._on_steps)
-        cost = (tried.nearest - tried.completed).reshape(count, used).mean(axis=1)
-        every = np.full(len(self._held_out[0.0].physics), cost.argmin())
-        return self._judge(row, replayed(self._env, actions, every))
+        cost = (tried.nearest - tried.completed).reshape(count, len(group))
+        return int(cost.mean(axis=1).argmin())
+
+    def _judge_motion(
+        self, row: Row, motions: Motions, motion: np.ndarray, record: int
+    ) -> Results:
+        count = len(self._held_out[row[2]].physics)
+        every = np.repeat(motion, count, axis=0)
+        return self._judge(row, motions.cast(every, np.full(count, record)))
 
     def _motions(self, row: Row) -> Motions:
         passive, partner, _ = row
         still = {} if row == TEAM else {passive: partner}
-        return Motions(self._env, still, self._budget)
+        records = self._records if row == TEAM else None
+        return Motions(self._env, still, self._budget, records)
+
+    @cached_property
+    def _records(self) -> np.ndarray:
+        """What the blind team begins with: episodes on which nothing else is tried."""
+        return record(self._env, training_seed(self._seed), self._budget.replays)
 
     def _search(
         self,
@@ -283,6 +302,7 @@ class Work:
         starts: EnvState,
         groups: np.ndarray,
         player: str,
+        record: int = 0,
     ) -> tuple[np.ndarray, Results]:
         index = len(self._rows) if row == TEAM else self._rows.index(row)
         seeds = [self._seed, index, player == "search"]
@@ -293,6 +313,7 @@ class Work:
             motions=motions,
             budget=self._budget,
             rng=np.random.default_rng(seeds),
+            record=record,
             on_step=self._on_steps,
         )
 
@@ -330,6 +351,7 @@ def _trial(row: Row, player: str, outcome: Results) -> Trial:
         episodes=len(outcome.completed),
         completed=int(outcome.completed.sum()),
         nearest=round(float(np.median(outcome.nearest)), 6),
+        converged=outcome.converged,
     )
 
 

@@ -40,6 +40,7 @@ class Trial:
     episodes: int  # number of starts
     completed: int  # number of starts from which the goal was reached
     nearest: float  # median of the least `Task.shortfall` of each episode
+    converged: bool | None = None  # the search for a motion; None without a search
 
     @property
     def row(self) -> tuple[str, str, float]:

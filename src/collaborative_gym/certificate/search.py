@@ -14,8 +14,9 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies import Policy, as_policy
 from collaborative_gym.policies.policy import is_shipped
 
-_FIRST_STD, _LEAST_STD = 0.7, 0.05
-"""Standard deviation of the first candidates, and the least one later."""
+_FIRST_STD, _NEAR_STD, _LEAST_STD = 0.7, 0.3, 0.05
+"""Standard deviation of the first candidates, of those near a recorded episode, and the
+least one later."""
 
 _ELITE = 0.1
 """Share of the candidates around which the next ones are drawn."""
@@ -23,95 +24,112 @@ _ELITE = 0.1
 _AFTER = 10
 """Control steps of a try after the end of its motion."""
 
+_GAIN, _STALL = 0.01, 6
+"""A search has converged if the best motion gains less than this in so many rounds, of
+the share of starts that it completes, less its mean distance from the goal."""
+
 
 class Motions:
     """Open-loop motions of some agents, while others do as their policies say.
 
     A motion is a row of the budget's knots, evenly spread over its time, with the
     actions of all these agents side by side. Between two knots actions change evenly;
-    after the last one the arms hold still, with the grips that they have then. The
+    after the last one the arms hold still, with the grips that they have then. Where
+    there are records, a motion is a change of one of them, and takes its time. The
     worlds must not reset themselves.
 
     Attributes:
-      is_grip: (columns,) which of a knot's columns grip.
+      records: (episodes, steps, columns) actions to which the motions' are added.
+      is_grip: (columns,) which columns of a knot or a record grip.
       shape: knots and columns of a motion.
+      steps: control steps of a motion.
     """
 
-    def __init__(self, env: VectorEnv, partners: Mapping[str, str], budget: Budget):
+    def __init__(
+        self,
+        env: VectorEnv,
+        partners: Mapping[str, str],
+        budget: Budget,
+        records: np.ndarray | None = None,
+    ):
         self._env = env
         self._partners = dict(partners)
-        self._steps = budget.motion_steps
         sizes = env.world.definition.layout.action_sizes
         self._sizes = {a: n for a, n in sizes.items() if a not in partners}
         grips = [columns_of(env.action_parts[agent], "grip") for agent in self._sizes]
         self.is_grip = np.concatenate(grips)
         self.shape = budget.knots, len(self.is_grip)
+        self.steps = budget.motion_steps if records is None else records.shape[1]
+        none = np.zeros((1, 1, self.shape[1]))
+        self.records = none if records is None else records
 
-    def cast(self, motions: np.ndarray) -> Cast:
-        """Return the players of these motions, (tries, knots, columns)."""
+    def first(self) -> tuple[np.ndarray, float]:
+        """Return the first candidates' mean, (knots, columns), and their deviation."""
+        is_new = len(self.records[0]) == 1
+        mean = np.zeros(self.shape)
+        mean[:, self.is_grip] = is_new
+        return mean, _FIRST_STD if is_new else _NEAR_STD
+
+    def cast(self, motions: np.ndarray, records: np.ndarray) -> Cast:
+        """Return the players of these motions, (tries, knots, columns).
+
+        `records` is the row of each one's record, (tries,).
+        """
 
         def policy(tries: np.ndarray) -> Policy:
-            own, steps = motions[tries], itertools.count()
+            own, begun = motions[tries], self.records[records[tries]]
+            steps = itertools.count()
 
             def act(observations):
-                return self._actions(own, next(steps))
+                return self._actions(own, begun, next(steps))
 
             team = dict.fromkeys(self._sizes, act) | self._partners
             return as_policy(team, self._env)
 
         return policy
 
-    def _actions(self, motions: np.ndarray, step: int) -> dict[str, np.ndarray]:
+    def _actions(
+        self, motions: np.ndarray, records: np.ndarray, step: int
+    ) -> dict[str, np.ndarray]:
         last = self.shape[0] - 1
-        at = last * min(step / self._steps, 1.0)
+        at = last * min(step / self.steps, 1.0)
         i = min(int(at), last - 1)
         now = motions[:, i] + (at - i) * (motions[:, i + 1] - motions[:, i])
-        if step >= self._steps:
+        now = now + records[:, min(step, records.shape[1] - 1)]
+        if step >= self.steps:
             now = np.where(self.is_grip, now, 0.0)
-        return split_columns(now, self._sizes)
+        return split_columns(np.clip(now, -1.0, 1.0), self._sizes)
 
 
-def record(env: VectorEnv, seed: int, episodes: int) -> dict[str, np.ndarray]:
+def record(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
     """Return the actions of the first episodes of a seed, as many as there are worlds.
 
     The expert and the baseline, if one is shipped for this task, play in turn. The
-    worlds must not reset themselves.
+    record ends soon after the last of them has reached the goal. The worlds must not
+    reset themselves.
 
     Returns:
-      (episodes, steps, k) for each agent.
+      (episodes, steps, k), with the actions of all agents side by side.
     """
     players = [as_policy("expert", env)]
     if is_shipped("baseline", env.task.name):
         # Of other mounts, or another action mode, it is no policy of this task.
         with suppress(ValueError):
             players.append(as_policy("baseline", env))
+    episodes = min(episodes, env.num_envs)
     is_first = (np.arange(env.num_envs) % len(players) == 0)[:, None]
     observations, _ = env.reset(seed=seed, episodes=range(env.num_envs))
-    steps: list[dict[str, np.ndarray]] = []
-    for _ in range(env.task.config.max_episode_steps):
+    steps: list[np.ndarray] = []
+    end = env.task.config.max_episode_steps
+    while len(steps) < end:
         acted = [player(observations) for player in players]
         actions = {a: np.where(is_first, acted[0][a], acted[-1][a]) for a in env.agents}
-        steps.append({agent: rows[:episodes] for agent, rows in actions.items()})
-        observations, *_ = env.step(actions)
-    return {a: np.stack([step[a] for step in steps], axis=1) for a in env.agents}
-
-
-def replayed(
-    env: VectorEnv, actions: dict[str, np.ndarray], episodes: np.ndarray
-) -> Cast:
-    """Return players of recorded actions, of `episodes`, (tries,) rows of them."""
-    last = next(iter(actions.values())).shape[1] - 1
-
-    def policy(tries: np.ndarray) -> Policy:
-        own, steps = episodes[tries], itertools.count()
-
-        def act(observations):
-            step = min(next(steps), last)
-            return {agent: rows[own, step] for agent, rows in actions.items()}
-
-        return as_policy(act, env)
-
-    return policy
+        rows = np.concatenate([actions[agent] for agent in env.agents], axis=1)
+        steps.append(rows[:episodes])
+        observations, *_, infos = env.step(actions)
+        if (infos["metrics"]["completion"][:episodes] > 0.0).all():
+            end = min(end, len(steps) + _AFTER)
+    return np.stack(steps, axis=1)
 
 
 def search(
@@ -122,30 +140,29 @@ def search(
     motions: Motions,
     budget: Budget,
     rng: np.random.Generator,
+    record: int = 0,
     on_step: Callable[[int], object] | None = None,
 ) -> tuple[np.ndarray, Results]:
     """Search for a motion that reaches the goal from all starts of a group.
 
     It uses the cross-entropy method, for each group by itself: candidates are drawn by
     `rng` around the best ones of the round before. A group whose motion reaches the
-    goal from each of its starts is done. Groups are (groups, starts of a group) rows of
-    `starts`; the worlds and `on_step` are as for `play`.
+    goal from each of its starts is done, and so is one that has converged. Groups are
+    (groups, starts of a group) rows of `starts`; `record` is the row of `motions`'
+    records that all begin with; the worlds and `on_step` are as for `play`.
 
     Returns:
       The best motion of each group, (groups, knots, columns), and its outcome, where a
       group counts as completed if it was from each of its starts.
     """
-    mean = np.zeros((len(groups), *motions.shape))
-    mean[..., motions.is_grip] = 1.0
-    std, best = np.full_like(mean, _FIRST_STD), mean.copy()
+    first, deviation = motions.first()
+    mean = np.tile(first, (len(groups), 1, 1))
+    std, best = np.full_like(mean, deviation), mean.copy()
     # The share of starts from which the goal is reached counts before all distances.
-    least = np.full(len(groups), np.inf)
+    least = np.full((budget.rounds + 1, len(groups)), np.inf)
     nearest = np.full(len(groups), np.inf)
-    steps = budget.motion_steps + _AFTER
-    for _ in range(budget.rounds):
-        left = np.flatnonzero(least > -1.0)
-        if not len(left):
-            break
+    left = np.arange(len(groups))
+    for number in range(1, budget.rounds + 1):
         shape = (len(left), budget.candidates, *motions.shape)
         tried = mean[left, None] + std[left, None] * rng.standard_normal(shape)
         tried[:, 0] = mean[left]
@@ -153,18 +170,24 @@ def search(
         tries = *shape[:2], groups.shape[1]
         which = np.broadcast_to(groups[left, None], tries).ravel()
         flat = np.repeat(tried.reshape(-1, *motions.shape), tries[2], axis=0)
+        cast = motions.cast(flat, np.full(len(flat), record))
         found = play(
-            env, starts, which, motions.cast(flat), steps=steps, on_step=on_step
+            env, starts, which, cast, steps=motions.steps + _AFTER, on_step=on_step
         )
-        completed, near = (each.reshape(tries) for each in found)
+        completed, near = found.completed.reshape(tries), found.nearest.reshape(tries)
         cost = (near - completed).mean(axis=2)
         order = np.argsort(cost, axis=1)[:, : max(2, round(_ELITE * shape[1]))]
         elite = np.take_along_axis(tried, order[..., None, None], axis=1)
         mean[left] = elite.mean(axis=1)
         std[left] = np.maximum(elite.std(axis=1), _LEAST_STD)
+        least[number] = least[number - 1]
         for row, group in enumerate(left):
             first = order[row, 0]
-            if cost[row, first] < least[group]:
-                least[group], best[group] = cost[row, first], tried[row, first]
-                nearest[group] = near[row, first].mean()
-    return best, Results(least <= -1.0, nearest)
+            if cost[row, first] < least[number, group]:
+                least[number, group] = cost[row, first]
+                best[group], nearest[group] = tried[row, first], near[row, first].mean()
+        before = least[max(0, number - _STALL), left]
+        left = left[(least[number, left] > -1.0) & (before - least[number, left] > _GAIN)]
+        if not len(left):
+            break
+    return best, Results(least[number] <= -1.0, nearest, not len(left))

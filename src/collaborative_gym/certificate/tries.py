@@ -27,11 +27,13 @@ class Results(NamedTuple):
     """Results of tries, (tries,) each.
 
     `completed` says whether the goal was reached, as `evaluate` counts it; `nearest` is
-    the least `Task.shortfall` on the way.
+    the least `Task.shortfall` on the way. `converged` says whether the search for what
+    was played has converged; None without a search.
     """
 
     completed: np.ndarray
     nearest: np.ndarray
+    converged: bool | None = None
 
 
 def play(
@@ -71,7 +73,7 @@ def _play_round(
     policy: Policy,
     steps: int | None,
     on_step: Callable[[int], object] | None,
-) -> Results:
+) -> tuple[np.ndarray, np.ndarray]:
     task, observations = env.task, env.set_state(starts)
     nearest = now = np.full(env.num_envs, _FAR)
     completed, rested = np.zeros(env.num_envs, bool), 0
@@ -89,7 +91,7 @@ def _play_round(
         rested = rested + 1 if moves < _REST else 0
         if not left.any() or rested > _PATIENCE:
             break
-    return Results(completed, np.where(completed, 0.0, nearest))
+    return completed, np.where(completed, 0.0, nearest)
 
 
 def find_starts(
