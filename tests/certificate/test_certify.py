@@ -14,7 +14,7 @@ from collaborative_gym.certificate import certify as module
 from collaborative_gym.certificate import rival
 from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.certificate.report import TEAM, Certificate
-from collaborative_gym.certificate.search import record, replayed
+from collaborative_gym.certificate.search import Motions, record
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.folder import claimed
@@ -66,16 +66,24 @@ def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small
     assert replay.completion > 0.0 and motion.completion > 0.0
     assert replay.episodes == motion.episodes == small.episodes
     assert "by a team that looks at nothing: " in certificate.statement
+    # The search begins with the record that is played again.
+    assert motion.completed >= replay.completed
+    assert replay.converged is None and motion.converged is not None
+    again = cg.certify(press(), budget=replace(budget, rounds=60), num_threads=1)
+    assert all(t.converged for t in again.trials if t.player in ("blind", "search"))
 
 
 def test_recorded_actions_played_again_are_the_episode_itself(press):
     with closing(VectorEnv(press(), 3, num_threads=1, auto_reset=False)) as env:
-        actions = record(env, seed=4, episodes=2)
-        assert {rows.shape[:2] for rows in actions.values()} == {(2, 15)}
+        records = record(env, seed=4, episodes=2)
+        steps = records.shape[1]
+        assert records.shape[0] == 2 and steps <= 15
         whole = env.sim.qpos[:2].copy()
         env.reset(seed=4, episodes=range(3))
-        policy = replayed(env, actions, np.array([0, 1, 1]))(np.arange(3))
-        for _ in range(15):
+        motions = Motions(env, {}, QUICK, records)
+        unchanged = np.zeros((3, *motions.shape))
+        policy = motions.cast(unchanged, np.array([0, 1, 1]))(np.arange(3))
+        for _ in range(steps):
             env.step(policy({}))
         np.testing.assert_array_equal(env.sim.qpos[:2], whole)
         assert not np.array_equal(env.sim.qpos[1], env.sim.qpos[2])

@@ -94,6 +94,29 @@ def test_success_counts_only_late_enough(make_env):
     assert successes == [False] * 8 + [True] * 4
 
 
+def test_success_counts_only_if_it_lasts(carry, monkeypatch):
+    task = carry()
+    monkeypatch.setattr(type(task), "success_for", 3)
+    env = cg.VectorEnv(task, 1, num_threads=1, auto_reset=False)
+    _, infos = env.reset(seed=0)
+    assert not infos["success"][0]
+    successes, met = [], []
+    for step in range(LENGTH):
+        infos = env.step(env.expert())[-1]
+        met.append(bool(task.success(env.facts)[0]))
+        successes.append(bool(infos["success"][0]))
+        if step == LENGTH - 5:
+            state = env.get_state()
+    assert any(successes) and met != successes
+    assert successes == [
+        all(met[max(0, i - 2) : i + 1]) and i > 1 for i in range(LENGTH)
+    ]
+    # A saved state knows for how long.
+    env.set_state(state)
+    assert bool(env.step(env.expert())[-1]["success"][0]) == successes[LENGTH - 4]
+    env.close()
+
+
 def test_performance_can_count_from_the_start(make_env):
     env = make_env(1)
     env.task.performance_from_start = True

@@ -120,16 +120,18 @@ def record(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
     is_first = (np.arange(env.num_envs) % len(players) == 0)[:, None]
     observations, _ = env.reset(seed=seed, episodes=range(env.num_envs))
     steps: list[np.ndarray] = []
-    end = env.task.config.max_episode_steps
-    while len(steps) < end:
+    met, end = np.zeros(episodes, bool), 0
+    for step in range(env.task.config.max_episode_steps):
         acted = [player(observations) for player in players]
         actions = {a: np.where(is_first, acted[0][a], acted[-1][a]) for a in env.agents}
         rows = np.concatenate([actions[agent] for agent in env.agents], axis=1)
         steps.append(rows[:episodes])
         observations, *_, infos = env.step(actions)
-        if (infos["metrics"]["completion"][:episodes] > 0.0).all():
-            end = min(end, len(steps) + _AFTER)
-    return np.stack(steps, axis=1)
+        before, met = met, infos["metrics"]["completion"][:episodes] > 0.0
+        end = step if (met & ~before).any() else end
+        if met.all() and step >= end + _AFTER:
+            break
+    return np.stack(steps, axis=1)[:, : end + _AFTER]
 
 
 def search(
@@ -187,7 +189,9 @@ def search(
                 least[number, group] = cost[row, first]
                 best[group], nearest[group] = tried[row, first], near[row, first].mean()
         before = least[max(0, number - _STALL), left]
-        left = left[(least[number, left] > -1.0) & (before - least[number, left] > _GAIN)]
+        left = left[
+            (least[number, left] > -1.0) & (before - least[number, left] > _GAIN)
+        ]
         if not len(left):
             break
     return best, Results(least[number] <= -1.0, nearest, not len(left))

@@ -39,6 +39,8 @@ class Progress:
             blank |= {f"{side}: performing_steps": 0, f"{side}: first_success": -1}
             if self._is_divided:
                 blank[f"{side}: score"] = 0.0
+            if world.task.success_for > 1:
+                blank[f"{side}: met_steps"] = 0
         for names in self._sums.values():
             blank |= dict.fromkeys(names.values(), 0.0)
         if world.has_strain:
@@ -108,7 +110,8 @@ class Progress:
         successes = {}
         is_late = (rows["step"] > task.success_after) & counts
         for i, side in enumerate(self._sides):
-            successes[side] = (met[i] if self._is_divided else met) & is_late
+            now_met = (met[i] if self._is_divided else met) & is_late
+            successes[side] = self._lasting(side, now_met)
             first = rows[f"{side}: first_success"]
             is_first = successes[side] & (first < 0)
             rows[f"{side}: first_success"] = xp.where(is_first, rows["length"], first)
@@ -130,6 +133,14 @@ class Progress:
         rows["truncated"] = rows["truncated"] | is_late
         return successes if self._is_divided else successes[side]
 
+    def _lasting(self, side: str, met: Array) -> Array:
+        """Return where a side's goal has been met for long enough."""
+        least, name = self._task.success_for, f"{side}: met_steps"
+        if least <= 1:
+            return met
+        self.rows[name] = self._xp.where(met, self.rows[name] + 1, 0)
+        return self.rows[name] >= least
+
     def endings(self, agents: tuple[str, ...]) -> tuple[dict[str, Array], ...]:
         """Return which episodes are terminated, and which truncated, by agent."""
         ends = self.rows["terminated"], self.rows["truncated"]
@@ -138,6 +149,7 @@ class Progress:
     def begun(self, facts: Any) -> tuple[Any, dict[str, Terms]]:
         """Return where the goal is met before any step, and reward terms of zero."""
         met, counts = self._task.success(facts), ~self.rows["diverged"]
+        counts = counts & (self._task.success_for <= 1)
         if self._is_divided:
             met = {side: met[i] & counts for i, side in enumerate(self._sides)}
         else:

@@ -25,7 +25,7 @@ from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
-from collaborative_gym.tasks.task import RANDOMIZATIONS, Task
+from collaborative_gym.tasks.task import Randomization, Task
 
 _MOST_DELAY = 100
 """Greatest delay, in control steps: ten seconds."""
@@ -49,7 +49,7 @@ DISTURBANCES: Mapping[str, Sequence[str]] = {
     "delay": ("delay", "delayed"),
     "lost actions": ("lost_actions",),
     "noise": ("position_noise", "angle_noise"),
-    "all": tuple(field.name for field in fields(RANDOMIZATIONS["hard"])),
+    "all": tuple(field.name for field in fields(Randomization)),
 }
 """Fields of the randomization `hard` by the name of a disturbance, which leaves the
 others as in `default`."""
@@ -147,7 +147,8 @@ def measure_robustness(
     Raises:
       Exception: as `evaluate` does.
     """
-    task, hard = as_task(env), RANDOMIZATIONS["hard"]
+    task = as_task(env)
+    hard = task.randomizations["hard"]
     parts = parts_of(on_progress, [1] * len(DISTURBANCES))
     reports = {}
     for (name, changed), part in zip(DISTURBANCES.items(), parts, strict=True):

@@ -25,8 +25,8 @@ from collaborative_gym.learning.folder import CURVE
 from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Settings
 from collaborative_gym.policies.policy import POLICY_FILE
-from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization
+from collaborative_gym.tasks.registry import get_env, make_task
+from collaborative_gym.tasks.task import Randomization
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
 """The episodes of a card; no run is trained on them or chosen by them. In late ones,
@@ -145,7 +145,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         " listed below, are in no return.",
         "",
         f"- environment: `{identity.name}`, randomization"
-        f" `{_preset(identity.config['randomization'])}`",
+        f" `{_preset(identity.name, identity.config['randomization'])}`",
         f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
         f" {numbers.activation}; actions are the mean, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
@@ -242,7 +242,7 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     options += [
         f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
     ]
-    if (preset := _preset(starts)) != "default":
+    if (preset := _preset(env_id, starts)) != "default":
         options.append(f"--randomization {preset}")
     for option in ("opponent", "partner"):
         if guests := own.get(f"{option}s"):
@@ -252,11 +252,11 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     )
 
 
-def _preset(randomization: Mapping[str, Any]) -> str:
+def _preset(env_id: str, randomization: Mapping[str, Any]) -> str:
     """Return the preset of a run's starts, or else the value."""
     own = Randomization(**randomization)
-    presets = (name for name, preset in RANDOMIZATIONS.items() if preset == own)
-    return next(presets, str(own))
+    presets = get_env(env_id).task.randomizations.items()
+    return next((name for name, preset in presets if preset == own), str(own))
 
 
 def _option(value: Any) -> str:

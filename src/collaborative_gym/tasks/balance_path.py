@@ -86,6 +86,7 @@ class BalancePath(Balance):
     config: BalancePathConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m", "followed": "s"}
     performance_from_start = False
+    success_for = 1  # It says itself how long.
     expert = player.path_expert
 
     @property

@@ -18,8 +18,9 @@ Reward of each agent:
 - `inside`: 1 while the stick is inside: the distance is below 0.065 m and |cos a| is
   below 0.2; else 0.
 
-Success: the distance is below 0.09 m while the stick's axis crosses the ring's plane
-within the hole. The distance alone is not enough, because a stick that lies flat on the
+Success: for 0.5 s, the distance is below 0.09 m while the stick's axis crosses the
+ring's plane within the hole. Arms that look at nothing may pass there by chance, but
+hardly stay. The distance alone is not enough, because a stick that lies flat on the
 ring is as near. The term `inside` need not ask for the crossing, because it implies it:
 within its bounds the axis crosses the plane at most 0.067 m from the ring's centre, and
 so from the stick's middle. The hole's sides are 0.08 m away, and the stick's ends 0.1
@@ -92,6 +93,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         waits before the hole, in rad.
     """
 
+    success_for = 5
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",

@@ -20,7 +20,7 @@ from collaborative_gym.errors import (
 from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
-from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task, TaskConfig
+from collaborative_gym.tasks.task import Randomization, Task, TaskConfig
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,8 @@ def make_task(
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}
     config = _configure(spec.task, {**own, **settings})
-    config = replace(config, randomization=_randomization(randomization))
+    starts = _randomization(randomization, spec.task.randomizations)
+    config = replace(config, randomization=starts)
     task = spec.task(arms, config)
     task.name = name
     return task
@@ -223,10 +224,12 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     return task.config_class(**settings)
 
 
-def _randomization(given: str | Randomization | None) -> Randomization:
+def _randomization(
+    given: str | Randomization | None, presets: Mapping[str, Randomization]
+) -> Randomization:
     if isinstance(given, Randomization):
         return given
     a = "a preset's name, or a value such as Randomization(joint_noise=0.1)"
     preset = "default" if given is None else given
     check_kind("randomization", preset, str, a)
-    return look_up("randomization", preset, RANDOMIZATIONS)
+    return look_up("randomization", preset, presets)

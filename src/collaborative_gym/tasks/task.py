@@ -79,15 +79,24 @@ LEVEL = np.array([1.0, 1.0, 0.0])
 STYLE_DRAWS = 3
 """How many numbers each episode draws for the styles of an expert."""
 
-RANDOMIZATIONS = {
-    "default": Randomization(),
-    "paper": Randomization(0.0, 0.0, 0.0, 0.0),
-    "wide": Randomization(0.075, 0.075, math.radians(22.5), 0.075),
-    "hard": Randomization(
-        joint_noise=0.1,
-        object_position=0.1,
-        object_yaw=math.radians(30),
-        target_position=0.1,
+_STARTS = "joint_noise", "object_position", "target_position"
+
+
+def presets(default: Randomization, hard: float = 2.0) -> dict[str, Randomization]:
+    """Return the presets of a task by name.
+
+    `paper` starts as the thesis does, `default` is drawn around it, `wide` 1.5 times as
+    far off, for training, `hard` `hard` times as far and with every disturbance.
+    """
+
+    def scaled(by: float, **disturbances: Any) -> Randomization:
+        # Rounded, so that 1.5 times 0.05 is 0.075.
+        starts = {name: round(by * getattr(default, name), 15) for name in _STARTS}
+        turned = by * default.object_yaw
+        return replace(default, **starts, object_yaw=turned, **disturbances)
+
+    disturbed = scaled(
+        hard,
         link_mass=0.2,
         payload=0.2,
         friction=0.2,
@@ -97,10 +106,17 @@ RANDOMIZATIONS = {
         lost_actions=0.05,
         position_noise=0.005,
         angle_noise=0.01,
-    ),
-}
-"""The presets: `paper` starts as the thesis does, `default` is drawn around it, `wide`
-1.5 times as far off, for training, `hard` twice as far and with every disturbance."""
+    )
+    return {
+        "default": default,
+        "paper": scaled(0.0),
+        "wide": scaled(1.5),
+        "hard": disturbed,
+    }
+
+
+RANDOMIZATIONS = presets(Randomization())
+"""The presets of tasks that have none of their own."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +194,11 @@ class Task(Generic[ConfigT, FactsT]):
       gripping: whether actions have a grip component.
       config_class: the class of its settings.
       success_after: the goal counts as reached only after this many control steps.
+      success_for: and only when it has been met for this many of them in a row.
       styles: other ways of the expert, a sentence for each by its name.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
+      randomizations: how starts may be drawn, by the names of presets.
       units: of the facts that are single numbers, by their names; viewers show them.
       block_units: of the blocks of observations, by their names; "robot_1 joints" and
         "ball 2" also go by "joints" and "ball".
@@ -194,8 +212,10 @@ class Task(Generic[ConfigT, FactsT]):
     gripping: bool = False
     config_class: type[TaskConfig] = TaskConfig
     success_after: int = 0
+    success_for: int = 1
     performance_from_start: bool = False
     styles: ClassVar[Mapping[str, str]] = {}
+    randomizations: ClassVar[Mapping[str, Randomization]] = RANDOMIZATIONS
     units: ClassVar[Mapping[str, str]] = {}
     block_units: ClassVar[Mapping[str, str]] = {}
 

@@ -14,10 +14,13 @@ from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import list_envs, make_task
-from collaborative_gym.tasks.task import RANDOMIZATIONS, Randomization, Task
+from collaborative_gym.tasks.task import Task
 
 LINK = "/play/"
 """Beginning of the paths of links."""
+
+_OWN = "own"
+"""Name of the starts that the viewer was opened with, if they are no preset."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +62,11 @@ class Menu:
             self._policies[name_policy(policy)] = policy
         self._robots: dict[str, str | Robot] = {name: name for name in list_robots()}
         self._robots |= {robot.name: robot for robot in env.task.robots.values()}
-        self._randomizations: dict[str, Randomization] = dict(RANDOMIZATIONS)
-        own = env.task.config.randomization
-        if own not in RANDOMIZATIONS.values():
-            self._randomizations["own"] = own
         self.envs = tuple(dict.fromkeys([*list_envs(), env.task.name]))
         self.robots = tuple(self._robots)
-        self.randomizations = tuple(self._randomizations)
+        presets = env.task.randomizations
+        is_own = env.task.config.randomization not in presets.values()
+        self.randomizations = *presets, *[_OWN] * is_own
 
     def policies(self, choice: Choice) -> tuple[str, ...]:
         """Return the names of policies for the arms of a choice."""
@@ -77,13 +78,13 @@ class Menu:
 
     def chosen(self, env: VectorEnv, policies: Mapping[str, AnyPolicy]) -> Choice:
         """Return the choice that plays, by its world and the policy of each agent."""
-        own = env.task.config.randomization
-        names = {value: name for name, value in self._randomizations.items()}
+        presets = env.task.randomizations.items()
+        names = {value: name for name, value in presets}
         return Choice(
             env=env.task.name,
             robots=_arms(env.task),
             policies=tuple(name_policy(policies[agent]) for agent in env.agents),
-            randomization=names[own],
+            randomization=names.get(env.task.config.randomization, _OWN),
             seed=int(env.progress["seed"][0]),
             episode=int(env.progress["episode"][0]),
         )
@@ -161,13 +162,19 @@ class Menu:
         return env, as_policy(policies, env, any_env=self._any_env), policies
 
     def _make(self, choice: Choice) -> Task:
-        own, randomization = self._task, self._randomizations[choice.randomization]
-        names = choice.env, choice.robots, randomization
-        if names == (own.name, _arms(own), own.config.randomization):
+        own, starts = self._task, choice.randomization
+        randomization = own.config.randomization
+        presets = {**own.randomizations, _OWN: randomization}
+        names = choice.env, choice.robots, presets[starts]
+        if names == (own.name, _arms(own), randomization):
             return own
         robots = [self._robots[name] for name in choice.robots]
-        drawn = {"randomization": randomization, "action": own.config.action}
-        return make_task(choice.env, robots, **drawn)
+        return make_task(
+            choice.env,
+            robots,
+            randomization=randomization if starts == _OWN else starts,
+            action=own.config.action,
+        )
 
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
         """Return the choice with the expert for each policy that cannot play there.
