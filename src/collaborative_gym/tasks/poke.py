@@ -54,10 +54,22 @@ from collaborative_gym.tasks.experts.poke import (
     WAIT,
 )
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import (
+    Blocks,
+    Randomization,
+    Task,
+    TaskConfig,
+    Terms,
+    presets,
+)
 
 _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
+
+_STARTS = Randomization(
+    joint_noise=0.15, object_position=0.15, object_yaw=float(np.radians(45))
+)
+"""So far apart that no motion fits many of them: see benchmarks/blind.py."""
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
@@ -94,6 +106,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     """
 
     success_for = 5
+    randomizations = presets(_STARTS, hard=1.0)
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
