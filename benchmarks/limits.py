@@ -3,9 +3,10 @@
     python benchmarks/limits.py [--episodes N] [--policies POLICY ...] [NAME ...]
 
 Names are environment ids; none means all. Policies are random actions, full commands at
-random ("bang-bang"), full commands that are mostly kept ("held"), the expert and the
-baseline. Numbers are the greatest of all episodes of seed 0, from every physics step.
-The share that is deep is that of the time in which there is a contact of that kind.
+random ("bang-bang"), full commands that are mostly kept ("held"), the same while the
+last arm holds still ("dragged"), the expert and the baseline. Numbers are the greatest
+of all episodes of seed 0, from every physics step. The share that is deep is that of
+the time in which there is a contact of that kind.
 """
 
 import argparse
@@ -17,14 +18,14 @@ from rich.table import Table
 import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
 
-KEPT = {"bang-bang": 0.5, "held": 0.9}
+KEPT = {"bang-bang": 0.5, "held": 0.9, "dragged": 0.9}
 """How often a component of full commands stays as it is from step to step."""
 
 DEEP = 3e-3
 """Depth beyond which a contact counts as deep, in m."""
 
 
-def full_commands(env: VectorEnv, kept: float):
+def full_commands(env: VectorEnv, policy: str):
     """Return a policy of components of -1 and 1, each kept with a probability."""
     rng = np.random.default_rng(0)
     spaces = env.single_action_spaces.items()
@@ -32,8 +33,10 @@ def full_commands(env: VectorEnv, kept: float):
 
     def act(observations: object) -> dict[str, np.ndarray]:
         for own in signs.values():
-            own *= np.where(rng.random(own.shape) < kept, 1.0, -1.0)
-        return signs
+            own *= np.where(rng.random(own.shape) < KEPT[policy], 1.0, -1.0)
+        idle = env.action_mode.idle(env.num_envs, grips=True)
+        last = env.agents[-1]
+        return signs | ({last: idle[last]} if policy == "dragged" else {})
 
     return act
 
@@ -46,7 +49,7 @@ def deep(depths: np.ndarray) -> float:
 def measure(name: str, policy: str, episodes: int) -> dict[str, float]:
     """Return the greatest of each limit's excess, by column."""
     env = cg.make_vec(name, episodes, seed=0, strain=True)
-    act = full_commands(env, KEPT[policy]) if policy in KEPT else None
+    act = full_commands(env, policy) if policy in KEPT else None
     act = act or cg.load_policy(policy, env)
     speeds, beyond, depths = [], [], []
 
@@ -71,6 +74,7 @@ def measure(name: str, policy: str, episodes: int) -> dict[str, float]:
     deepest["any"] = np.max(depths, axis=1)
     row |= {f"share deep, {kind}": deep(each) for kind, each in deepest.items()}
     row |= {
+        "torque over limit": float(np.max(strain["torque_over_limit"])),
         "speed over limit": float(np.max(speeds)),
         "share above 1.1": float(np.mean(np.array(speeds) > 1.1)),
         "share above 1.5": float(np.mean(np.array(speeds) > 1.5)),

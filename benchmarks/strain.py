@@ -14,7 +14,8 @@ import collaborative_gym as cg
 HEAD = (
     "| environment | policy | depth arms, objects, furniture, mm |"
     " force arms, objects, furniture, N | clearance, mm | torque limits, % |"
-    " speed / limit | energy, J | internal force, N | its mean, N |"
+    " torque / limit | speed / limit | energy, applied, commanded, J |"
+    " internal force, N | its mean, N |"
 )
 KINDS = "arms", "objects", "furniture"
 
@@ -28,7 +29,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
-    print(f"{HEAD}\n{'|---' * 10}|")
+    print(f"{HEAD}\n{'|---' * 11}|")
     for env_id in options.envs:
         for policy in options.policies:
             report = cg.evaluate(
@@ -54,8 +55,9 @@ def row(report: cg.Report, policy: str) -> str:
         ", ".join(both(f"contact_force_{kind}") for kind in KINDS),
         both("clearance", 1e3, 1),
         f"{100 * strain['torque_limit_share'].mean:.1f}",
+        both("torque_over_limit", 1.0, 2),
         both("speed_over_limit", 1.0, 2),
-        f"{strain['energy'].mean:.0f}",
+        f"{strain['energy'].mean:.0f}, {strain['energy_commanded'].mean:.0f}",
         both("internal_force"),
         f"{strain['internal_force_mean'].mean:.1f}",
     ]

@@ -195,7 +195,7 @@ def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
             data.ctrl = control
             mujoco.mj_step(env.model, data)
             for arm in env.scene.arms.values():
-                torque = np.abs(data.actuator_force[arm.servos])
+                torque = np.abs(data.qfrc_actuator[arm.dof])
                 assert (torque <= np.array(arm.robot.torque_limits) + 1e-9).all()
         env.step(actions)
         for arm in env.scene.arms.values():
@@ -205,6 +205,21 @@ def test_ranges_and_torques_are_kept_whatever_is_asked(free, robots):
             # Swung arms give a little where they hit the end of a range.
             assert beyond[:4].max() < 0.02
             assert beyond[4:].max() < 0.05
+
+
+@pytest.mark.parametrize("robots", [("sawyer", "jaco"), ("panda", "panda")])
+def test_a_joint_that_is_turned_too_fast_is_braked_by_its_motors_limit(free, robots):
+    env = free(1, *robots)
+    for sign in (1.0, -1.0):
+        env.reset(seed=0)
+        data = env.sim.data(0)
+        for arm in env.scene.arms.values():
+            data.qvel[arm.dof] = sign * 3.0 * np.array(arm.robot.velocity_limits)
+        for _ in range(2):
+            mujoco.mj_step(env.model, data)
+            for arm in env.scene.arms.values():
+                brakes = -sign * np.array(arm.robot.torque_limits)
+                np.testing.assert_allclose(data.qfrc_actuator[arm.dof], brakes)
 
 
 def test_a_grip_needs_to_be_near_and_lasts_while_it_is_asked_for(make_env):

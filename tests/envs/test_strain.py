@@ -58,9 +58,12 @@ class Plain:
             mujoco.mj_step(self.model, self.data)
             self.look()
             for arm in self.env.scene.arms.values():
-                torque = self.motors(before)[arm.dof]
-                power = np.abs(torque * self.data.qvel[arm.dof]).sum()
-                self.found["energy"] += power * SIM_DT
+                torque, turn = self.motors(before)[arm.dof], self.data.qvel[arm.dof]
+                self.found["energy"] += np.abs(torque * turn).sum() * SIM_DT
+                over = np.abs(torque) / arm.robot.torque_limits
+                self.raises("torque_over_limit", over.max())
+                commanded = np.abs(self.data.actuator_force[arm.servos] * turn)
+                self.found["energy_commanded"] += commanded.sum() * SIM_DT
         self.step(controls, records, breaks)
         assert (self.data.qpos == self.env.sim.qpos[0]).all()
         mujoco.mj_forward(self.model, self.data)
@@ -101,14 +104,7 @@ class Plain:
         model, data, inertia = self.model, self.data, np.zeros((self.model.nv,) * 2)
         mujoco.mj_fullM(model, data, inertia)
         others = data.qfrc_smooth - data.qfrc_actuator + data.qfrc_constraint
-        torque = inertia @ (data.qvel - before) / SIM_DT - others
-        for i in range(model.nu):
-            dof = model.jnt_dofadr[model.actuator_trnid[i, 0]]
-            if "brake" in model.actuator(i).name and data.actuator_force[i]:
-                slope = model.actuator_biasprm[i, 2]
-                more = slope * (data.qvel[dof] - before[dof])
-                torque[dof] -= data.actuator_force[i] + more
-        return torque
+        return inertia @ (data.qvel - before) / SIM_DT - others
 
     def owner(self, geom):
         """Return the arm or the body of a shape."""

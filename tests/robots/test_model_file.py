@@ -61,8 +61,8 @@ def test_what_the_world_decides_is_left_out_of_the_file(
     monkeypatch.chdir(tmp_path)
     scene, model = in_a_world(arm)
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
-    # Each joint has a servo and two brakes, each finger a servo.
-    assert model.nu == 3 * 6 + 2
+    # Each joint has a servo, and so has each finger.
+    assert model.nu == 6 + 2
     assert model.nkey == 0
     assert model.opt.timestep == SIM_DT
     assert model.opt.gravity[2] == pytest.approx(-9.81)
@@ -90,7 +90,7 @@ def test_a_finger_may_mimic_another(edited, in_a_world):
     gripper = cg.Gripper(("left_finger",), 0.039, 0.0, 0.078, 0.0, 60.0)
     arm = edited(mimic, suffix=".urdf", gripper=gripper)
     scene, model = in_a_world(arm)
-    assert model.nu == 3 * 6 + 1
+    assert model.nu == 6 + 1
     data = mujoco.MjData(model)
     data.ctrl[scene.arms["arm"].fingers] = 0.03
     mujoco.mj_step(model, data, nstep=200)
@@ -109,4 +109,4 @@ def test_a_finger_may_mimic_another(edited, in_a_world):
 def test_fingers_that_mimic_and_have_servos_are_not_tied_besides(from_urdf, in_a_world):
     _, model = in_a_world(from_urdf)
     assert model.neq == 0
-    assert model.nu == 3 * 6 + 2
+    assert model.nu == 6 + 2

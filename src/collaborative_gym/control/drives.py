@@ -1,4 +1,4 @@
-"""What turns the joints of arms, and what brakes them.
+"""What turns the joints of arms.
 
 The law of the servos stands here alone: what they ask of their motors, how far they
 yield, and how their targets move when a joint is to turn.
@@ -15,14 +15,9 @@ from collaborative_gym.scene import STOP, Arm
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT, SUBSTEPS
 
-_BRAKE_FROM = 1.1  # speed from which on a joint is braked, over its limit
-_BRAKE_GAIN = 40.0  # torque over speed, in torque limits per speed limit
-
 _LOST, _MOVING = 0.3, 0.0025
 """Greatest share of a load that servos let go of, and the change of an angle, in rad,
 from which they do so. Both are our choice; see `lost_load`."""
-
-_NO_LIMIT = 1e6  # N m, never reached
 
 _RAMP = 0.03
 """Time in which a joint's reference speed goes from rest to full, in s. Shorter asks
@@ -37,6 +32,10 @@ def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
 
     A position servo whose target moves at the commanded speed, as MuJoCo's intvelocity
     actuator; `Servo.command` keeps the limits of the speed.
+
+    Nothing else brakes a joint, so a motor brakes with its limit at most, however fast
+    something turns it. Drives that short the windings of such a motor keep to their
+    peak current, too (Kollmorgen, "AKD User Manual", "Dynamic Braking").
     """
     rows = zip(
         robot.joints, robot.torque_limits, robot.stiffness, robot.damping, strict=True
@@ -46,24 +45,6 @@ def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         servo = _add(spec, joint, joint, bias, (-torque, torque))
         servo.gainprm = [stiffness] + [0.0] * 9
         servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
-
-
-def add_brakes(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
-    """Brake joints that something else turns faster than their motors may.
-
-    Real drives short the windings of a motor that turns too fast. Then the torque grows
-    with the speed, and the motor's limit does not hold for it. Here one actuator brakes
-    each direction of turning, and never pushes.
-    """
-    rows = zip(robot.joints, robot.torque_limits, robot.velocity_limits, strict=True)
-    for name, torque, speed in rows:
-        joint, slope = f"{agent}/{name}", _BRAKE_GAIN * torque / speed
-        start = slope * _BRAKE_FROM * speed
-        for way, bias, torques in (
-            ("forwards", (start, 0.0, -slope), (-_NO_LIMIT, 0.0)),
-            ("backwards", (-start, 0.0, -slope), (0.0, _NO_LIMIT)),
-        ):
-            _add(spec, joint, f"{joint}/brake {way}", bias, torques)
 
 
 def add_fingers(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:

@@ -5,13 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from array_api_compat import array_namespace
 
-from collaborative_gym.control.drives import (
-    Servo,
-    add_brakes,
-    add_fingers,
-    add_servos,
-    lost_load,
-)
+from collaborative_gym.control.drives import Servo, add_fingers, add_servos, lost_load
 from collaborative_gym.control.modes import ActionMode, Command, Motion, register_mode
 from collaborative_gym.math import Array
 from collaborative_gym.robots.data import GRAVITY
@@ -31,7 +25,6 @@ class ServoMode(ActionMode):
     def add_drives(cls, scene: Scene) -> None:
         for agent, robot in scene.robots.items():
             add_servos(scene.spec, agent, robot)
-            add_brakes(scene.spec, agent, robot)
             add_fingers(scene.spec, agent, robot)
 
     def start(self, env_ids: EnvIds) -> None:

@@ -12,11 +12,14 @@ otherwise:
   force of all contacts between two of these, in N.
 - `torque_limit_share`: the share of their time that joints are at 99 % of their torque
   limit or above, the mean over the joints.
+- `torque_over_limit`: the torque that a physics step applies to a joint, over its
+  limit. It is MuJoCo's `actuator_force`, from the state before the step and never above
+  the limit, less what the implicit step takes off as the joint moves. That adds to the
+  torque where a joint is hit, so the mean over a step may pass the limit.
 - `speed_over_limit`: a joint's speed over its limit.
-- `energy`: the sum over joints and physics steps of abs(torque x turn), in J. A motor
-  that brakes gives nothing back. The torque is that which the step applies: MuJoCo's
-  `actuator_force`, from the state before it, less what the implicit step takes off as
-  the joint moves.
+- `energy`: the sum over joints and physics steps of abs(torque x turn), in J, by the
+  torque that the step applies. A motor that brakes gives nothing back.
+- `energy_commanded`: the same by `actuator_force`, which the step does not all apply.
 - `clearance`: the least distance between two arms at the ends of control steps, in m,
   and at most 1 m; minus their greatest depth where they touched.
 - `internal_force`: what arms spend against each other on what they hold, in N.
@@ -58,8 +61,10 @@ _BLANK = {
     **{f"contact_depth_{kind}": 0.0 for kind in DEPTHS},
     **{f"contact_force_{kind}": 0.0 for kind in DEPTHS},
     "torque_limit_share": 0.0,
+    "torque_over_limit": 0.0,
     "speed_over_limit": 0.0,
     "energy": 0.0,
+    "energy_commanded": 0.0,
     "clearance": 1.0,
     "internal_force": 0.0,
     "internal_force_mean": 0.0,
@@ -92,6 +97,7 @@ _RECORDS = (
 _TOGETHER: dict[str, Callable[..., np.ndarray]] = dict.fromkeys(STRAIN, np.max) | {
     "torque_limit_share": np.mean,
     "energy": np.sum,
+    "energy_commanded": np.sum,
     "internal_force_mean": np.mean,
     _HELD_STEPS: np.any,
 }
@@ -209,16 +215,20 @@ class Strain:
         sensed = records["sensordata"]
         torque = records["actuator_force"][:, :, self._servos]
         speed = records["qvel"][:, :, self._dofs]
+        turn = np.abs(speed) * dt
         limit = self._sim.limits(self._servos)
         limit = (limit if len(limit) == 1 else limit[env_ids])[:, None]
         before = records["actuator_velocity"][:, :, self._servos]
         yields = self._mode.yields(before, speed, dt)
         # At its limit a torque does not depend on the state.
-        yields = np.where(np.abs(torque) < limit, yields, 0.0)
+        applied = np.abs(torque - np.where(np.abs(torque) < limit, yields, 0.0))
+        torque = np.abs(torque)
         found = {
             "speed_over_limit": np.max(np.abs(speed) / self._speed, axis=2),
-            "energy": math.dot(np.abs(torque - yields), np.abs(speed)) * dt,
-            "torque_limit_share": (np.abs(torque) >= _AT_LIMIT * limit).mean(axis=2),
+            "energy": math.dot(applied, turn),
+            "energy_commanded": math.dot(torque, turn),
+            "torque_limit_share": (torque >= _AT_LIMIT * limit).mean(axis=2),
+            "torque_over_limit": np.max(applied / limit, axis=2),
         }
         for kind in DEPTHS:
             if len(self._deep[kind]):

@@ -29,6 +29,7 @@ _STRAIN_FORMS = {
     "contact_force": (1.0, " N"),
     "internal_force": (1.0, " N"),
     "torque_limit_share": (1e2, " %"),
+    "torque_over_limit": (1.0, ""),
     "speed_over_limit": (1.0, ""),
     "energy": (1.0, " J"),
     ACTION_CHANGE: (1.0, ""),

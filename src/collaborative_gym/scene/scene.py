@@ -68,8 +68,8 @@ class Scene:
         self._finger_bodies: set[str] = set()
         option = self.spec.option
         option.timestep = SIM_DT
-        # It solves contacts, stops and brakes together with the servos' damping: so
-        # they may be as stiff as the time step resolves.
+        # It solves contacts and stops together with the servos' damping: so they may be
+        # as stiff as the time step resolves.
         option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         # A world that diverges must be reported, not silently put back to its start.
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
