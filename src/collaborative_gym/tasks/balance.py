@@ -17,7 +17,7 @@ Reward of each agent:
 - `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
   counts as back.
 
-Success: for 1 s, that distance is below 0.09 m while the ball is on the board. A ball
+Success: for 2 s, that distance is below 0.09 m while the ball is on the board. A ball
 that rolls across the middle by chance is gone sooner. The centres are
 0.06 m apart when the ball lies in the middle, so the ball must be within 0.067 m of the
 middle along the board.
@@ -117,7 +117,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         "target velocity": "m/s",
     }
     success_after = 5
-    success_for = 10
+    success_for = 20
     performance_from_start = True
     expert = player.expert
 
