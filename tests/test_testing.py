@@ -101,14 +101,20 @@ def test_starts_that_are_alike(faults):
 
 
 def test_a_start_inside_a_thing(faults):
-    def reset(self, own, sim, env_ids, *, rng):
-        own(self, sim, env_ids, rng=rng)
-        place = sim.qpos[env_ids, :7].copy()
-        place[:, :3] = 0.0, 0.0, 0.01
-        self.scene.place(sim, env_ids, name="cube", position=place[:, :3])
+    def at(height):
+        def reset(self, own, sim, env_ids, *, rng):
+            own(self, sim, env_ids, rng=rng)
+            place = np.array([0.0, 0.0, height])
+            self.scene.place(sim, env_ids, name="cube", position=place)
 
-    found = faults(reset=reset)
-    assert any("20.0 mm deep in one another at the start" in each for each in found)
+        return reset
+
+    found = faults(reset=at(0.0295))
+    assert any("0.5 mm deep in one another at the start" in each for each in found)
+    with pytest.raises(
+        ValueError, match=r"20.0 mm deep in one another at an episode's"
+    ):
+        faults(reset=at(0.01))
 
 
 def test_a_memory_that_is_kept_elsewhere(faults):

@@ -7,6 +7,7 @@ episode starts the same way in any world of any batch, whatever was run before i
 import hashlib
 import math
 from collections.abc import Mapping
+from copy import copy
 from enum import IntEnum
 
 import numpy as np
@@ -87,6 +88,12 @@ class EpisodeRandom:
 
     def __len__(self) -> int:
         return len(self._generators)
+
+    def rows(self, which: np.ndarray) -> "EpisodeRandom":
+        """Return the generators of these rows, which go on from where they are."""
+        chosen = copy(self)
+        chosen._generators = [self._generators[i] for i in which]
+        return chosen
 
     def uniform(self, low, high, size: int | tuple[int, ...] = ()) -> np.ndarray:
         """Return uniform draws, (episodes, *size); the bounds broadcast to `size`."""

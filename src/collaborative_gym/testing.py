@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs.starts import deepest
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
 from collaborative_gym.rng import EpisodeRandom
@@ -153,17 +154,11 @@ def check_starts(tested: TaskUnderTest) -> None:
     """Episodes start apart, arms at rest within their ranges, and differ."""
     env = tested.worlds(7)
     for i in range(env.num_envs):
-        for contact in env.sim.data(i).contact:
-            names = [env.model.geom(geom).name or "?" for geom in contact.geom]
-            bodies = [
-                env.model.body(int(env.model.geom_bodyid[geom])).name
-                for geom in contact.geom
-            ]
-            assert contact.dist > -_DEEPEST, (
-                f"{bodies[0]} (geom {names[0]}) and {bodies[1]} (geom {names[1]}) are"
-                f" {-1000 * contact.dist:.1f} mm deep in one another at the start of"
-                f" episode {i}; place them apart in build() or reset()"
-            )
+        depth, told = deepest(env.sim, i)
+        assert depth < _DEEPEST, (
+            f"{told} at the start of episode {i}; place them apart in build() or"
+            " reset()"
+        )
     for agent, arm in env.scene.arms.items():
         low, high = arm.joint_range
         angle = env.sim.qpos[:, arm.qpos]

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from collaborative_gym.blocks import Block, Layout
+from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -34,13 +35,14 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     """Return what follows from a task's definition, tried out at an episode's start.
 
     Raises:
-      ValueError: if the task's methods return something that cannot be used, or a
-        target is out of every arm's reach; says what to change.
+      ValueError: if the task's methods return something that cannot be used, something
+        starts inside something else, or a target is out of every arm's reach; says what
+        to change.
     """
     trial, mode = _Trial(task, sim), task.action_mode
     sim.memory = task.remember(sim.num_envs)
-    task.reset(sim, trial.rows, rng=EpisodeRandom(0 * trial.rows, trial.rows))
-    mode.start(trial.rows)
+    rng = EpisodeRandom(0 * trial.rows, trial.rows)
+    draw_starts(task, sim, mode, trial.rows, rng)
     sim.forward()
     trial.check_targets(scene)
     facts = task.measure(sim)

@@ -107,8 +107,9 @@ _TOGETHER: dict[str, Callable[..., np.ndarray]] = dict.fromkeys(STRAIN, np.max) 
 def add_strain_sensors(scene: Scene) -> None:
     """Add to a scene that is not compiled yet what `Strain` reads."""
     spec = scene.spec
-    for kind, pairs in contact_pairs(spec, scene.robots).items():
-        for i, pair in enumerate(pairs):
+    pairs = contact_pairs(spec, scene.robots)
+    for kind in DEPTHS:
+        for i, pair in enumerate(pairs[kind]):
             add_contact_sensor(spec, f"{kind} net {i}", *pair)
     for site in {bond.name1 for bond in _bonds(scene)}:
         body = spec.site(site).parent.name

@@ -10,6 +10,7 @@ import numpy as np
 
 from collaborative_gym.control import ActionMode, get_mode
 from collaborative_gym.envs.definition import try_out
+from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.envs.strain import add_strain_sensors
 from collaborative_gym.errors import check_kind
 from collaborative_gym.math import Array
@@ -125,11 +126,6 @@ class Starts:
             return
         rows = np.flatnonzero(missing)
         self._drawn[:, rows] = -1
-        sim.reset(rows)
-        for name, array in task.remember(len(rows)).items():
-            sim.memory[name][rows] = array
-        task.reset(sim, rows, rng=EpisodeRandom(*wanted[:, rows]))
-        self._mode.start(rows)
-        sim.forward(rows)
+        draw_starts(task, sim, self._mode, rows, EpisodeRandom(*wanted[:, rows]))
         self.observations = self._world.flat(task.measure(sim), sim.xp)
         self._drawn[:, rows] = wanted[:, rows]

@@ -12,6 +12,9 @@ DEPTHS = "arms", "objects", "furniture"
 """Kinds of contacts: of two arms; of a loose thing with an arm, with what is fixed or
 with another loose thing; of an arm with what is fixed."""
 
+KINDS = *DEPTHS, "own"
+"""All kinds of contacts; the last is of links of one arm that are no neighbours."""
+
 Place = tuple[mujoco.mjtObj, str]
 """A body, or a tree of bodies, as contact sensors name them."""
 
@@ -41,6 +44,7 @@ def contact_pairs(
         "arms": list(combinations(arms, 2)),
         "objects": [*product(loose, arms + fixed), *combinations(loose, 2)],
         "furniture": list(product(arms, fixed)),
+        "own": [(arm, arm) for arm in arms],
     }
 
 
@@ -71,10 +75,12 @@ def add_contact_sensor(
     )
 
 
-def depth_sensors(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+def depth_sensors(
+    model: mujoco.MjModel, kinds: Collection[str] = DEPTHS
+) -> dict[str, np.ndarray]:
     """Return the ids of the sensors of minus the depth of contacts, by kind."""
     names = np.array([model.sensor(i).name for i in range(model.nsensor)], str)
     return {
         kind: np.flatnonzero(np.char.startswith(names, f"{kind} deep"))
-        for kind in DEPTHS
+        for kind in kinds
     }
