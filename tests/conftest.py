@@ -60,9 +60,11 @@ class Carry(cg.Task[CarryConfig, CarryFacts]):
     block_units: ClassVar = {"joints": "rad", "tcp": POSE, "cube": "m"}
 
     def mounts(self):
+        # A longer arm stands back, or its elbow would be in the cube.
+        back = [max(0.0, robot.reach - 1.0) for robot in self.robots.values()]
         return (
-            cg.Placement((0.0, -0.407, 0.0), np.pi / 2),
-            cg.Placement((0.0, 0.407, 0.0), -np.pi / 2),
+            cg.Placement((0.0, -0.407 - back[0], 0.0), np.pi / 2),
+            cg.Placement((0.0, 0.407 + back[1], 0.0), -np.pi / 2),
         )
 
     def build(self, scene):

@@ -22,7 +22,7 @@ from collaborative_gym.learning.folder import claimed
 
 def test_a_task_that_one_arm_can_do_is_found_out(press, small):
     certificate = cg.certify(press(together=False), budget=small, num_threads=1)
-    assert len(certificate.rows) == 4
+    assert len(certificate.rows) == 6
     for trials in certificate.rows.values():
         by_player = {trial.player: trial for trial in trials}
         assert list(by_player) == ["expert", "blind", "search"]
@@ -35,14 +35,14 @@ def test_a_task_that_one_arm_can_do_is_found_out(press, small):
 
 def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
     certificate = cg.certify(press(), budget=small, num_threads=1)
-    assert len(certificate.trials) == 12
+    assert len(certificate.trials) == 18
     for trial in certificate.trials:
         assert trial.completed == 0 and trial.nearest > 0.0
     ways = {trial.row for trial in certificate.trials}
     assert ways == {
         (agent, *way)
         for agent in ("robot_1", "robot_2")
-        for way in (("idle", 0.0), ("frozen", 0.5))
+        for way in (("idle", 0.0), ("limp", 0.0), ("frozen", 0.5))
     }
     # An arm that froze half-way is nearer than one that never began.
     for agent in ("robot_1", "robot_2"):
@@ -57,7 +57,7 @@ def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
 def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small):
     budget = replace(small, replays=4, rounds=8)
     certificate = cg.certify(press(), budget=budget, num_threads=1)
-    assert len(certificate.trials) == 14 and len(certificate.rows) == 5
+    assert len(certificate.trials) == 20 and len(certificate.rows) == 7
     replay, motion = (
         next(t for t in certificate.rows[TEAM] if t.player == player)
         for player in ("replay", "blind")
@@ -94,7 +94,7 @@ def test_grips_are_closed_or_open_and_completion_is_that_of_evaluate(carry, smal
     certificate = cg.certify(task, budget=QUICK, num_threads=1)
     done = {(*t.row, t.player): t.completion for t in certificate.trials}
     for passive in task.agents:
-        for partner in ("idle", "gripping"):
+        for partner in ("idle", "gripping", "limp", "absent"):
             policy = dict.fromkeys(task.agents, "expert") | {passive: partner}
             report = cg.evaluate(task, policy, episodes=QUICK.episodes, num_threads=1)
             expected = report.completion.mean

@@ -187,3 +187,59 @@ def test_a_task_is_disturbed_as_asked(carry):
     task = disturbed(carry(), delay=3)
     assert task.config.randomization == cg.Randomization(delay=3)
     assert task.name == "Carry"
+
+
+def test_a_limp_arm_falls_and_grips_what_comes_within_reach(make):
+    heights, envs = [], (make(2, limp=("robot_1",)), make(2))
+    for env in envs:
+        env.step(env.idle(grips=True))
+        assert env.scene.holds(env.sim, "robot_1").all()
+        for _ in range(8):
+            env.step(env.idle())
+        heights.append([env.sim.pose(f"{a}/tcp")[0][:, 2] for a in env.agents])
+    (limp, other), (still, same) = heights
+    assert (limp < still - 0.15).all()
+    np.testing.assert_allclose(other, same, atol=1e-3)
+    model, data = own(envs[0], 1), envs[0].sim._batch.get_data(1)
+    mujoco.mj_forward(model, data)
+    torques = [data.actuator_force[arm.servos] for arm in envs[0].scene.arms.values()]
+    assert not torques[0].any() and torques[1].any()
+
+
+def test_nothing_touches_an_absent_arm(make):
+    def rammed(env):
+        """Return how far the joints of robot_2 turn while robot_1 leans forward."""
+        before = env.task.joints(env.sim)["robot_2"]
+        actions = env.idle()
+        actions["robot_1"][:, 1], actions["robot_1"][:, 3] = 1.0, 1.0
+        for _ in range(11):
+            env.step(actions)
+        return np.abs(env.task.joints(env.sim)["robot_2"] - before).max()
+
+    assert rammed(make(1, absent=("robot_2",))) < 1e-3 < 1e-2 < rammed(make(1))
+    env = make(1, absent=("robot_1",))
+    touches = own(env, 0).geom_contype[:] > 0
+    agents = [env.model.body(int(b)).name.split("/")[0] for b in env.model.geom_bodyid]
+    expected = (env.model.geom_contype > 0) & (np.array(agents) != "robot_1")
+    np.testing.assert_array_equal(touches, expected)
+
+
+def test_what_is_fixed_in_an_absent_hand_is_there():
+    nothing = cg.Randomization(0, 0, 0, 0, absent=("robot_1",))
+    env = cg.VectorEnv(cg.task("PokeTaskSawyers-v0", randomization=nothing), 1)
+    env.reset(seed=0)
+    stick = [
+        i
+        for i in range(env.model.ngeom)
+        if env.model.body(int(env.model.geom_bodyid[i])).name.startswith(
+            "robot_1/stick"
+        )
+    ]
+    assert stick and (own(env, 0).geom_contype[stick] > 0).any()
+
+
+def test_limp_and_absent_name_agents(make_env):
+    with pytest.raises(KeyError, match="no agent 'robot_3'"):
+        make_env(randomization=cg.Randomization(limp=("robot_3",)))
+    with pytest.raises(TypeError, match="absent must be a tuple of agents, got 'robot"):
+        cg.Randomization(absent="robot_1")

@@ -66,6 +66,8 @@ def test_an_ended_episode_reports_its_last_observation_and_metrics(make_env):
     assert metrics["episode"].tolist() == [0, 1]
     assert metrics["seed"].tolist() == [0, 0]
     np.testing.assert_allclose(metrics["time_to_success"], (first + 1) * 0.1)
+    np.testing.assert_allclose(metrics["at_goal"], np.mean(successes, axis=0))
+    assert (metrics["at_goal"] < metrics["performance"]).all()
     for i in range(2):
         share = np.mean([success[i] for success in successes[first[i] :]])
         assert metrics["performance"][i] == pytest.approx(share)

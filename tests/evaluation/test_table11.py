@@ -29,7 +29,7 @@ def small(carry_id, monkeypatch):
 
 def report(mean_reward=0.0, completion=1.0, performance=1.0):
     """Return a report of which only the means are of interest."""
-    means = (mean_reward, completion, performance, float("nan"))
+    means = (mean_reward, completion, performance, performance, float("nan"))
     statistics = [Statistic(*[mean] * 5) for mean in means]
     return Report("", {}, {"side_1": Score(*statistics)}, {}, (), steps_per_second=1.0)
 
@@ -95,7 +95,7 @@ def test_verdict_counts_the_cells():
 def test_markdown_shows_numbers_and_verdicts_side_by_side():
     text = Table11(200, 3, (comparison(report(216.004, 0.9)),)).to_markdown()
     head, rule, *lines = text.splitlines()
-    heads = ["thesis", "ours", "ours on default", "expert", "random"]
+    heads = ["thesis", "ours", "ours on default", "expert", "random", "idle"]
     assert head == f"| environment | measure | {' | '.join(heads)} |"
     assert head.count("|") == rule.count("|")
     assert lines[0].startswith(

@@ -86,7 +86,9 @@ def test_summary_leaves_out_what_is_not_known():
 
 
 def test_summary_of_a_validation():
-    statistics = [Statistic.of(each) for each in ([-3.0, -5.0], [1.0, 0.0], [0.25], [])]
+    statistics = [
+        Statistic.of(each) for each in ([-3.0, -5.0], [1.0, 0.0], [0.25], [0.2], [])
+    ]
     score = Score(*statistics)
     alone = SimpleNamespace(sides={"side_1": score})
     summary = summarize(1, 1.0, 1.0, Iteration([], {}), means_of(alone))

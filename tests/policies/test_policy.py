@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
-from collaborative_gym.policies import load_policy
+from collaborative_gym.policies import as_played, load_policy
 from collaborative_gym.policies.network import NetworkPolicy, Part, Weights
 from collaborative_gym.policies.policy import POLICY_FILE, SHIPPED
 from collaborative_gym.tasks.identity import Identity
@@ -288,6 +288,25 @@ def test_idle_robots_hold_still_with_an_open_grip(make_env):
     actions = play(make_env(2), {"robot_1": "expert", "robot_2": "idle"})
     assert (actions[..., 8:15] == 0).all() and (actions[..., 15] == -1).all()
     assert (actions[..., :7] != 0).any()
+
+
+def test_a_limp_or_absent_arm_is_one_of_the_worlds(make_env, carry):
+    policy = {"robot_1": "expert", "robot_2": "limp"}
+    told = r"robot_2 is not limp in these worlds; make them .* limp=\(\"robot_2\",\)"
+    with pytest.raises(ValueError, match=told):
+        load_policy(policy, make_env(2))
+    task = as_played(carry(), policy)
+    assert task.config.randomization.limp == ("robot_2",)
+    assert carry().config == as_played(carry(), "expert").config
+    both = as_played(carry(), "absent").config.randomization
+    assert both.absent == ("robot_1", "robot_2") and both.limp == ()
+    limp, absent = (
+        cg.evaluate(carry(), policy | {"robot_2": state}, episodes=2, num_threads=1)
+        for state in ("limp", "absent")
+    )
+    assert limp.settings["policy"] == "robot_1=expert robot_2=limp"
+    # An arm without torque has nothing at its limit.
+    assert limp.strain["torque_limit_share"].worst <= 0.5 and absent.completion
 
 
 def test_still_robots_grip_always_or_go_on_holding(make_env):

@@ -21,11 +21,11 @@ from collaborative_gym.errors import check_callback, check_kind
 from collaborative_gym.evaluation.play import OnProgress, parts_of
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.learning.folder import claimed
-from collaborative_gym.policies import Policy, as_policy
+from collaborative_gym.policies import Policy, as_played, as_policy
 from collaborative_gym.rng import check_seed, training_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import Randomization, Task
 
 FILE = "certificate.json"
 """Name of a certificate in its folder."""
@@ -52,8 +52,9 @@ def certify(
 ) -> Certificate:
     """Try to do a task while one arm is still, and return how often that worked.
 
-    Each agent in turn is still in several ways: idle; idle with a closed grip, if the
-    task has grips; and frozen on the expert's way to the goal, with the grip as it was.
+    Each agent in turn is still in several ways: idle; limp, without any torque; if the
+    task has grips, idle with a closed grip, and absent, so that nothing touches it; and
+    frozen on the expert's way to the goal, with the grip as it was.
     The other arms then play the task's expert; one motion for all starts, which a
     search finds on other starts; a motion for each start, which a search finds on that
     start; and, in the rows where nobody reached the goal and somebody came nearest, a
@@ -129,18 +130,33 @@ class Work:
         }
         check_writable(folder / FILE)
         self._certificate = _resumed(Certificate(task.name, settings), folder / FILE)
-        ways = [("idle", 0.0), *[("gripping", 0.0)] * bool(task.gripping)]
+        # Where a thing is fixed in a hand, no arm can be away without it.
+        free = ["gripping", "absent"] if task.gripping else []
+        ways = [(way, 0.0) for way in ("idle", "limp", *free)]
         ways += [("frozen", fraction) for fraction in budget.fractions]
         self._rows: list[Row] = [(agent, *way) for agent in task.agents for way in ways]
-        tries = budget.candidates * max(budget.training_starts, budget.searched_starts)
-        self._env = VectorEnv(
-            task,
-            min(_WORLDS, max(budget.episodes, tries)),
-            num_threads=num_threads,
-            auto_reset=False,
-        )
+        self._envs: dict[Randomization, VectorEnv] = {}
+        self._env = self._worlds_of(TEAM)
         self._on_steps: Callable[[float], object] = lambda steps: None
-        self.close = self._env.close
+
+    def close(self) -> None:
+        """Free the worlds."""
+        for env in self._envs.values():
+            env.close()
+
+    def _worlds_of(self, row: Row) -> VectorEnv:
+        """Return the worlds to try a row in; a limp or an absent arm has its own."""
+        task, budget = as_played(self._task, _still(row)), self._budget
+        tries = budget.candidates * max(budget.training_starts, budget.searched_starts)
+        drawn = task.config.randomization
+        if drawn not in self._envs:
+            self._envs[drawn] = VectorEnv(
+                task,
+                min(_WORLDS, max(budget.episodes, tries)),
+                num_threads=self._num_threads,
+                auto_reset=False,
+            )
+        return self._envs[drawn]
 
     def finish(
         self, on_trial: Callable[[Trial], object] | None, on_progress: OnProgress
@@ -234,14 +250,13 @@ class Work:
         return found
 
     def _judge(self, row: Row, cast: Cast) -> Results:
-        starts = self._held_out[row[2]]
+        starts, env = self._held_out[row[2]], self._worlds_of(row)
         which = np.arange(len(starts.physics))
-        return play(self._env, starts, which, cast, on_step=self._on_steps)
+        return play(env, starts, which, cast, on_step=self._on_steps)
 
     def _judge_policy(self, row: Row, policy: str | Policy) -> Results:
-        passive, partner, _ = row
-        team: Any = dict.fromkeys(self._task.agents, policy) | {passive: partner}
-        act = as_policy(team, self._env, any_env=True)
+        team: Any = dict.fromkeys(self._task.agents, policy) | _still(row)
+        act = as_policy(team, self._worlds_of(row), any_env=True)
         return self._judge(row, lambda tries: act)
 
     def _play_blindly(self, row: Row) -> Results:
@@ -285,10 +300,8 @@ class Work:
         return self._judge(row, motions.cast(every, np.full(count, record)))
 
     def _motions(self, row: Row) -> Motions:
-        passive, partner, _ = row
-        still = {} if row == TEAM else {passive: partner}
         records = self._records if row == TEAM else None
-        return Motions(self._env, still, self._budget, records)
+        return Motions(self._worlds_of(row), _still(row), self._budget, records)
 
     @cached_property
     def _records(self) -> np.ndarray:
@@ -307,7 +320,7 @@ class Work:
         index = len(self._rows) if row == TEAM else self._rows.index(row)
         seeds = [self._seed, index, player == "search"]
         return search(
-            self._env,
+            self._worlds_of(row),
             starts,
             groups,
             motions=motions,
@@ -320,7 +333,7 @@ class Work:
     def _train(self, row: Row) -> Results:
         passive, partner, fraction = row
         policy = train_rival(
-            self._task,
+            as_played(self._task, _still(row)),
             self._training[fraction],
             (passive, partner),
             budget=self._budget,
@@ -330,6 +343,11 @@ class Work:
             on_step=self._on_steps,
         )
         return self._judge_policy(row, policy)
+
+
+def _still(row: Row) -> dict[str, str]:
+    """Return the policy of a row's still arm, by its agent."""
+    return {} if row == TEAM else {row[0]: row[1]}
 
 
 def _counting(part: Callable[[float], object], cost: int) -> Callable[[float], object]:

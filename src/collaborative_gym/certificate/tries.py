@@ -74,7 +74,7 @@ def _play_round(
     steps: int | None,
     on_step: Callable[[int], object] | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    task, observations = env.task, env.set_state(starts)
+    task, observations = env.task, env.set_state(starts, from_another=True)
     nearest = now = np.full(env.num_envs, _FAR)
     completed, rested = np.zeros(env.num_envs, bool), 0
     for _ in range(steps or task.config.max_episode_steps):

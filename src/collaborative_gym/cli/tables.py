@@ -50,6 +50,7 @@ def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
                     _two_lines(score.mean_reward).append(median, "dim"),
                     _two_lines(score.completion, percent=True),
                     _two_lines(score.performance, percent=True),
+                    _two_lines(score.at_goal, percent=True),
                     _two_lines(score.time_to_success, unit=" s"),
                 ]
             )
@@ -62,7 +63,7 @@ def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
         f" {' to '.join(ends)} steps per second."
     )
     return new_table(
-        [*heads, "performance", "time to\nsuccess"],
+        [*heads, "performance", "at goal", "time to\nsuccess"],
         rows,
         title=title,
         caption="\n".join([means, *one_episode_notes(reports)]),

@@ -12,13 +12,14 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode
 from collaborative_gym.envs.progress import Progress
+from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom, Stream
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Task
 
-_OF_MODELS = ("link_mass", "payload", "friction", "lost_torque")
+_OF_MODELS = ("link_mass", "payload", "friction", "lost_torque", "limp", "absent")
 _OF_STEPS = ("delay", "lost_actions", "position_noise", "angle_noise")
 
 
@@ -43,6 +44,8 @@ class Disturbances:
         )
         if not self._is_on:
             return
+        for agent in (*bounds.limp, *bounds.absent):
+            look_up("agent", agent, scene.arms)
         self._links, self._loads = _bodies(scene, sim.model)
         self._joints = np.r_[*(arm.qpos for arm in scene.arms.values())]
         self._places = _columns(sim.model, mujoco.mjtSensor.mjSENS_FRAMEPOS)
@@ -102,13 +105,32 @@ class Disturbances:
             torques = np.ones((len(env_ids), model.nu, 1))
             for i, arm in enumerate(self._scene.arms.values()):
                 torques[weak == i, arm.servos] -= bounds.lost_torque
-            factors = {
+            factors = self._still(torques) | {
                 "body_mass": masses,
                 "body_inertia": masses[:, :, None],
                 "geom_friction": friction[:, None, None],
                 "actuator_forcerange": torques,
             }
             self._sim.vary(env_ids, factors)
+
+    def _still(self, torques: np.ndarray) -> dict[str, np.ndarray]:
+        """Return factors of models with arms that are limp or absent.
+
+        `torques` are the factors of the torque limits, which are written to.
+        """
+        model, bounds = self._sim.model, self._bounds
+        links = dict(zip(self._scene.arms, self._links, strict=True))
+        floats, touches = np.ones(model.nbody), np.ones(model.ngeom, np.int32)
+        for agent in bounds.limp:
+            torques[:, self._scene.arms[agent].servos] = 0.0
+            floats[links[agent]] = 0.0
+        for agent in bounds.absent:
+            touches[np.isin(model.geom_bodyid, links[agent])] = 0
+        return {
+            "body_gravcomp": floats[None],
+            "geom_contype": touches[None],
+            "geom_conaffinity": touches[None],
+        }
 
     def deliver(self, actions: dict[str, Array], resting: Array) -> dict[str, Array]:
         """Return the actions by agent that arrive; none is queued where worlds rest."""

@@ -8,7 +8,14 @@ from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT
 
-_OF_SIDES = "return", "completion", "performance", "time_to_success", "score"
+_OF_SIDES = (
+    "return",
+    "completion",
+    "performance",
+    "at_goal",
+    "time_to_success",
+    "score",
+)
 
 
 class Metrics(Mapping[str, Any]):
@@ -32,7 +39,7 @@ class Metrics(Mapping[str, Any]):
     ):
         self._from_start = task.performance_from_start
         self._sides, self._sums, self._rows = sides, sums, rows
-        self._names = _OF_SIDES[: 5 if len(sides) > 1 else 4]
+        self._names = _OF_SIDES[: 6 if len(sides) > 1 else 5]
         self._names += "returns", "reward_terms", "length", "episode", "seed"
         if strain.BLANK.keys() <= rows.keys():
             self._names += ("strain",)
@@ -84,6 +91,9 @@ class Metrics(Mapping[str, Any]):
         if name == "time_to_success":
             return xp.where((first >= 0) & counts, first * CONTROL_DT, xp.nan)
         steps = rows["length"]
+        if name == "at_goal":
+            share = rows[f"{side}: goal_steps"] / xp.maximum(steps, 1)
+            return xp.where(counts, share, 0.0)
         if not self._from_start:
             steps = steps - xp.maximum(first, 1) + 1
         share = rows[f"{side}: performing_steps"] / xp.maximum(steps, 1)

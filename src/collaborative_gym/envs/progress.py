@@ -37,6 +37,7 @@ class Progress:
         blank |= dict.fromkeys(("terminated", "truncated", "diverged"), False)
         for side in sides:
             blank |= {f"{side}: performing_steps": 0, f"{side}: first_success": -1}
+            blank[f"{side}: goal_steps"] = 0
             if self._is_divided:
                 blank[f"{side}: score"] = 0.0
             if world.task.success_for > 1:
@@ -115,6 +116,8 @@ class Progress:
             first = rows[f"{side}: first_success"]
             is_first = successes[side] & (first < 0)
             rows[f"{side}: first_success"] = xp.where(is_first, rows["length"], first)
+            at_goal = rows[f"{side}: goal_steps"]
+            rows[f"{side}: goal_steps"] = at_goal + (successes[side] & moved)
             now = performing[i] if self._is_divided else performing
             now = now & counts & moved
             if not task.performance_from_start:

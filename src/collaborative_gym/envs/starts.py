@@ -47,8 +47,8 @@ def draw_starts(
         task.reset(sim, env_ids, rng=rng)
         mode.start(env_ids)
         sim.forward(env_ids)
-        is_deep = np.asarray(sim.sensordata)[env_ids][:, depths] < -_DEEPEST
-        left = np.flatnonzero(is_deep.any(axis=1))
+        is_deep = sim.xp.any(sim.sensordata[:, depths] < -_DEEPEST, axis=1)
+        left = np.array([i for i, own in enumerate(env_ids) if is_deep[int(own)]], int)
         if not len(left):
             return
         env_ids, rng = env_ids[left], rng.rows(left)

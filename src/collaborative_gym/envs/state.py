@@ -130,7 +130,7 @@ def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:
     bounds: dict[str, tuple[int, Any]] = {"seed": (0, last), "episode": (0, last)}
     bounds |= {"step": (0, max_steps - 1 + has_ended), "length": (0, step)}
     for name in progress:
-        if name.endswith("performing_steps"):
+        if name.endswith(("performing_steps", "goal_steps")):
             bounds[name] = (0, length)
         elif name.endswith("first_success"):
             bounds[name] = (-1, length)

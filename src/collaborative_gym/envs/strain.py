@@ -224,6 +224,7 @@ class Strain:
         # At its limit a torque does not depend on the state.
         applied = np.abs(torque - np.where(np.abs(torque) < limit, yields, 0.0))
         torque = np.abs(torque)
+        limit = np.maximum(limit, 1e-9)  # Those of a limp arm are 0.
         found = {
             "speed_over_limit": np.max(np.abs(speed) / self._speed, axis=2),
             "energy": math.dot(applied, turn),

@@ -46,16 +46,17 @@ class VectorEnv:
     agent and term, `final_observation` by agent (the last one of an episode that
     `ended`), and `metrics`. The metrics describe the episode so far, or all of it if it
     `ended`: `return` (summed over agents), `returns` by agent, `completion`,
-    `performance`, `length`, `time_to_success` (s, NaN if never), `reward_terms` (sums),
-    `episode` and `seed`. If asked for, they also have the `strain` of contacts, torques
-    and more, as `envs.strain` describes it. Performance is a share of the steps that
-    were played, from the first success on or from the start, even if the end is early.
+    `performance`, `at_goal` (share of its steps at which the goal was met), `length`,
+    `time_to_success` (s, NaN if never), `reward_terms` (sums), `episode` and `seed`. If
+    asked for, they also have the `strain`, as `envs.strain` describes it. Performance
+    is a share of the steps that were played, from the first success on or from the
+    start, even if the end is early.
 
     If a task has several sides, `success` and the metrics `return`, `completion`,
-    `performance` and `time_to_success` are dictionaries by side; nothing is summed over
-    opponents. Such a task has one more metric by side, `score`, the sum of what
-    `Task.score` gave. It is 0 for all sides if the episode diverged. The side with the
-    higher score at the end has won the episode; equal scores are a draw.
+    `performance`, `at_goal` and `time_to_success` are dictionaries by side; nothing is
+    summed over opponents. Such a task has one more metric by side, `score`, the sum of
+    what `Task.score` gave. It is 0 for all sides if the episode diverged. The side with
+    the higher score at the end has won the episode; equal scores are a draw.
 
     A world that does not reset itself rests after its episode's end, until `reset`: it
     does not move, earns nothing and keeps its infos. The mask `resting` marks it.

@@ -21,7 +21,13 @@ from collaborative_gym.evaluation.report import (
     are_one_episode,
     is_share,
 )
-from collaborative_gym.policies import AnyPolicy, Policy, as_policy, name_policy
+from collaborative_gym.policies import (
+    AnyPolicy,
+    Policy,
+    as_played,
+    as_policy,
+    name_policy,
+)
 from collaborative_gym.rng import check_seed
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
@@ -36,7 +42,8 @@ _MOST_ENVS = 64
 OnProgress = Callable[[float], object] | None
 """Called with the share that is done, 0 to 1."""
 
-_MEASURES = ("return", "completion", "performance", "time_to_success", "score")
+_MEASURES = ("return", "completion", "performance", "at_goal", "time_to_success")
+_MEASURES += ("score",)
 """The metrics that make a `Score`, in its order; a single side has no score."""
 
 DISTURBANCES: Mapping[str, Sequence[str]] = {
@@ -95,7 +102,7 @@ def evaluate(
     episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
     delay = check_count("delay", delay, 0, _MOST_DELAY)
     check_callback("on_progress", on_progress)
-    task = as_task(env)
+    task = as_played(as_task(env), policy)
     if delay:
         task = disturbed(task, delay=delay, delayed=1.0)
     num_envs = worlds_for(episodes, num_envs)

@@ -16,7 +16,7 @@ from collaborative_gym.evaluation.table import (
 )
 from collaborative_gym.tasks.identity import Identity
 
-SHARES = ("completion", "performance", "points")
+SHARES = ("completion", "performance", "at_goal", "points")
 """Measures from 0 to 1."""
 
 ACTION_CHANGE = "action_change"
@@ -42,6 +42,7 @@ _FORMS: dict[str, dict[str, Any]] = {
     "returns": {},
     "completion": {"percent": True},
     "performance": {"percent": True},
+    "at_goal": {"percent": True},
     "time_to_success": {"unit": " s"},
 }
 """How `format_number` writes each measure, in the order of the table."""
@@ -108,6 +109,7 @@ class Score:
       mean_reward: the return, which is the sum over all steps and the side's agents.
       completion: whether the goal was reached, 0 to 1.
       performance: the share of steps at the goal, 0 to 1, as the task counts it.
+      at_goal: the share of all steps at which the goal is met, 0 to 1.
       time_to_success: in s, over the episodes in which the goal was reached.
       score: the points if there are several sides, else None.
     """
@@ -115,6 +117,7 @@ class Score:
     mean_reward: Statistic
     completion: Statistic
     performance: Statistic
+    at_goal: Statistic
     time_to_success: Statistic
     score: Statistic | None = None
 
@@ -124,8 +127,8 @@ class Report:
     """Results of a policy.
 
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
-    `time_to_success` (s, NaN if never), `length` (control steps), `diverged`, and by
-    agent `robot_1/return` and the sum of each reward term, such as
+    `at_goal`, `time_to_success` (s, NaN if never), `length` (control steps),
+    `diverged`, and by agent `robot_1/return` and the sum of each reward term, such as
     `robot_1/distance`, the measures of the strain, and `action_change`. Where the task
     has several sides, their names stand before what each has of its own, as in
     `side_1/return` and `side_1/score`; nothing is summed over opponents.
@@ -177,6 +180,11 @@ class Report:
     def performance(self) -> Statistic:
         """Performance of the only side; where there are several, see `sides`."""
         return self._score.performance
+
+    @property
+    def at_goal(self) -> Statistic:
+        """Share of steps at the goal of the only side; where several, see `sides`."""
+        return self._score.at_goal
 
     @property
     def time_to_success(self) -> Statistic:

@@ -18,6 +18,7 @@ COLUMNS = {
     "ours_on_default": ("baseline", "default"),
     "expert": ("expert", "paper"),
     "random": ("random", "paper"),
+    "idle": ("idle", "paper"),
 }
 """Policy and randomization of the columns beside the thesis's numbers."""
 
@@ -188,7 +189,7 @@ def reproduce_table11(
     num_threads: int = 0,
     on_progress: OnProgress = None,
 ) -> Table11:
-    """Play the baselines, the experts and random actions beside the thesis's numbers.
+    """Play baselines, experts, random and idle arms beside the thesis's numbers.
 
     The numbers are the same for any `num_threads`.
 

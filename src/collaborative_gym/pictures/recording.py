@@ -27,7 +27,7 @@ from collaborative_gym.errors import (
 from collaborative_gym.evaluation.play import OnProgress
 from collaborative_gym.files import naming, replacing
 from collaborative_gym.pictures.rendering import Camera
-from collaborative_gym.policies import AnyPolicy, Policy, as_policy
+from collaborative_gym.policies import AnyPolicy, Policy, as_played, as_policy
 from collaborative_gym.policies.match import name_players, standing
 from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
@@ -123,7 +123,8 @@ def record(
     with ExitStack() as stack:
         cast = []
         for each in policies:
-            world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
+            own = as_played(task, each)
+            world = VectorEnv(own, 1, seed=seed, num_threads=1, auto_reset=False)
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
@@ -160,7 +161,8 @@ def picture(
       RuntimeError: if no off-screen renderer can start; says what to install.
     """
     width, height = _sides(size)
-    with closing(VectorEnv(as_task(env), 1, seed=seed, num_threads=1)) as world:
+    task = as_played(as_task(env), policy)
+    with closing(VectorEnv(task, 1, seed=seed, num_threads=1)) as world:
         act = as_policy(policy, world)
         observations, infos = world.reset()
         best, least = world.get_state(), _spread(world)

@@ -21,7 +21,8 @@ from collaborative_gym.policies.scripted import (
     gripping_policy,
     idle_policy,
 )
-from collaborative_gym.tasks.registry import find_env, list_envs
+from collaborative_gym.tasks.registry import disturbed, find_env, list_envs
+from collaborative_gym.tasks.task import Task
 
 Policy = Callable[[Mapping[str, Array]], Mapping[str, Array]]
 """From observations to actions, both by agent, with one row per world."""
@@ -69,8 +70,10 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         and "slow" for every task, and those of `Task.styles`); "random", uniform
         actions, the same for an episode of a seed in any batch; "idle", "gripping" and
         "frozen", which hold still with an open grip, with a closed one, and with what
-        they hold; a function from observations to actions; or a model of
-        Stable-Baselines3 that commands all robots.
+        they hold; "limp" and "absent" for one agent, which the worlds' randomization
+        must say too (`evaluate`, `record` and `certify` see to it); a function from
+        observations to actions; or a model of Stable-Baselines3 that commands all
+        robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose
         observations and actions the policy then takes and returns. Without it, you can
@@ -128,6 +131,18 @@ def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Po
         for leader, agents in leaders
         for agent, actions in _of(agents, leader(observations)).items()
     }
+
+
+def as_played(task: Task, policy: AnyPolicy) -> Task:
+    """Return a task with the arms limp or absent whose policy is "limp" or "absent"."""
+    given = (
+        policy if isinstance(policy, Mapping) else dict.fromkeys(task.agents, policy)
+    )
+    states = {
+        state: tuple(agent for agent in task.agents if given.get(agent) == state)
+        for state in _STATES
+    }
+    return disturbed(task, **states) if any(states.values()) else task
 
 
 def group_agents(policy: AnyPolicy, env: VectorEnv) -> list[tuple[Any, list[str]]]:
@@ -205,6 +220,8 @@ def commanding(
     """
     policy = read_policy(policy, env)
     if isinstance(policy, str):
+        if policy in _STATES:
+            _check_state(policy, agents, env)
         style = _style(policy)
         return expert_policy(env, style) if style else _BY_ENV[policy](env)
     if isinstance(policy, OnnxNetwork):
@@ -221,6 +238,16 @@ def commanding(
         " observations to actions, or one of these for each agent, got"
         f" {shown(policy)}"
     )
+
+
+def _check_state(state: str, agents: Sequence[str], env: VectorEnv) -> None:
+    """Raise ValueError unless these agents' arms are limp or absent."""
+    for agent in agents:
+        if agent not in getattr(env.task.config.randomization, state):
+            raise ValueError(
+                f"{agent} is not {state} in these worlds; make them with a"
+                f' randomization that has {state}=("{agent}",)'
+            )
 
 
 def read_policy(policy: Any, env: VectorEnv) -> Any:
@@ -373,4 +400,8 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
 SCRIPTED = tuple(_BY_ENV)
 """Names of every task's policies."""
 
-_NAMES = (*SHIPPED, *SCRIPTED)
+_STATES = {"limp": gripping_policy, "absent": idle_policy}
+"""Policies of arms in a state that no action puts them into, but the randomization."""
+
+_BY_ENV |= _STATES
+_NAMES = (*SHIPPED, *_BY_ENV)

@@ -48,6 +48,10 @@ class Randomization:
       position_noise: of every observed place, along each axis, at every step, in m.
       angle_noise: of every observed joint angle, and of every observed pose about each
         axis, at every step, in rad.
+      limp: agents whose arms have no torque and no compensation of gravity; what their
+        grip is told it does.
+      absent: agents whose arms touch nothing, as if they were not there; what is fixed
+        in their hands is.
     """
 
     joint_noise: float = bounded(0.05, 0.0, math.pi)
@@ -63,9 +67,15 @@ class Randomization:
     lost_actions: float = bounded(0.0, 0.0, 1.0)
     position_noise: float = bounded(0.0, 0.0, 1.0)
     angle_noise: float = bounded(0.0, 0.0, math.pi)
+    limp: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for name in "limp", "absent":
+            agents = getattr(self, name)
+            check_kind(name, agents, (tuple, list), "a tuple of agents")
+            object.__setattr__(self, name, tuple(agents))
 
     @property
     def moves(self) -> np.ndarray:
