@@ -54,11 +54,13 @@ from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
     Blocks,
+    Randomization,
     Task,
     TaskConfig,
     Terms,
     columns,
     face_to_face,
+    presets,
 )
 
 _TABLE_HEIGHT = 0.64  # m
@@ -120,6 +122,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     """
 
     gripping = True
+    randomizations = presets(Randomization(joint_noise=0.12))
     units: ClassVar[Mapping[str, str]] = {
         "to_handle": "m",
         "to_target": "m",

@@ -57,7 +57,16 @@ from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, DOWN, PICKING
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import LEVEL, Blocks, Task, TaskConfig, Terms, columns
+from collaborative_gym.tasks.task import (
+    LEVEL,
+    Blocks,
+    Randomization,
+    Task,
+    TaskConfig,
+    Terms,
+    columns,
+    presets,
+)
 
 _CUBE = "cube/centre"
 _CUBE_SIZE = 0.04  # m
@@ -111,6 +120,7 @@ class Pass(Task[PassConfig, PassFacts]):
     """
 
     gripping = True
+    randomizations = presets(Randomization(joint_noise=0.1))
     config_class = PassConfig
     units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
     block_units: ClassVar[Mapping[str, str]] = {

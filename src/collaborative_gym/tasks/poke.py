@@ -106,7 +106,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
     """
 
     success_for = 5
-    randomizations = presets(_STARTS, hard=1.0)
+    randomizations = presets(_STARTS)
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",

@@ -92,36 +92,39 @@ STYLE_DRAWS = 3
 _STARTS = "joint_noise", "object_position", "target_position"
 
 
-def presets(default: Randomization, hard: float = 2.0) -> dict[str, Randomization]:
+def presets(default: Randomization) -> dict[str, Randomization]:
     """Return the presets of a task by name.
 
     `paper` starts as the thesis does, `default` is drawn around it, `wide` 1.5 times as
-    far off, for training, `hard` `hard` times as far and with every disturbance.
+    far off, for training, `hard` with every disturbance and at least twice as far off
+    as usual.
     """
 
-    def scaled(by: float, **disturbances: Any) -> Randomization:
+    def scaled(by: float, start: Randomization, **disturbances: float) -> Randomization:
         # Rounded, so that 1.5 times 0.05 is 0.075.
-        starts = {name: round(by * getattr(default, name), 15) for name in _STARTS}
-        turned = by * default.object_yaw
-        return replace(default, **starts, object_yaw=turned, **disturbances)
+        starts = {name: round(by * getattr(start, name), 15) for name in _STARTS}
+        turned = by * start.object_yaw
+        return replace(start, **starts, object_yaw=turned, **disturbances)
 
-    disturbed = scaled(
-        hard,
-        link_mass=0.2,
-        payload=0.2,
-        friction=0.2,
-        lost_torque=0.2,
-        delay=1,
-        delayed=0.5,
-        lost_actions=0.05,
-        position_noise=0.005,
-        angle_noise=0.01,
-    )
+    twice = scaled(2.0, Randomization())
+    names = *_STARTS, "object_yaw"
+    farther = {n: max(getattr(default, n), getattr(twice, n)) for n in names}
     return {
         "default": default,
-        "paper": scaled(0.0),
-        "wide": scaled(1.5),
-        "hard": disturbed,
+        "paper": scaled(0.0, default),
+        "wide": scaled(1.5, default),
+        "hard": Randomization(
+            **farther,
+            link_mass=0.2,
+            payload=0.2,
+            friction=0.2,
+            lost_torque=0.2,
+            delay=1,
+            delayed=0.5,
+            lost_actions=0.05,
+            position_noise=0.005,
+            angle_noise=0.01,
+        ),
     }
 
 
