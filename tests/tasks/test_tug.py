@@ -115,7 +115,7 @@ def test_weaker_arms_have_a_handicap():
     panda, sawyer = (strength(cg.get_robot(name)) for name in ("panda", "sawyer"))
     assert panda > 1.2 * sawyer
     # For the Sawyer, at positive y.
-    assert envs[1].task.help == pytest.approx(2.049 * (panda - sawyer))
+    assert envs[1].task.help == pytest.approx(2.057 * (panda - sawyer))
     assert envs[0].task.help == 0.0
     ratio = unequal["robot_1"] / unequal["robot_2"]
     assert ratio == pytest.approx(panda / sawyer)
