@@ -66,7 +66,9 @@ class _Policy(Command):
         shipped one that works with partners of many kinds), a path to a policy file, to
         one of ONNX or to a training folder, or one of idle, gripping and frozen, which
         hold still (with an open grip, with a closed grip, with the grip as it is). Or
-        one for each robot, such as robot_1=baseline robot_2=idle.
+        one for each robot, such as robot_1=baseline robot_2=idle; evaluate and record
+        also know robot_2=limp, an arm without torque, and robot_2=absent, an arm that
+        touches nothing.
     """
 
     policy: Policies = ("expert",)
@@ -247,10 +249,10 @@ class Reproduce:
 class Certify(Worlds):
     """Try to do tasks while one arm is still, to show that all arms are needed.
 
-    Each arm in turn is idle, idle with a closed grip, or frozen on the expert's way to
-    the goal. The other arms play the expert, motions that a search finds, and policies
-    that are trained for this. It takes hours. You can stop it at any time; the same
-    command then continues.
+    Each arm in turn is idle, idle with a closed grip, limp, absent, or frozen on the
+    expert's way to the goal. The other arms play the expert, motions that a search
+    finds, and policies that are trained for this. It takes hours. You can stop it at
+    any time; the same command then continues.
 
     Attributes:
       envs: environment ids, or tasks' names.
