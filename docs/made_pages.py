@@ -297,7 +297,8 @@ def _settings(config: type[cg.TaskConfig]) -> str:
         rows.append((f"`{field.name}`", meanings[field.name], f"`{default}`"))
     return (
         "Options of `cg.make`, `cg.make_vec` and `gymnasium.make`. The randomization is"
-        ' the name of a preset, `"default"`, `"paper"`, `"wide"` or `"hard"`, or a'
+        ' the name of a preset, `"default"`, `"paper"`, `"wide"`, `"lost"` or'
+        ' `"hard"`, or a'
         " [`Randomization`](../reference/python.md#collaborative_gym.Randomization)."
         "\n\n" + _table(("setting", "meaning", "default"), rows)
     )

@@ -76,7 +76,7 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
         (
             KeyError,
             {"randomization": "papr"},
-            "no randomization 'papr' .*mean 'paper'.*: default, hard, paper, wide",
+            "no randomization 'papr' .*mean 'paper'.*: default, hard, lost, paper,",
         ),
         (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(panda, p"),
         (TypeError, {"robots": "panda"}, "sequence of names"),

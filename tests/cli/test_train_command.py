@@ -221,7 +221,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Carry --polyak 0.1", "ppo knows no polyak; leave out"),
         ("Carry --algorithm sac --partner idle", "choose the algorithm ppo"),
         ("Carry --robots panda", "needs 2 robots, got 1"),
-        ("Carry --randomization none", "default, hard, paper, wide"),
+        ("Carry --randomization none", "default, hard, lost, paper, wide"),
         ("Carry --seed -1", "seed must be at least 0"),
         ("Carry --total-steps 0", "total_steps must be at least 1"),
         ("Carry --discount 2", "discount must be 0 to 1, got 2.0"),

@@ -89,8 +89,8 @@ class Train(Command):
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent.
       randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts 1.5 times as far off, or hard for starts twice as far
-        off and disturbances.
+        starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
+        hard for starts twice as far off and disturbances.
       action: what actions mean: joints for changes of joint angles, tcp for changes of
         the tool's pose, tcp_position for changes of its place and its turn about the
         vertical.

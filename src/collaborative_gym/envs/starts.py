@@ -44,7 +44,7 @@ def draw_starts(
         sim.reset(env_ids)
         for name, array in task.remember(len(env_ids)).items():
             sim.memory[name][env_ids] = array
-        task.reset(sim, env_ids, rng=rng)
+        task.start(sim, env_ids, rng=rng)
         mode.start(env_ids)
         sim.forward(env_ids)
         is_deep = sim.xp.any(sim.sensordata[:, depths] < -_DEEPEST, axis=1)

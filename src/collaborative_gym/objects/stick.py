@@ -5,7 +5,7 @@ import mujoco
 from collaborative_gym.objects.visual import begin
 
 LENGTH = 0.2  # length of the stick, in m
-_SIDE = 0.02  # m, of its square section
+SIDE = 0.02  # m, of its square section
 _MASS = 0.1  # kg
 _RGBA = (0.93, 0.62, 0.12, 1.0)
 
@@ -21,7 +21,7 @@ def stick() -> mujoco.MjSpec:
     body.add_geom(
         name="stick",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=(_SIDE / 2, _SIDE / 2, LENGTH / 2),
+        size=(SIDE / 2, SIDE / 2, LENGTH / 2),
         mass=_MASS,
         rgba=_RGBA,
         group=2,

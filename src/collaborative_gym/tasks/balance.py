@@ -54,6 +54,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import balance as player
+from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
@@ -66,6 +67,7 @@ from collaborative_gym.tasks.task import (
 )
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
+_FASTEST = 0.6  # m/s, of a ball that already rolls
 REST_HEIGHT = THICKNESS / 2 + RADIUS
 
 
@@ -158,9 +160,10 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._chains = motion.Chains(model, list(scene.arms.values()))
         prefix = f"{self.agents[0]}/board"
         self._board = model.body(f"{prefix}/board").id
+        joint = model.body("ball/ball").jntadr[0]
+        self._ball = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
         self.centre = np.array([0.0, 0.0, self.config.board_height])
         self._handles, self.postures = {}, {}
         for (agent, arm), name in zip(scene.arms.items(), HANDLES, strict=True):
@@ -198,13 +201,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return memory
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        bounds = self.config.randomization
-        moved = rng.within(bounds.moves, 4)
-        near = [
-            posture + rng.within(bounds.joint_noise, len(posture))
-            for posture in self.postures.values()
-        ]
-        rolled = rng.within(_BALL_START, 2)
+        moved = rng.within(self.config.randomization.moves, 4)
 
         def board_at(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return self.centre + moved[:, :3], math.from_yaw(moved[:, 3])
@@ -212,9 +209,10 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         def grasps(moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
             return [self.grasp(agent, *board_at(moved)) for agent in self.agents]
 
-        angles, moved = motion.hold_moved(self._chains, grasps, moved=moved, near=near)
-        for agent, found in zip(self.agents, angles, strict=True):
-            self.scene.bend(sim, env_ids, agent=agent, angles=found)
+        moved = start_holding(
+            self, sim, env_ids, grasps, rng=rng, moved=moved, postures=self.postures
+        )
+        rolled = rng.within(_BALL_START, 2)
         place, quat = board_at(moved)
         resting = np.full((len(rolled), 1), REST_HEIGHT)
         place = place + math.rotate(quat, np.concatenate([rolled, resting], axis=1))
@@ -223,6 +221,18 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
             size = (self.config.max_episode_steps, 3)
             sim.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
+
+    def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """The ball already rolls, to any side."""
+        speed, angle = rng.uniform(0.0, _FASTEST, 1), rng.within(np.pi)
+        zero = np.zeros(len(angle))
+        ahead = speed * np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
+        # A free joint turns about its own axes, and moves along those of the world.
+        turn = math.cross(np.array([0.0, 0.0, 1.0]), ahead) / RADIUS
+        place, first = self._ball
+        quat = np.asarray(sim.qpos[env_ids, place + 3 : place + 7])
+        velocity = np.concatenate([math.rotate(quat, ahead), turn], axis=1)
+        sim.qvel[env_ids, first : first + 6] = sim.xp.asarray(velocity)
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         if self.config.push > 0:

@@ -49,6 +49,7 @@ from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import lift as player
 from collaborative_gym.tasks.experts.lift import GRIP_OFFSETS, START, WAY_OFFSETS
+from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
@@ -65,6 +66,7 @@ from collaborative_gym.tasks.task import (
 
 _TABLE_HEIGHT = 0.64  # m
 _STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
+_LEAST_MISS, _FARTHEST_MISS = 1.25, 0.1  # of the distance of a grip; m
 _NEAREST, _FARTHEST = 0.36, 0.85  # from an arm to its handle, as shares of its reach
 
 
@@ -224,6 +226,41 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
         shift = rng.within(bounds.target_position, 3)
         self.scene.place(sim, env_ids, name="target", position=self.target + shift)
+
+    def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """One arm holds its handle, and the other has missed its own by some cm."""
+        agents, moves = self.agents, self.config.randomization.moves
+        pot_moved = rng.within(moves * [1.0, 1.0, 0.0, 1.0], 4)
+        misses = rng.uniform(0, len(agents)).astype(int)
+        angle, least = (
+            rng.uniform(0, np.pi),
+            _LEAST_MISS * self.config.picking_threshold,
+        )
+        far = rng.uniform(least, max(least, _FARTHEST_MISS))[:, None]
+        # Beside or above the bar, which is along x; below it, fingers meet the table.
+        aside = far * np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=1)
+        misses = np.arange(len(agents)) == misses[:, None]
+        missed = (misses[:, :, None] * aside[:, None]).reshape(len(misses), -1)
+
+        def grasps(moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+            place, quat = START + moved[:, :3], math.from_yaw(moved[:, 3])
+            handles = place + math.rotate(quat, GRIP_OFFSETS[:, None])
+            missed = moved[:, 4:].reshape(len(moved), -1, 3)
+            return [
+                (handles[i] + missed[:, i], self.ways[agent].approach)
+                for i, agent in enumerate(agents)
+            ]
+
+        moved = np.concatenate([pot_moved, missed], axis=1)
+        postures = {agent: self.ways[agent].angles[0] for agent in agents}
+        moved = start_holding(
+            self, sim, env_ids, grasps, rng=rng, moved=moved, postures=postures
+        )
+        place, quat = START + moved[:, :3], math.from_yaw(moved[:, 3])
+        self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
+        for i, grip in enumerate(self.scene.grips):
+            held = self.model.equality(grip.name).id
+            sim.eq_active[env_ids, held] = sim.xp.asarray(~misses[:, i])
 
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}

@@ -39,6 +39,7 @@ Jaco.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -47,14 +48,14 @@ from collaborative_gym import math
 from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import quickest_way
+from collaborative_gym.motion import Chains, hold, quickest_way
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import pass_ as player
-from collaborative_gym.tasks.experts.pass_ import ACROSS, DOWN, PICKING
+from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN, PICKING
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
@@ -73,6 +74,11 @@ _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
 _TABLE_END = 1.1  # m, x of the tables' far ends
+_GRID = 25  # places along either side of a table where the cube may lie
+_BEFORE = 1.7  # tangent of 60 degrees to either side
+_AT_EASE = 1.05  # times as far away an arm must reach; at the very end it is slow
+_LIFTED = 0.1  # m, how high the hand is free above a cube that it picks up
+_SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_1 room
 _OUT = np.array([1.0, 0.0, 0.0])
 # Orientations (w x y z) of a hand. The hands meet head on, one closing along x and the
 # other along z, so that their fingers pass one another.
@@ -147,7 +153,7 @@ class Pass(Task[PassConfig, PassFacts]):
         giver, taker = self.agents
         bases = {agent: place.position for agent, place in self.placements.items()}
         width = bases[taker][1] - bases[giver][1] - 0.2
-        heights = {}
+        heights, self._tops = {}, {}
         for agent, (x, y, z) in bases.items():
             before = self.robots[agent].stand == "pedestal"
             near, heights[agent] = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
@@ -155,9 +161,13 @@ class Pass(Task[PassConfig, PassFacts]):
             scene.add_robot(agent, self.robots[agent], placement=place, stand=before)
             top = table(_TABLE_END - near, width, height=heights[agent])
             scene.add(f"{agent}_table", top, position=((_TABLE_END + near) / 2, y, 0.0))
+            corner = np.array([_TABLE_END - near, width]) / 2 - _CUBE_SIZE
+            middle = np.array([(_TABLE_END + near) / 2, y])
+            self._tops[agent] = middle - corner, middle + corner
         x = min(bases[giver][0] + 0.635 * self.robots[giver].reach, _TABLE_END - 0.1)
-        z = heights[giver] + _CUBE_SIZE / 2
-        self.cube_start = np.array([x, bases[giver][1] + 0.1, z])
+        self._rests = {a: height + _CUBE_SIZE / 2 for a, height in heights.items()}
+        y = bases[giver][1] + 0.1
+        self.cube_start = np.array([x, y, self._rests[giver]])
         self._target = np.array([1.2, bases[taker][1], 1.3])
         scene.add("cube", cube(_CUBE_SIZE), position=self.cube_start)
         scene.add_target("target", self.config.success_radius)
@@ -183,9 +193,35 @@ class Pass(Task[PassConfig, PassFacts]):
             before = [(aside, take), (meeting, take)]
             ways[taker] += [[*before, (self._target, end)] for end in ends]
         self.angles, self.hands = {}, {}
-        for agent, arm in scene.arms.items():
+        for taking, (agent, arm) in enumerate(scene.arms.items()):
             i, self.angles[agent] = quickest_way(sim.model, arm, ways=ways[agent])
             self.hands[agent] = [hand[None] for _, hand in ways[agent][i]]
+            scene.postures[agent] = self.angles[agent][taking]
+
+    @cached_property
+    def _in_reach(self) -> np.ndarray:
+        """Places on both tables from which an arm can pick up the cube, (n, 3) in m."""
+        found = []
+        for agent, arm in self.scene.arms.items():
+            (x, y), (far, left) = self._tops[agent]
+            if agent != self.agents[0]:
+                # What lies nearer to robot_1 is for that arm to pick up.
+                y = max(y, self.meeting[1] + BEYOND)
+            steps = np.mgrid[x : far : _GRID * 1j, y : left : _GRID * 1j]
+            base = np.array(self.placements[agent].position[:2])
+            ahead, aside = away = steps.reshape(2, -1) - base[:, None]
+            # Straight ways to what lies beside a base lead into it.
+            away = away.T[np.abs(aside) < _BEFORE * ahead]
+            near = np.tile(self.angles[agent][0], (len(away), 1))
+            chains, reached = Chains(self.model, [arm]), np.ones(len(away), bool)
+            for above, share in ((_LIFTED, 1.0), (0.0, _AT_EASE)):
+                z = self._rests[agent] + above
+                goals = [(np.insert(base + share * away, 2, z, axis=1), PICKING)]
+                [near], there = hold(chains, goals, near=[near])
+                reached &= there
+            places = np.insert(base + away, 2, self._rests[agent], axis=1)
+            found.append(places[reached])
+        return np.concatenate(found)
 
     def _find_meeting(self) -> np.ndarray:
         place = (self.cube_start + self._target) / 2
@@ -206,6 +242,20 @@ class Pass(Task[PassConfig, PassFacts]):
         self.scene.place(sim, env_ids, name="cube", position=place, quat=quat)
         place = self._target + rng.within(spread.target_position, 3)
         self.scene.place(sim, env_ids, name="target", position=place)
+
+    def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """The hands are open on their ways, and the cube lies before one of the arms.
+
+        No arm can bring back what fell on the floor, so it never lies there.
+        """
+        angles = {}
+        for agent, most in zip(self.agents, (1.0, _SHORT_OF_MEETING), strict=True):
+            before, meeting = self.angles[agent][:2]
+            angles[agent] = before + rng.uniform(0.0, most, 1) * (meeting - before)
+        self.start_arms(sim, env_ids, rng=rng, angles=angles)
+        place = self._in_reach[rng.uniform(0, len(self._in_reach)).astype(int)]
+        quat = math.from_yaw(rng.within(np.pi))
+        self.scene.place(sim, env_ids, name="cube", position=place, quat=quat)
 
     def measure(self, sim: Sim) -> PassFacts:
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}

@@ -39,8 +39,8 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import solve_pose
-from collaborative_gym.objects.donut import HOLE, THICKNESS, donut
-from collaborative_gym.objects.stick import LENGTH, stick
+from collaborative_gym.objects.donut import BAR, HOLE, THICKNESS, donut
+from collaborative_gym.objects.stick import LENGTH, SIDE, stick
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
@@ -53,6 +53,7 @@ from collaborative_gym.tasks.experts.poke import (
     STICK_AHEAD,
     WAIT,
 )
+from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.task import (
     Blocks,
@@ -73,6 +74,9 @@ _STARTS = Randomization(
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
+
+_AROUND = float(np.radians(120))  # of the ring, where no hand is in a stick's way
+_ASKEW = 0.2  # rad about each axis, how far a stick leans that has missed the hole
 
 # How the ring sits in its gripper, which is as wide open as the stick's.
 _DONUT_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)  # normal along the tcp's y
@@ -155,6 +159,10 @@ class Poke(Task[TaskConfig, PokeFacts]):
             goal=(place - WAIT * into, into),
             start=self.postures[STICK],
         )
+        # The stick's orientation in the ring's frame there.
+        ring = math.multiply(self.goal[DONUT][1], np.array(_DONUT_QUAT))
+        hand = _tcp_turn(sim.model, scene.arms[STICK], self.postures[STICK])
+        self._lined_up = math.multiply(math.conjugate(ring), hand)
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         bounds = self.config.randomization
@@ -164,6 +172,40 @@ class Poke(Task[TaskConfig, PokeFacts]):
             angles = self._start[agent] + math.dot(moved[:, None], self._spread[agent])
             angles = angles + rng.within(bounds.joint_noise, arm.num_joints)
             self.scene.bend(sim, env_ids, agent=agent, angles=angles)
+
+    def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """The arms have met, and the stick's tip is on the ring, beside the hole."""
+        moves = rng.within(self.config.randomization.moves, 4)
+        missed = rng.within([_ASKEW, _ASKEW, _AROUND, BAR / 2], 4)
+        moved, postures = np.concatenate([moves, missed], axis=1), self.postures
+        start_holding(
+            self, sim, env_ids, self._resting, rng=rng, moved=moved, postures=postures
+        )
+
+    def _resting(self, moved: np.ndarray) -> list[Pose]:
+        """Return the poses of both tcps where the stick's tip is on the ring.
+
+        Of each row, `moved` has the ring's moves along x, y, z and its turn; how far
+        the stick leans about the ring's x and y; on which side its tip is, in rad from
+        the bar that is farthest from the ring's hand; and how far it is from the
+        middle of its bar, outwards.
+        """
+        place, quat = self.goal[DONUT]
+        place = place + moved[:, :3]
+        quat = math.multiply(math.from_yaw(moved[:, 3]), quat)
+        ring = math.multiply(quat, np.array(_DONUT_QUAT))
+        middle, zero = place + DONUT_AHEAD * math.axis_z(quat), 0.0 * moved[:, 0]
+        lean = np.stack([moved[:, 4], moved[:, 5], zero], axis=1)
+        turned = math.multiply(math.from_rotation_vector(lean), self._lined_up)
+        axis = math.axis_z(turned)
+        # Around the hole on a square. The ring's hand is in the direction of its y.
+        tip = np.stack([np.sin(moved[:, 6]), -np.cos(moved[:, 6]), zero], axis=1)
+        tip *= ((HOLE + BAR) / 2 + moved[:, 7:]) / np.abs(tip).max(axis=1)[:, None]
+        # However the stick is turned, no corner of its tip is deeper in the ring.
+        tip[:, 2] -= THICKNESS / 2 + SIDE / 2**0.5 * math.norm(axis[:, :2])
+        tcp = tip - (LENGTH / 2 + STICK_AHEAD) * axis
+        stick = middle + math.rotate(ring, tcp), math.multiply(ring, turned)
+        return [stick, (place, quat)]
 
     def measure(self, sim: Sim) -> PokeFacts:
         stick_pose, donut_pose = sim.pose("stick"), sim.pose("donut")
@@ -270,6 +312,15 @@ def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
     quat = np.zeros(4)
     axes = np.stack([np.cross(y, z), y, z], axis=1)
     mujoco.mju_mat2Quat(quat, axes.flatten())
+    return quat
+
+
+def _tcp_turn(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """Return the quaternion of a tcp at these joint angles."""
+    data, quat = mujoco.MjData(model), np.zeros(4)
+    data.qpos[arm.qpos] = angles
+    mujoco.mj_kinematics(model, data)
+    mujoco.mju_mat2Quat(quat, data.site_xmat[arm.tcp])
     return quat
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from collaborative_gym.control import ActionMode, Command, Motion, get_mode
 from collaborative_gym.errors import check_count, check_kind
 from collaborative_gym.math import Array
+from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
@@ -29,7 +31,7 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first four are of the start; `envs.disturbances` does the others. No policy learns
+    first five are of the start; `envs.disturbances` does the others. No policy learns
     of them.
 
     Attributes:
@@ -37,6 +39,7 @@ class Randomization:
       object_position: of the objects, along each free axis, in m.
       object_yaw: of the objects, about the vertical, in rad.
       target_position: of the target, along each axis, in m.
+      lost: share of the episodes that begin after the task's `mishap`.
       link_mass: of the links of each arm, as a share of their masses.
       payload: of each loose thing and each tool, as a share of its mass.
       friction: of all contacts, as a share of their coefficients.
@@ -58,6 +61,7 @@ class Randomization:
     object_position: float = bounded(0.05, 0.0, 1.0)
     object_yaw: float = bounded(float(np.radians(15)), 0.0, math.pi)
     target_position: float = bounded(0.05, 0.0, 1.0)
+    lost: float = bounded(0.0, 0.0, 1.0)
     link_mass: float = bounded(0.0, 0.0, 0.9)
     payload: float = bounded(0.0, 0.0, 0.9)
     friction: float = bounded(0.0, 0.0, 0.9)
@@ -95,9 +99,9 @@ _STARTS = "joint_noise", "object_position", "target_position"
 def presets(default: Randomization) -> dict[str, Randomization]:
     """Return the presets of a task by name.
 
-    `paper` starts as the thesis does, `default` is drawn around it, `wide` 1.5 times as
-    far off, for training, `hard` with every disturbance and at least twice as far off
-    as usual.
+    `paper` starts as the thesis does, `default` is drawn around it, `lost` after a
+    mishap, `wide` 1.5 times as far off, for training, `hard` with every disturbance and
+    at least twice as far off as usual.
     """
 
     def scaled(by: float, start: Randomization, **disturbances: float) -> Randomization:
@@ -113,6 +117,7 @@ def presets(default: Randomization) -> dict[str, Randomization]:
         "default": default,
         "paper": scaled(0.0, default),
         "wide": scaled(1.5, default),
+        "lost": replace(default, lost=1.0),
         "hard": Randomization(
             **farther,
             link_mass=0.2,
@@ -236,7 +241,7 @@ class Task(Generic[ConfigT, FactsT]):
         self.name = type(self).__name__
         self.agents = name_agents(len(robots))
         self.robots = dict(zip(self.agents, robots, strict=True))
-        self.config = config
+        self._take(config)
         self.worlds: dict[bool, Any] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -250,7 +255,8 @@ class Task(Generic[ConfigT, FactsT]):
           **changes: new values of `randomization` or `max_episode_steps`.
 
         Raises:
-          ValueError: for another setting, which the world may depend on.
+          ValueError: for another setting, which the world may depend on, or for a
+            randomization that this task does not know.
         """
         others = changes.keys() - {"randomization", "max_episode_steps"}
         if others:
@@ -259,8 +265,18 @@ class Task(Generic[ConfigT, FactsT]):
                 " with cg.task"
             )
         other = copy(self)
-        other.config, other.worlds = replace(self.config, **changes), self.worlds
+        other.worlds = self.worlds
+        other._take(replace(self.config, **changes))
         return other
+
+    def _take(self, config: ConfigT) -> None:
+        knows = type(self).mishap is not Task.mishap
+        if config.randomization.lost and not knows:
+            raise ValueError(
+                f"{type(self).__name__} has no mishap() after which episodes could"
+                ' begin; give another randomization, such as "default", or lost=0.0'
+            )
+        self.config = config
 
     @property
     def sides(self) -> tuple[tuple[str, ...], ...]:
@@ -335,6 +351,25 @@ class Task(Generic[ConfigT, FactsT]):
         """
         raise self._missing("reset")
 
+    def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """Let the start that `reset` wrote be one after a mishap, in these worlds.
+
+        What was to be done is still possible, but something went wrong on the way. A
+        task without this method has no such starts. The arguments are those of `reset`.
+        """
+        raise self._missing("mishap")
+
+    def start(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        """Write starts by `reset`, and by `mishap` in the share that is `lost`.
+
+        The arguments are those of `reset`.
+        """
+        self.reset(sim, env_ids, rng=rng)
+        # Drawn last, so that other episodes start as they would without it.
+        if lost := self.config.randomization.lost:
+            rows = np.flatnonzero(rng.uniform(0.0, 1.0) < lost)
+            self.mishap(sim, env_ids[rows], rng=rng.rows(rows))
+
     def start_arms(
         self,
         sim: Sim,
@@ -356,6 +391,11 @@ class Task(Generic[ConfigT, FactsT]):
             start = np.array(arm.robot.home) if angles is None else angles[agent]
             noise = rng.within(self.config.randomization.joint_noise, arm.num_joints)
             self.scene.bend(sim, env_ids, agent=agent, angles=start + noise)
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The kinematics of its arms, in the order of the agents."""
+        return Chains(self.model, list(self.scene.arms.values()))
 
     def joints(self, sim: Sim) -> dict[str, Array]:
         """Return copies of the arms' joint angles by agent, (num_envs, joints)."""

@@ -189,7 +189,9 @@ class Menu:
 
     def _styles(self, choice: Choice) -> list[str]:
         """Return the names of the expert's styles."""
-        return [f"expert:{each}" for each in {**STYLES, **self._make(choice).styles}]
+        # Not every environment has every kind of starts.
+        task = self._make(replace(choice, randomization="default"))
+        return [f"expert:{each}" for each in {**STYLES, **task.styles}]
 
     def _usual(self, env: str) -> tuple[str, ...]:
         """Return an environment's own arms."""

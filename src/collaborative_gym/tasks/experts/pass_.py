@@ -23,9 +23,12 @@ _CLOSE = 0.8  # share of the greatest distance of a grip at which a hand grips
 # giver's fingers by less than 1 mm.
 _ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
 _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
+# A hand that goes back by more does not grip: with late actions, it would let go of the
+# cube as it gets it.
+_BACK = 0.01  # m
 _ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
 _NEAR_MEETING = 0.3  # m
-_BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
+BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
 _POINT = (0.0, 0.0, 0.0)
 # Where styles hand over, in m from the meeting, about as far away as learners chose to:
 # middle and half axes of an ellipsoid in which each episode draws a place.
@@ -73,7 +76,8 @@ def _give(task: "Pass", sim: Sim, facts: "PassFacts", meeting: np.ndarray) -> Mo
     position, place = facts.tcp[giver][0], facts.cube[0]
     holds = facts.holds[giver][:, None]
     taken = facts.holds[taker][:, None] | _is_beyond(task, facts)
-    gap = np.where(holds, 0.1, standoff(position - place, DOWN, **_ABOVE))
+    above = standoff(position - place, DOWN, **_ABOVE)
+    gap = np.where(holds, 0.1, above)
     lifted = position[:, 2:] > task.cube_start[2] + 0.03
     # Elsewhere it goes straight, once it is near the posture of the usual meeting.
     is_usual = (meeting == task.meeting).all()
@@ -85,7 +89,8 @@ def _give(task: "Pass", sim: Sim, facts: "PassFacts", meeting: np.ndarray) -> Mo
     angles = np.where(holds, task.angles[giver][1], task.angles[giver][0])
     swings = holds & lifted & ~taken & ~straight
     change = _move(task, sim, facts, giver, (goal, hand), angles, swings)
-    grips = _grips(facts, giver, task.config.picking_threshold)
+    draws_back = (above - _BACK)[:, 0] > math.dot(place - position, DOWN)
+    grips = _grips(facts, giver, task.config.picking_threshold, ~draws_back)
     return Motion(change, grips & ~facts.holds[taker])
 
 
@@ -108,13 +113,13 @@ def _take(task: "Pass", sim: Sim, facts: "PassFacts", meeting: np.ndarray) -> Mo
     angles = np.where(carries, end, before)
     swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
     change = _move(task, sim, facts, taker, (goal, hand), angles, swings)
-    return Motion(change, _grips(facts, taker, task.config.handover_threshold))
+    return Motion(change, _grips(facts, taker, task.config.handover_threshold, True))
 
 
 def _is_beyond(task: "Pass", facts: "PassFacts") -> np.ndarray:
     """Return where robot_1 has lost the cube on robot_2's side, (num_envs, 1)."""
     across = math.dot(facts.cube[0] - task.meeting, ACROSS)
-    return ((across > _BEYOND) & ~facts.holds[task.agents[0]])[:, None]
+    return ((across > BEYOND) & ~facts.holds[task.agents[0]])[:, None]
 
 
 def _move(
@@ -133,6 +138,9 @@ def _move(
     return np.where(swings, swing, straight)
 
 
-def _grips(facts: "PassFacts", agent: str, threshold: float) -> Array:
-    """Return where a hand holds the cube, or is close enough to grip it."""
-    return facts.holds[agent] | (facts.to_cube[agent] < _CLOSE * threshold)
+def _grips(
+    facts: "PassFacts", agent: str, threshold: float, comes: Array | bool
+) -> Array:
+    """Return where a hand holds the cube, or comes close enough to grip it."""
+    near = facts.to_cube[agent] < _CLOSE * threshold
+    return facts.holds[agent] | (near & comes)

@@ -8,6 +8,7 @@ from collaborative_gym import math
 from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion import reach, settling
+from collaborative_gym.motion.solver import greatest
 from collaborative_gym.sim.sim import Sim
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ STICK_AHEAD = 0.08  # m from tcp to the stick's middle: 2 cm of it lie behind th
 DONUT_AHEAD = 0.11  # m from tcp to the ring's centre: its rear bar is held
 WAIT = 0.2  # m before the ring's place, where the stick waits for it
 _FAR = 0.5  # m between stick and ring, below which hands go straight
+_BENT = 2.0  # rad from a joint of the posture, above which they do not
 
 
 def expert(self: "Poke", sim: Sim, facts: "PokeFacts") -> dict[str, Motion]:
@@ -67,8 +69,10 @@ def _steer(
         place, turn = (np.tile(x, (sim.num_envs, 1)) for x in task.goal[agent])
         goal = moving.get(agent, (place, turn))
         change = reach(sim, arm, tcp=tcp, goal=goal, posture=posture)
-        # From afar all joints go to the posture at once: a straight way may turn a
-        # wrist into the ends of its joints, where it would stay.
-        swing = settling(sim, arm, change=posture - sim.qpos[:, arm.qpos])
-        motions[agent] = Motion(np.where(is_far, swing, change))
+        # From afar, or bent far, all joints go to the posture at once: a straight way
+        # may turn a wrist into the ends of its joints, where it would stay.
+        away = posture - sim.qpos[:, arm.qpos]
+        swing = settling(sim, arm, change=away)
+        swings = is_far | (greatest(away) > _BENT)[:, None]
+        motions[agent] = Motion(np.where(swings, swing, change))
     return motions
