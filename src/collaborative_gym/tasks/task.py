@@ -255,8 +255,8 @@ class Task(Generic[ConfigT, FactsT]):
           **changes: new values of `randomization` or `max_episode_steps`.
 
         Raises:
-          ValueError: for another setting, which the world may depend on, or for a
-            randomization that this task does not know.
+          ValueError: for another setting, which the world may depend on, or for
+            mishaps of a task that has none.
         """
         others = changes.keys() - {"randomization", "max_episode_steps"}
         if others:
@@ -270,8 +270,7 @@ class Task(Generic[ConfigT, FactsT]):
         return other
 
     def _take(self, config: ConfigT) -> None:
-        knows = type(self).mishap is not Task.mishap
-        if config.randomization.lost and not knows:
+        if config.randomization.lost and type(self).mishap is Task.mishap:
             raise ValueError(
                 f"{type(self).__name__} has no mishap() after which episodes could"
                 ' begin; give another randomization, such as "default", or lost=0.0'
@@ -352,10 +351,9 @@ class Task(Generic[ConfigT, FactsT]):
         raise self._missing("reset")
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """Let the start that `reset` wrote be one after a mishap, in these worlds.
+        """Turn starts that `reset` wrote into ones after a mishap, not past mending.
 
-        What was to be done is still possible, but something went wrong on the way. A
-        task without this method has no such starts. The arguments are those of `reset`.
+        Tasks without it have no such starts. The arguments are those of `reset`.
         """
         raise self._missing("mishap")
 
