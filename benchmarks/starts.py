@@ -5,8 +5,8 @@
     python benchmarks/starts.py --randomization hard
 
 Each pair of the arms plays each task, in every order. Of other sizes than 1 they are
-copies of the arms, thicker or thinner by `--fat`. A row says how many of the first
-`--starts` starts of seed 0 were drawn again, and how long a start takes, or why the
+copies of the arms, thicker or thinner by `--fat`. A row says how many draws of the
+first `--starts` starts were thrown away, and how long a start takes, or why the
 task has none. Pairs that a task refuses for another reason are counted below.
 """
 
@@ -97,7 +97,7 @@ def rows(given: argparse.Namespace, arms: list[cg.Robot]) -> Iterator[str]:
         try:
             task = cg.task(name, pair, randomization=how)
             again, each = drawn_again(task, given.starts)
-            yield f"{title}{again:6} of {given.starts} drawn again{each:8.2f} ms"
+            yield f"{title}{again:6} more draws for {given.starts} starts{each:8.2f} ms"
         except ValueError as error:
             if OVERLAP in str(error):
                 yield f"{title}{error}"
