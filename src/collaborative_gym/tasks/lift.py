@@ -124,7 +124,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     """
 
     gripping = True
-    randomizations = presets(Randomization(joint_noise=0.12))
+    randomizations = presets(Randomization(joint_noise=0.15))
     units: ClassVar[Mapping[str, str]] = {
         "to_handle": "m",
         "to_target": "m",

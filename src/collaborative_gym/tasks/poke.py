@@ -68,7 +68,7 @@ _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
 
 _STARTS = Randomization(
-    joint_noise=0.15, object_position=0.15, object_yaw=float(np.radians(30))
+    joint_noise=0.15, object_position=0.15, object_yaw=float(np.radians(45))
 )
 """So far apart that no motion fits many of them: see benchmarks/blind.py."""
 
