@@ -124,7 +124,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     """
 
     gripping = True
-    randomizations = presets(Randomization(joint_noise=0.15))
+    randomizations = presets(Randomization(joint_noise=0.12))
     units: ClassVar[Mapping[str, str]] = {
         "to_handle": "m",
         "to_target": "m",
