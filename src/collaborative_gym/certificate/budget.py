@@ -21,7 +21,7 @@ class Budget:
       motion_steps: control steps of a motion; it holds still then.
       knots: points of a motion.
       candidates: motions tried in a round of the search.
-      rounds: how often the search draws candidates anew.
+      rounds: how often the search draws candidates anew, unless it converges sooner.
       training_starts: starts on which the one motion for all is searched for.
       searched_starts: held-out starts for each of which a motion of its own is searched
         for, with the simulator at hand; 0 for none.
@@ -37,8 +37,8 @@ class Budget:
     motion_steps: int = bounded(50, 1, _MOST)
     knots: int = bounded(6, 2, _MOST)
     candidates: int = bounded(128, 4, _MOST)
-    rounds: int = bounded(12, 1, _MOST)
-    training_starts: int = bounded(16, 1, _MOST)
+    rounds: int = bounded(40, 1, _MOST)
+    training_starts: int = bounded(32, 1, _MOST)
     searched_starts: int = bounded(32, 0, _MOST)
     replays: int = bounded(24, 0, _MOST)
     ppo_steps: int = bounded(1_000_000, 0, _MOST)
