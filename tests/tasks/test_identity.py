@@ -27,7 +27,7 @@ def test_an_identity_survives_json_and_knows_its_equal():
     [
         ({"pot_mass": 3.0}, "pot_mass is 3.0, not None"),
         ({"target": (0.0, 0.0, 1.4)}, "target is [0.0, 0.0, 1.4], not None"),
-        ({"randomization": "paper"}, "randomization.joint_noise is 0.0, not 0.05"),
+        ({"randomization": "paper"}, "randomization.joint_noise is 0.0, not 0.12"),
         ({"max_episode_steps": 50}, "max_episode_steps is 50, not 200"),
     ],
 )
