@@ -35,7 +35,7 @@ class Run:
 
 RUNS = {
     "evaluate_crossplay.py": Run(
-        (r"baseline\W+100%\W+0%", r"expert\W+\d+%\W+100%"),
+        (r"baseline\W+100%\W+100%", r"expert\W+\d+%\W+100%"),
         "--policies baseline expert --episodes 4",
     ),
     "evaluate_policy.py": Run(

@@ -179,11 +179,11 @@ def test_certify_prints_a_table_writes_files_and_goes_on(carry_id, capsys, tmp_p
     begun, *lines = capsys.readouterr().out.splitlines()
     assert begun.startswith(f"{carry_id}: each arm in turn is still")
     told = [line for line in lines if line.startswith(f"{carry_id}, ")]
-    assert len(told) == 20 and "robot_1 idle, expert: " in told[0]
+    assert len(told) == 32 and "robot_1 idle, expert: " in told[0]
     assert max(map(len, lines[len(told) : -2])) <= 80
     assert lines[-1] == f"wrote {tmp_path / 'certificates.md'}"
     content = json.loads((tmp_path / carry_id / "certificate.json").read_text())
-    assert len(content["trials"]) == 20
+    assert len(content["trials"]) == 32
     assert carry_id in (tmp_path / "certificates.md").read_text()
     assert main([*arguments, str(tmp_path)]) == 0
     assert capsys.readouterr().out.splitlines() == [begun, *lines[len(told) :]]

@@ -189,7 +189,7 @@ def shares(total):
     ],
 )
 def test_the_strain_is_what_mujoco_finds(env, policy, steps, nonzero, monkeypatch):
-    task = make_task(*env)
+    task = make_task(*env, randomization=cg.Randomization())
     monkeypatch.setattr(type(task), "build", solved_to_the_end(type(task).build))
     worlds = made(task)
     plain = Plain(worlds)

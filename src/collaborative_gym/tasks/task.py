@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from collaborative_gym.control import ActionMode, Command, Motion, get_mode
-from collaborative_gym.errors import check_count, check_kind
+from collaborative_gym.errors import check_count, check_kind, check_name
 from collaborative_gym.math import Array
 from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
@@ -31,8 +31,7 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five are of the start; `envs.disturbances` does the others. No policy learns
-    of them.
+    first five are of the start; the others disturb it. No policy learns of them.
 
     Attributes:
       joint_noise: of every arm joint, in rad.
@@ -79,6 +78,7 @@ class Randomization:
         for name in "limp", "absent":
             agents = getattr(self, name)
             check_kind(name, agents, (tuple, list), "a tuple of agents")
+            _ = [check_name(f"each of {name}", agent) for agent in agents]
             object.__setattr__(self, name, tuple(agents))
 
     @property
