@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.envs.starts import deepest
+from collaborative_gym.envs.starts import DEEPEST, deepest
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task, named_facts
-
-_DEEPEST = 1e-3
-"""Greatest depth of a contact at a start, in m; things lie less deep in a table."""
 
 
 def check_task(
@@ -155,7 +152,7 @@ def check_starts(tested: TaskUnderTest) -> None:
     env = tested.worlds(7)
     for i in range(env.num_envs):
         depth, told = deepest(env.sim, i)
-        assert depth < _DEEPEST, (
+        assert depth < DEEPEST, (
             f"{told} at the start of episode {i}; place them apart in build() or"
             " reset()"
         )

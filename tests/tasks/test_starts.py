@@ -117,4 +117,5 @@ def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
         if reached.all():
             break
     # With all joints at their bounds at once, a Jaco's wrist may start at its ends.
-    assert reached.mean() > 0.95, np.flatnonzero(~reached)
+    most = 3 if env_id == "LiftTaskJacos-v0" else 0
+    assert (~reached).sum() <= most, np.flatnonzero(~reached)

@@ -111,8 +111,8 @@ class Progress:
         successes = {}
         is_late = (rows["step"] > task.success_after) & counts
         for i, side in enumerate(self._sides):
-            now_met = (met[i] if self._is_divided else met) & is_late
-            successes[side] = self._lasting(side, now_met)
+            now = (met[i] if self._is_divided else met) & is_late
+            successes[side] = now if task.success_for <= 1 else self._lasting(side, now)
             first = rows[f"{side}: first_success"]
             is_first = successes[side] & (first < 0)
             rows[f"{side}: first_success"] = xp.where(is_first, rows["length"], first)
@@ -138,11 +138,9 @@ class Progress:
 
     def _lasting(self, side: str, met: Array) -> Array:
         """Return where a side's goal has been met for long enough."""
-        least, name = self._task.success_for, f"{side}: met_steps"
-        if least <= 1:
-            return met
+        name = f"{side}: met_steps"
         self.rows[name] = self._xp.where(met, self.rows[name] + 1, 0)
-        return self.rows[name] >= least
+        return self.rows[name] >= self._task.success_for
 
     def endings(self, agents: tuple[str, ...]) -> tuple[dict[str, Array], ...]:
         """Return which episodes are terminated, and which truncated, by agent."""

@@ -8,9 +8,10 @@ from collaborative_gym.scene.contacts import KINDS, depth_sensors
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Task
 
-_DEEPEST = 1e-3
-"""Greatest depth of a contact at a start, in m. What lies or is held is a hundredth of
-it deep; from a few mm on, a contact throws an arm out of what it is in."""
+DEEPEST, _REFUSED = 1e-4, 1e-3
+"""Depth of a contact from which a start is drawn again, and from which a task that has
+no other is refused, in m. What lies or is held is less than a tenth of a millimetre
+deep; from a few mm on, a contact throws an arm out of what it is in."""
 
 OVERLAP = "mm deep in one another"
 """What every error about such a start says."""
@@ -25,7 +26,7 @@ def draw_starts(
     """Write starts into these worlds in which nothing is deep in anything else.
 
     A start is drawn again, by the same generator, if shapes that can collide are more
-    than 1 mm deep in one another: two arms, links of one arm, loose things, or one of
+    than 0.1 mm deep in one another: two arms, links of one arm, loose things, or one of
     these and what is fixed. Links that touch at the arm's home never collide.
 
     Args:
@@ -47,13 +48,16 @@ def draw_starts(
         task.start(sim, env_ids, rng=rng)
         mode.start(env_ids)
         sim.forward(env_ids)
-        is_deep = sim.xp.any(sim.sensordata[:, depths] < -_DEEPEST, axis=1)
+        is_deep = sim.xp.any(sim.sensordata[:, depths] < -DEEPEST, axis=1)
         left = np.array([i for i, own in enumerate(env_ids) if is_deep[int(own)]], int)
         if not len(left):
             return
         env_ids, rng = env_ids[left], rng.rows(left)
+    worst = max(env_ids, key=lambda env_id: deepest(sim, env_id)[0])
+    if deepest(sim, worst)[0] < _REFUSED:
+        return
     raise ValueError(
-        f"{type(task).__name__}: {deepest(sim, env_ids[0])[1]} at an episode's start,"
+        f"{type(task).__name__}: {deepest(sim, worst)[1]} at an episode's start,"
         f" in each of {_DRAWS} draws; place them apart in mounts(), build() or reset(),"
         " or correct the home or the shapes of an arm"
     )

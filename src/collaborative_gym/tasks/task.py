@@ -104,11 +104,10 @@ def presets(default: Randomization) -> dict[str, Randomization]:
     at least twice as far off as usual.
     """
 
-    def scaled(by: float, start: Randomization, **disturbances: float) -> Randomization:
+    def scaled(by: float, start: Randomization) -> Randomization:
         # Rounded, so that 1.5 times 0.05 is 0.075.
         starts = {name: round(by * getattr(start, name), 15) for name in _STARTS}
-        turned = by * start.object_yaw
-        return replace(start, **starts, object_yaw=turned, **disturbances)
+        return replace(start, **starts, object_yaw=by * start.object_yaw)
 
     twice = scaled(2.0, Randomization())
     names = *_STARTS, "object_yaw"
