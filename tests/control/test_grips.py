@@ -101,6 +101,48 @@ def test_a_grip_that_was_let_go_can_be_taken_at_once(held):
     assert holds(env).all()
 
 
+def test_a_hand_that_closed_on_nothing_takes_nothing_until_it_has_opened(make_env):
+    env = make_env(2)
+    env.reset(seed=0)
+    before = env.sim.qpos.copy()
+    start = int(env.model.jnt_qposadr[env.model.body("cube/cube").jntadr[0]])
+
+    def bring_cube(up):
+        env.sim.qpos[:], env.sim.qvel[:] = before, 0.0
+        env.sim.qpos[:, start + 2] += up
+        env.sim.forward()
+
+    bring_cube([0.0, 0.2])
+    ask(env, [1.0, 1.0])
+    assert holds(env).tolist() == [[True, True], [False, False]]
+    for grips, taken in (
+        ([1.0, 1.0], [False, False]),
+        ([-1.0, 1.0], [False, False]),
+        ([1.0, 1.0], [True, False]),
+    ):
+        bring_cube(0.0)
+        ask(env, grips)
+        assert holds(env)[1].tolist() == taken
+
+
+def test_a_gripping_partner_opens_its_hand_until_it_holds(make_env):
+    env = make_env(1)
+    env.reset(seed=0)
+    start = int(env.model.jnt_qposadr[env.model.body("cube/cube").jntadr[0]])
+    place, act = env.sim.qpos.copy(), cg.load_policy("gripping", env)
+    env.sim.qpos[:, start + 2] += 0.2
+    env.sim.forward()
+    env.step(act({}))
+    assert not holds(env).any()
+    for _ in range(2):
+        env.sim.qpos[:], env.sim.qvel[:] = place, 0.0
+        env.sim.forward()
+        env.step(act({}))
+    assert holds(env).all()
+    env.step(act({}))
+    assert holds(env).all()
+
+
 def test_a_gripper_holds_what_its_arm_pulls_if_nothing_else_is_said():
     panda = cg.get_robot("panda")
     assert panda.gripper.holding_force == pytest.approx(87.0 / (0.855 / 8.0))

@@ -11,19 +11,21 @@ from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
 
 _TEARING = 2.0  # distance at which a grip tears, over that at which it can start
+_HOLDS, _CLOSED = 1.0, 2.0  # what `userdata` says of a hand that is not open
 
 
 class Grips:
     """Takes, holds and tears the grips of a scene's arms.
 
-    A grip starts at the beginning of a control step if the agent asks for it and the
-    site is near. It lasts while the agent asks for it, unless it tears. It tears before
-    a physics step that would load it above what the gripper holds, or at whose start
-    the two are more than twice the starting distance apart. What is torn out of one
-    hand also slips out of another hand that holds it at the same site; otherwise that
-    hand could win a thing by force. After a tear the hand opens for one control step
-    and cannot grip; otherwise a grip that is too weak would start and tear in every
-    step.
+    A grip starts at the beginning of a control step if the agent asks for it, the site
+    is near and the hand was open: fingers that have closed on nothing take nothing
+    until they have opened, so that no hand can sweep up what it does not see. It lasts
+    while the agent asks for it, unless it tears. It tears before a physics step that
+    would load it above what the gripper holds, or at whose start the two are more than
+    twice the starting distance apart. What is torn out of one hand also slips out of
+    another hand that holds it at the same site; otherwise that hand could win a thing
+    by force. After a tear the hand opens for one control step and cannot grip;
+    otherwise a grip that is too weak would start and tear in every step.
     """
 
     def __init__(self, scene: Scene, sim: Sim):
@@ -54,13 +56,16 @@ class Grips:
         """Take and leave grips for a control step, and close the fingers that hold."""
         sim, xp, sensed = self._sim, self._sim.xp, self._sim.sensordata
         is_held = sim.eq_active[:, self._equalities] > 0
+        hands = sim.userdata[:, : len(self._agents)]
         # A grip that held at the last command, and does not now, has torn.
-        has_torn = (sim.userdata[:, : len(self._agents)] > 0) & ~is_held
+        has_torn = (hands == _HOLDS) & ~is_held
         gap = math.norm(sensed[:, self._tcps] - sensed[:, self._sites])
         wanted = xp.stack([commands[agent].grips for agent in self._agents], axis=1)
-        holds = wanted & (is_held | (gap < self._thresholds)) & ~has_torn
+        takes = (gap < self._thresholds) & (hands != _CLOSED)
+        holds = wanted & (is_held | takes) & ~has_torn
         sim.eq_active[:, self._equalities] = holds
-        sim.userdata[:, : len(self._agents)] = holds
+        is_empty = wanted & ~holds & ~has_torn
+        sim.userdata[:, : len(self._agents)] = _HOLDS * holds + _CLOSED * is_empty
         for i, fingers in enumerate(self._fingers):
             is_closed, opened = holds[:, i, None, None], controls[:, :, fingers]
             controls[:, :, fingers] = xp.where(is_closed, self._closed[i], opened)

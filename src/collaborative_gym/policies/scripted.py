@@ -49,19 +49,35 @@ def idle_policy(env: VectorEnv):
 
 
 def gripping_policy(env: VectorEnv):
-    """Return a policy that holds still and grips things within reach of its hand."""
-    still = env.idle(grips=True)
-    return lambda observations: still
+    """Return a policy that holds still and grips things within reach of its hand.
+
+    As long as it holds nothing, it opens its hand every other step: a closed one takes
+    nothing.
+    """
+    if not env.task.gripping:
+        return idle_policy(env)
+
+    def act(observations: Mapping[str, Array]) -> dict[str, Array]:
+        closes = env.progress["step"] % 2 == 0
+        return env.idle({a: closes | held for a, held in _held(env).items()})
+
+    return act
 
 
 def frozen_policy(env: VectorEnv):
     """Return a policy that holds still and keeps what it holds."""
-    if not env.task.gripping:
-        return idle_policy(env)
-    able = {grip.agent for grip in env.scene.grips}
-    return lambda observations: env.idle(
-        {a: a in able and env.scene.holds(env.sim, a) for a in env.agents}
+    return lambda observations: env.idle(_held(env) if env.task.gripping else False)
+
+
+def _held(env: VectorEnv) -> dict[str, Array]:
+    """Return by agent in which worlds it holds something, (num_envs,) booleans."""
+    able, nothing = (
+        {grip.agent for grip in env.scene.grips},
+        np.zeros(env.num_envs, bool),
     )
+    return {
+        a: env.scene.holds(env.sim, a) if a in able else nothing for a in env.agents
+    }
 
 
 class RandomPolicy:
