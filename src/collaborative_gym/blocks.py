@@ -34,6 +34,26 @@ class Block:
         return math.prod(self.shape)
 
 
+@dataclass(frozen=True)
+class SetColumns:
+    """Where the flat view has a set, as `tasks.teams.mates_block` makes it.
+
+    Attributes:
+      start: column at which it begins.
+      count: number of its elements, with places for nobody.
+      width: of an element; its first number is 1, or 0 for nobody.
+    """
+
+    start: int
+    count: int
+    width: int
+
+    @property
+    def stop(self) -> int:
+        """Column after its last."""
+        return self.start + self.count * self.width
+
+
 _KINDS = "observation", "action"
 
 Blocks = Mapping[str, Block]
@@ -43,6 +63,25 @@ Blocks = Mapping[str, Block]
 def columns_of(blocks: Blocks, name: str) -> np.ndarray:
     """Return a mask of the block `name` in the flat view, (k,) booleans."""
     return np.concatenate([np.full(b.size, b.name == name) for b in blocks.values()])
+
+
+def find_set(blocks: Blocks) -> SetColumns:
+    """Return where the flat view has its block of two axes, which is a set.
+
+    Raises:
+      ValueError: if not exactly one block is a set.
+    """
+    found, start = [], 0
+    for block in blocks.values():
+        if len(block.shape) == 2:
+            found.append(SetColumns(start, *block.shape))
+        start += block.size
+    if len(found) != 1:
+        raise ValueError(
+            f"network=set needs observations with one set, a block of two axes, such as"
+            f" mates; these have {len(found)} among {', '.join(blocks)}"
+        )
+    return found[0]
 
 
 def split_columns(rows: np.ndarray, sizes: Mapping[str, int]) -> dict[str, np.ndarray]:

@@ -1,6 +1,5 @@
 """Robots that do not learn, but play a policy that is given."""
 
-import numpy as np
 import pytest
 
 import collaborative_gym as cg
@@ -50,10 +49,10 @@ def test_partners_play_their_policies_without_faults(carry, tiny):
     invitation = pool.invitation(learner.weights)
     collector.collect(actors, 0, everything, invitation)
     assert len(played) == numbers.rollout_steps
-    gripping = env.idle()["robot_2"]
-    gripping[:, -1] = 1.0
+    assert not any(actions["robot_2"][:, :-1].any() for actions in played)
     for actions in played:
-        assert np.array_equal(actions["robot_2"], gripping)
+        # It grips in the worlds where its hand was open, or holds already.
+        assert (actions["robot_2"][:, -1] == 1.0).any()
         assert (actions["robot_1"][:, -1] == -1.0).all()
     assert played[-1]["robot_1"][:, :-1].any()
 

@@ -34,6 +34,13 @@ Algorithm = Literal["ppo", "sac"]
 Activation = Literal["relu", "elu", "tanh"]
 """The function between a network's layers."""
 
+Network = Literal["flat", "set"]
+"""What a network does with an observation: take it as one row of numbers, or take its
+set, such as a robot's mates, element by element, whatever their order and number."""
+
+ELEMENT_SIZES = 64, 32
+"""Widths of the layers for each element of a set (our choice)."""
+
 PENALTIES = (
     "torque_penalty",
     "contact_penalty",
@@ -155,6 +162,9 @@ class Hyperparameters:
         run began, and not main's (our choice).
       league_decay: factor by which a game counts less after each later game of the same
         two (0.99).
+      network: flat for networks on all numbers of an observation; set for networks that
+        look at each mate of a robot alike and pool what they find, so that a policy
+        plays in teams of any size. With it, shared gives robots no index.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for only one, at
@@ -211,6 +221,7 @@ class Hyperparameters:
     league_reset: float = bounded(0.25, 0.0, 1.0)
     league_fresh: float = bounded(0.0, 0.0, 1.0)
     league_decay: float = bounded(0.99, 0.0, 1.0)
+    network: Network = "flat"
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = bounded(250_000, 0, 10**15)
@@ -240,6 +251,8 @@ class Hyperparameters:
                 f"warmup {self.warmup} is above replay_size {self.replay_size}, so that"
                 " it would never end"
             )
+        check_kind("network", self.network, str, "'flat' or 'set'")
+        look_up("network", self.network, dict.fromkeys(get_args(Network)))
         check_kind("activation", self.activation, str, "a name, such as 'relu'")
         check_activation(self.activation)
 

@@ -3,6 +3,8 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from skrl.resources.preprocessors.torch import RunningStandardScaler
 from torch import nn
 
-from collaborative_gym.blocks import Layout
+from collaborative_gym.blocks import Layout, SetColumns
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import ActorState, Rollout
 from collaborative_gym.learning.config import Hyperparameters
@@ -21,6 +23,7 @@ from collaborative_gym.learning.networks import (
     MEMORY,
     Actor,
     Bounded,
+    TeamNetwork,
     perceptron,
 )
 from collaborative_gym.learning.team import Learner
@@ -62,6 +65,7 @@ class SkrlLearner(ABC):
             "observation_space": Box(-np.inf, np.inf, (size,), np.float32),
             "action_space": Box(-1.0, 1.0, (learner.action_size(layout),), np.float32),
         }
+        self._seen = tuple(learner.seen(layout).values())
         actor = Actor(learner, layout, hyperparameters)
         self._policy = Policy(actor, hyperparameters, device, self._spaces)
         self._agent = self._make_agent()
@@ -130,7 +134,9 @@ class SkrlLearner(ABC):
 
     def _critic(self, *names: str) -> "Critic":
         """Return a critic of inputs with skrl's names."""
-        return Critic(names, self._hyperparameters, self._device, self._spaces)
+        return Critic(
+            names, self._hyperparameters, self._device, self._spaces, self._seen
+        )
 
     @property
     def _scaler(self) -> "Scaler":
@@ -148,6 +154,7 @@ class SkrlLearner(ABC):
             "size": self._spaces["observation_space"],
             "clip_threshold": OBSERVATION_LIMIT,
             "device": self._device,
+            "seen": self._seen,
         }
         config.experiment.write_interval = 0
         config.experiment.checkpoint_interval = 0
@@ -230,6 +237,7 @@ class Critic(DeterministicMixin, Model):
       hyperparameters: of the network.
       device: of torch.
       spaces: of observations and actions.
+      seen: as `Scaler` takes it; with sets, of observations alone.
     """
 
     def __init__(
@@ -238,6 +246,7 @@ class Critic(DeterministicMixin, Model):
         hyperparameters: Hyperparameters,
         device: str,
         spaces: Mapping[str, Box],
+        seen: Sequence[tuple[int, SetColumns | None]] = (),
     ):
         Model.__init__(self, device=device, **spaces)
         DeterministicMixin.__init__(self)
@@ -247,7 +256,11 @@ class Critic(DeterministicMixin, Model):
             "taken_actions": spaces["action_space"].shape[0],
         }
         size = sum(widths[name] for name in names)
-        self.net = perceptron(size, 1, hyperparameters, gain=1.0)
+        sets = [(width, at) for width, at in seen if at is not None]
+        if sets:
+            self.net = TeamNetwork(sets, 1, hyperparameters)
+        else:
+            self.net = perceptron(size, 1, hyperparameters, gain=1.0)
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         """Return the value of each row."""
@@ -260,21 +273,57 @@ class Scaler(RunningStandardScaler):
     Later it is the last half of all rows, because statistics that drift change a policy
     that has become sure of itself.
 
+    The elements of a set have one mean and one variance, so that it does not matter in
+    which place an element is; the number that says whether there is one stays.
+
+    Args:
+      seen: width of each part of a row, and where its set is, if it has one.
+
     Attributes:
       is_held: whether it stays as it is.
     """
 
     is_held = False
 
-    def __init__(self, *args, **kwargs):
+    def __init__(
+        self, *args, seen: Sequence[tuple[int, SetColumns | None]] = (), **kwargs
+    ):
         super().__init__(*args, **kwargs)
         self.seen: torch.Tensor
         self.register_buffer("seen", self.current_count.clone())
+        starts = accumulate((width for width, _ in seen), initial=0)
+        self._sets = [
+            replace(at, start=start + at.start)
+            for start, (_, at) in zip(starts, seen, strict=False)
+            if at is not None
+        ]
 
     def _parallel_variance(self, *args) -> None:
         if self.is_held:
             return
-        super()._parallel_variance(*args)
-        self.seen = self.seen + args[2]
+        mean, variance, count = args
+        for at in self._sets:
+            mean, variance = _pooled(mean, variance, at)
+        super()._parallel_variance(mean, variance, count)
+        self.seen = self.seen + count
         most = (self.seen / 2.0).clamp(min=MEMORY)
         self.current_count = torch.minimum(self.current_count, most)
+
+
+def _pooled(
+    mean: torch.Tensor, variance: torch.Tensor, at: SetColumns
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return moments of columns, in which all elements of a set have those of all.
+
+    Nobody's place is all zeros, so that sums over places are sums over elements.
+    """
+    inside, shape = slice(at.start, at.stop), (at.count, at.width)
+    means = mean[inside].view(shape)
+    squares = variance[inside].view(shape) + means.square()
+    share = means[:, 0].sum().clamp(min=1e-9)
+    first = means.sum(dim=0) / share
+    second = (squares.sum(dim=0) / share - first.square()).clamp(min=0.0)
+    first[0], second[0] = 0.0, 1.0
+    mean, variance = mean.clone(), variance.clone()
+    mean[inside], variance[inside] = first.repeat(at.count), second.repeat(at.count)
+    return mean, variance

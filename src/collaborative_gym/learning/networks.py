@@ -1,13 +1,14 @@
 """The networks of a learner, in torch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from collaborative_gym.blocks import Layout
-from collaborative_gym.learning.config import Hyperparameters
+from collaborative_gym.blocks import Layout, SetColumns
+from collaborative_gym.learning.config import ELEMENT_SIZES, Hyperparameters
 from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import Weights
 
@@ -66,9 +67,12 @@ class Actor(nn.Module):
         networks = learner.networks(layout)
         self._names = list(networks)
         self._inputs = [inputs for inputs, _ in networks.values()]
+        sets = [at for _, at in learner.seen(layout).values()]
+        if learner.network == "flat":
+            sets = [None] * len(networks)
         self.nets = nn.ModuleList(
-            perceptron(inputs, outputs, hyperparameters, gain=0.01)
-            for inputs, outputs in networks.values()
+            make_network(inputs, outputs, hyperparameters, gain=0.01, at=at)
+            for (inputs, outputs), at in zip(networks.values(), sets, strict=True)
         )
         is_grip = learner.is_grip(layout)
         std = np.where(
@@ -97,8 +101,8 @@ class Actor(nn.Module):
         """
         own = [weights[name] for name in self._names]
         for net, each in zip(self.nets, own, strict=True):
-            linear = [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
-            for layer, (weight, bias) in zip(linear, each.layers, strict=True):
+            layers = *each.element, *each.layers
+            for layer, (weight, bias) in zip(_linears(net), layers, strict=True):
                 layer.weight.data.copy_(torch.from_numpy(weight))
                 layer.bias.data.copy_(torch.from_numpy(bias))
         mean, std = ([getattr(each, name) for each in own] for name in ("mean", "std"))
@@ -115,15 +119,123 @@ class Actor(nn.Module):
         """
         found, start = {}, 0
         for name, size, net in zip(self._names, self._inputs, self.nets, strict=True):
-            layers = tuple(
-                (_array(layer.weight), _array(layer.bias))
-                for layer in net.modules()
-                if isinstance(layer, nn.Linear)
-            )
+            layers = [
+                (_array(each.weight), _array(each.bias)) for each in _linears(net)
+            ]
             columns = slice(start, start + size)
-            found[name] = Weights(_array(mean[columns]), _array(std[columns]), layers)
+            ends = _array(mean[columns]), _array(std[columns])
+            of_element = len(ELEMENT_SIZES) if isinstance(net, SetNetwork) else 0
+            element, trunk = tuple(layers[:of_element]), tuple(layers[of_element:])
+            found[name] = Weights(*ends, trunk, element)
             start += size
         return found
+
+
+class SetNetwork(nn.Module):
+    """A network on normalized rows, of which some columns are a set.
+
+    Layers of one kind look at each element beside the other numbers. The mean and the
+    maximum of what they say take the set's place.
+
+    Args:
+      inputs: width of the rows.
+      outputs: how many numbers come out.
+      hyperparameters: of the layers.
+      gain: of the last layer.
+      at: where the set is.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        hyperparameters: Hyperparameters,
+        *,
+        gain: float,
+        at: SetColumns,
+    ):
+        super().__init__()
+        self._at = at
+        own, (*hidden, said) = inputs - at.count * at.width, ELEMENT_SIZES
+        seen = own + at.width - 1
+        narrow = replace(hyperparameters, hidden_sizes=tuple(hidden))
+        self.element = perceptron(seen, said, narrow, gain=2**0.5)
+        self.trunk = perceptron(own + 2 * said, outputs, hyperparameters, gain)
+
+    def forward(self, rows: Tensor) -> Tensor:
+        """Return what it says to each row."""
+        at = self._at
+        before, inside = rows[:, : at.start], rows[:, at.start : at.stop]
+        own = torch.cat([before, rows[:, at.stop :]], dim=1)
+        elements = inside.view(-1, at.count, at.width)
+        there = elements[:, :, :1] > 0.5
+        # Places that are empty in all rows cost nothing.
+        used = there.any(dim=0)[:, 0]
+        elements, there = elements[:, used], there[:, used]
+        beside = own[:, None].expand(-1, elements.shape[1], -1)
+        said = self.element(torch.cat([beside, elements[:, :, 1:]], dim=2))
+        count = there.sum(dim=1)
+        mean = (said * there).sum(dim=1) / count.clamp(min=1)
+        nothing = said.new_zeros(len(rows), said.shape[2])
+        greatest = nothing
+        if said.shape[1]:
+            greatest = said.masked_fill(~there, -torch.inf).amax(dim=1)
+        greatest = torch.where(count > 0, greatest, nothing)
+        return self.trunk(torch.cat([own, mean, greatest], dim=1))
+
+
+class TeamNetwork(nn.Module):
+    """A network on rows of several agents, each looked at by one for sets.
+
+    What is found is pooled, so that it does not grow with the square of the team.
+
+    Args:
+      seen: width and set of each agent's part of a row.
+      outputs: how many numbers come out.
+      hyperparameters: of the layers.
+    """
+
+    def __init__(
+        self,
+        seen: Sequence[tuple[int, SetColumns]],
+        outputs: int,
+        hyperparameters: Hyperparameters,
+    ):
+        super().__init__()
+        self._widths = [width for width, _ in seen]
+        # Agents that see alike share one.
+        self._kinds = [list(dict.fromkeys(seen)).index(own) for own in seen]
+        *hidden, features = hyperparameters.hidden_sizes
+        first = replace(hyperparameters, hidden_sizes=tuple(hidden) or (features,))
+        self.agents = nn.ModuleList(
+            SetNetwork(width, features, first, gain=2**0.5, at=at)
+            for width, at in dict.fromkeys(seen)
+        )
+        self.team = perceptron(features, outputs, hyperparameters, gain=1.0)
+
+    def forward(self, rows: Tensor) -> Tensor:
+        """Return what it says to each row."""
+        parts = zip(self._kinds, rows.split(self._widths, dim=1), strict=True)
+        found = torch.stack([self.agents[kind](part) for kind, part in parts])
+        return self.team(found.mean(dim=0))
+
+
+def make_network(
+    inputs: int,
+    outputs: int,
+    hyperparameters: Hyperparameters,
+    *,
+    gain: float,
+    at: SetColumns | None,
+) -> nn.Module:
+    """Return a perceptron, or a network for sets where there is one in the rows."""
+    if at is None:
+        return perceptron(inputs, outputs, hyperparameters, gain)
+    return SetNetwork(inputs, outputs, hyperparameters, gain=gain, at=at)
+
+
+def _linears(net: nn.Module) -> list[nn.Linear]:
+    return [layer for layer in net.modules() if isinstance(layer, nn.Linear)]
 
 
 def perceptron(

@@ -23,9 +23,11 @@ from collaborative_gym.learning.casting import (
     make_casting,
 )
 from collaborative_gym.learning.config import (
+    ELEMENT_SIZES,
     Algorithm,
     Hyperparameters,
     Mode,
+    Network,
     Resources,
     changed,
     foreign,
@@ -146,6 +148,7 @@ class Settings:
                 task.sides,
                 seats=casting.learned(member) or None,
                 member=member,
+                network=self.hyperparameters.network,
             )
         )
 
@@ -224,7 +227,9 @@ def make_settings(
     usual = recipe(task.name, asked["algorithm"])
     asked["hyperparameters"] = asked.get("hyperparameters", usual)
     if "mode" not in asked:
-        asked["mode"] = _usual_mode(layout, asked.get("opponents", ()))
+        asked["mode"] = _usual_mode(
+            layout, asked.get("opponents", ()), asked["hyperparameters"].network
+        )
     asked["seed"] = check_run_seed(asked["seed"])
     settings = Settings(**asked | {"identity": Identity.of(task), "layout": layout})
     if settings.backend not in BACKENDS:
@@ -293,8 +298,9 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
         )
     numbers = settings.hyperparameters
     found = {name: each.sizes for name, each in policy.weights.items()}
+    hidden = (*ELEMENT_SIZES * (numbers.network == "set"), *numbers.hidden_sizes)
     wanted = {
-        name: (inputs, *numbers.hidden_sizes, outputs)
+        name: (inputs, *hidden, outputs)
         for learner in settings.learners(task)
         for name, (inputs, outputs) in learner.networks(settings.layout).items()
     }
@@ -308,8 +314,8 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
     if differences:
         raise ValueError(
             f"this run cannot start from {settings.start_from}:"
-            f" {'; '.join(differences)}. Choose the mode, hidden_sizes and activation"
-            " with which that policy was trained, and spaces of the same sizes"
+            f" {'; '.join(differences)}. Choose the mode, network, hidden_sizes and"
+            " activation with which that policy was trained, and spaces of equal sizes"
         )
     return policy
 
@@ -335,16 +341,18 @@ def _words(name: str, given: Any) -> tuple[str, ...]:
     return tuple(words)
 
 
-def _usual_mode(layout: Layout, opponents: Sequence[str]) -> Mode:
+def _usual_mode(layout: Layout, opponents: Sequence[str], network: Network) -> Mode:
     """Return the mode if none is asked for.
 
-    Robots that are alike learn in both seats of the games with guests.
+    Robots that are alike learn in both seats of the games with guests, and one policy
+    for teams of any size.
     """
     alike = all(
         len(set(sizes.values())) == 1
         for sizes in (layout.observation_sizes, layout.action_sizes)
     )
-    return "shared" if alike and set(opponents) - {SELF} else "collaborative"
+    has_reason = network == "set" or set(opponents) - {SELF}
+    return "shared" if alike and has_reason else "collaborative"
 
 
 def _check_seats(settings: Settings, task: Task) -> None:
@@ -354,6 +362,10 @@ def _check_seats(settings: Settings, task: Task) -> None:
             "sac forgets slowly what former opponents and partners did, and was"
             " not tried with them; choose the algorithm ppo, or a task of one side"
             " without partner"
+        )
+    if settings.algorithm == "sac" and settings.hyperparameters.network == "set":
+        raise ValueError(
+            "sac has no critics of sets; choose the algorithm ppo, or network=flat"
         )
     settings.learners(task)
     casting = settings.casting(task)

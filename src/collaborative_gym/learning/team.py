@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym.blocks import Layout, columns_of
+from collaborative_gym.blocks import Layout, SetColumns, columns_of, find_set
 from collaborative_gym.errors import unknown
-from collaborative_gym.learning.config import MODES, Mode
+from collaborative_gym.learning.config import MODES, Mode, Network
 from collaborative_gym.policies.network import Part, with_index
 
 
@@ -17,13 +17,15 @@ class Learner:
 
     Its rows are worlds, with the observations and actions of all its agents and the
     mean reward of its team. If it is `stacked`, each of its agents has a block of rows
-    of its own instead, with the agent's index as an input, and its own reward.
+    of its own instead, and its own reward; the agent's index is an input, unless its
+    networks are for sets.
 
     Attributes:
       name: of the learner.
       agents: whom it commands.
       parts: its networks.
       stacked: whether its agents' rows stand below one another.
+      network: what its networks do with an observation.
       team: the agents whose mean reward counts; none for its own.
       member: whose policy it learns, where several do.
     """
@@ -32,19 +34,44 @@ class Learner:
     agents: tuple[str, ...]
     parts: tuple[Part, ...]
     stacked: bool = False
+    network: Network = "flat"
     team: tuple[str, ...] = ()
     member: str = ""
 
     def observation_size(self, layout: Layout) -> int:
         """Return the width of its rows of observations."""
-        return self._width(layout.observation_sizes) + self.stacked * len(self.agents)
+        return self._width(layout.observation_sizes) + self._indices
+
+    @property
+    def _indices(self) -> int:
+        """Numbers that say which agent a row is of."""
+        return self.parts[0].count if self.stacked else 0
 
     def action_size(self, layout: Layout) -> int:
         """Return the width of its rows of actions."""
         return self._width(layout.action_sizes)
 
     def _width(self, sizes: Mapping[str, int]) -> int:
-        return sum(sizes[a] for a in (self.agents[:1] if self.stacked else self.agents))
+        return sum(sizes[agent] for agent in self._side_by_side)
+
+    @property
+    def _side_by_side(self) -> tuple[str, ...]:
+        """The agents whose observations and actions are in one row."""
+        return self.agents[:1] if self.stacked else self.agents
+
+    def seen(self, layout: Layout) -> dict[str, tuple[int, SetColumns | None]]:
+        """Return by agent, for those side by side in a row, what its part of it is.
+
+        It has the part's width and, where networks are for sets, where its set is.
+        """
+        is_set = self.network == "set"
+        return {
+            agent: (
+                layout.observation_sizes[agent] + self._indices,
+                find_set(layout.observation[agent]) if is_set else None,
+            )
+            for agent in self._side_by_side
+        }
 
     def networks(self, layout: Layout) -> dict[str, tuple[int, int]]:
         """Return inputs and outputs of each network of its policy, by name.
@@ -66,20 +93,17 @@ class Learner:
 
     def is_grip(self, layout: Layout) -> np.ndarray:
         """Return which columns of its actions grip, (action_size,) bool."""
-        agents = self.agents[:1] if self.stacked else self.agents
-        own = [columns_of(layout.action[agent], "grip") for agent in agents]
+        own = [columns_of(layout.action[a], "grip") for a in self._side_by_side]
         return np.concatenate(own)
 
     def observations(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return rows of observations."""
         if not self.stacked:
             return np.concatenate([by_agent[agent] for agent in self.agents], axis=1)
-        return np.concatenate(
-            [
-                with_index(by_agent[agent], i, len(self.agents))
-                for i, agent in enumerate(self.agents)
-            ]
-        )
+        rows = [by_agent[agent] for agent in self.agents]
+        if count := self._indices:
+            rows = [with_index(each, i, count) for i, each in enumerate(rows)]
+        return np.concatenate(rows)
 
     def action_rows(self, by_agent: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return rows of actions."""
@@ -118,6 +142,7 @@ def make_learners(
     *,
     seats: Mapping[str, tuple[str, ...]] | None = None,
     member: str = "",
+    network: Network = "flat",
 ) -> tuple[Learner, ...]:
     """Return the learners of a mode; no reward adds up agents of several sides.
 
@@ -127,10 +152,11 @@ def make_learners(
       sides: agents that share a goal, from `Task.sides`; none for all.
       seats: the agents that learn together, by a name for them; None for sides.
       member: whose policy is learned; stands before the learners' names.
+      network: what the networks do with an observation.
 
     Raises:
-      ValueError: if there is no such mode, or a shared policy does not fit; names the
-        sizes.
+      ValueError: if there is no such mode, a shared policy does not fit, or an
+        observation has no set for networks that need one.
     """
     sides = [tuple(side) for side in sides] or [tuple(layout.observation)]
     if seats is None:
@@ -139,6 +165,8 @@ def make_learners(
             seats = {"team": sides[0]}
     agents = [agent for own in seats.values() for agent in own]
     teams = {agent: side for side in sides for agent in side}
+    if network == "set":
+        _check_sets(mode, layout, agents)
     if mode == "collaborative":
         found = [
             (seat, own, tuple(Part((a,), a) for a in own), teams[own[0]])
@@ -151,16 +179,22 @@ def make_learners(
     elif mode == "shared":
         _check_equal("observations", {a: layout.observation_sizes[a] for a in agents})
         _check_equal("actions", {a: layout.action_sizes[a] for a in agents})
-        count = len(agents)
-        parts = tuple(Part((a,), "shared", i, count) for i, a in enumerate(agents))
-        found = [("shared", tuple(agents), parts, ())]
+        found = [("shared", tuple(agents), _shared_parts(agents, network), ())]
     else:
         raise ValueError(unknown("mode", mode, MODES))
     before = f"{member}/" if member else ""
     return tuple(
-        Learner(before + name, own, parts, mode == "shared", team, member)
+        Learner(before + name, own, parts, mode == "shared", network, team, member)
         for name, own, parts, team in found
     )
+
+
+def _shared_parts(agents: Sequence[str], network: Network) -> tuple[Part, ...]:
+    """Return one network's parts for all agents."""
+    if network == "set":
+        return tuple(Part((agent,), "shared") for agent in agents)
+    count = len(agents)
+    return tuple(Part((a,), "shared", i, count) for i, a in enumerate(agents))
 
 
 def _check_equal(kind: str, sizes: Mapping[str, int]) -> None:
@@ -170,3 +204,14 @@ def _check_equal(kind: str, sizes: Mapping[str, int]) -> None:
             "a shared policy needs robots with equal spaces, but the sizes of their"
             f" {kind} are {listed}; choose another mode, or robots of one kind"
         )
+
+
+def _check_sets(mode: Mode, layout: Layout, agents: Sequence[str]) -> None:
+    """Raise ValueError unless networks for sets suit these agents."""
+    if mode == "centralized":
+        raise ValueError(
+            "network=set is for policies of one robot each; choose the mode shared,"
+            " collaborative or independent"
+        )
+    for agent in agents:
+        find_set(layout.observation[agent])

@@ -5,7 +5,7 @@ import json
 import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from collaborative_gym.blocks import Layout, split_columns
+from collaborative_gym.blocks import Layout, SetColumns, find_set, split_columns
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import unknown
 from collaborative_gym.files import check_regular, replacing
@@ -24,9 +24,10 @@ from collaborative_gym.tasks.identity import ON_PLAYING, Identity
 OBSERVATION_LIMIT = 5.0
 """Bound of the networks' inputs, in standard deviations of the observations."""
 
-_FORMATS = 2, 3
-"""Numbers of the file formats; others are refused. The former has only the sizes of
-observations and actions, the latter all blocks."""
+_FORMATS = 2, 3, 4
+"""Numbers of the file formats; others are refused. The first has only the sizes of
+observations and actions, the others have all blocks, and the last also networks for
+sets."""
 
 _KEY = "collaborative_gym"
 """Entry of a file's metadata with its digest and, right after it, its description."""
@@ -58,17 +59,21 @@ class Part:
 class Weights:
     """Weights of a network, and mean and standard deviation of its inputs; float32.
 
-    Each layer has a weight (outputs, inputs) and a bias (outputs,).
+    Each layer has a weight (outputs, inputs) and a bias (outputs,). A network for sets
+    has layers for each element too: they get the other inputs and the element, and
+    what they say is pooled, as mean and maximum, in the set's place.
     """
 
     mean: np.ndarray
     std: np.ndarray
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    element: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
     @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of its inputs, and of the outputs of each layer."""
-        return len(self.mean), *(len(bias) for _, bias in self.layers)
+        layers = *self.element, *self.layers
+        return len(self.mean), *(len(bias) for _, bias in layers)
 
 
 class NetworkPolicy:
@@ -115,18 +120,17 @@ class NetworkPolicy:
         if len(set(self.agents)) != len(self.agents):
             raise ValueError("two networks command one agent")
         for part in parts:
-            _check_widths(self.weights[part.weights], *self._widths(part))
+            self._check_widths(part)
 
     def __call__(self, observations: Mapping[str, Array]) -> dict[str, np.ndarray]:
         """Return actions of its agents, (num_envs, k) float32 in [-1, 1] each."""
         actions = {}
         for part in self._parts:
-            weights = self.weights[part.weights]
             seen = [self._rows(agent, observations[agent]) for agent in part.agents]
             rows = np.concatenate(seen, axis=1)
             if part.index is not None:
                 rows = with_index(rows, part.index, part.count)
-            out = np.clip(self._forward(rows, weights), -1.0, 1.0)
+            out = np.clip(self._forward(rows, part), -1.0, 1.0)
             actions |= split_columns(out, {a: self._outputs[a] for a in part.agents})
         return actions
 
@@ -140,30 +144,94 @@ class NetworkPolicy:
             )
         return rows
 
-    def _forward(self, rows: np.ndarray, weights: Weights) -> np.ndarray:
-        limit = np.float32(OBSERVATION_LIMIT)
+    def _forward(self, rows: np.ndarray, part: Part) -> np.ndarray:
+        weights, limit = self.weights[part.weights], np.float32(OBSERVATION_LIMIT)
         x = np.clip((rows - weights.mean) / weights.std, -limit, limit)
+        if weights.element:
+            x = self._pooled(
+                x, weights, find_set(self.layout.observation[part.agents[0]])
+            )
+        return self._through(x, weights.layers)
+
+    def _pooled(self, x: np.ndarray, weights: Weights, at: SetColumns) -> np.ndarray:
+        """Return normalized rows with a set's place taken by what its elements say."""
+        own = np.delete(x, np.s_[at.start : at.stop], axis=1)
+        elements = x[:, at.start : at.stop].reshape(len(x), at.count, at.width)
+        there = elements[:, :, :1] > 0.5
+        total = np.zeros((len(x), len(weights.element[-1][1])), np.float32)
+        greatest = np.full_like(total, -np.inf)
+        for i in np.flatnonzero(there.any(axis=0)):
+            inputs = np.concatenate([own, elements[:, i, 1:]], axis=1)
+            said = self._through(inputs, weights.element)
+            total = total + np.where(there[:, i], said, np.float32(0.0))
+            greatest = np.where(there[:, i], np.maximum(greatest, said), greatest)
+        count = there.sum(axis=1).astype(np.float32)
+        mean = total / np.maximum(count, np.float32(1.0))
+        greatest = np.where(count > 0.0, greatest, np.float32(0.0))
+        return np.concatenate([own, mean, greatest], axis=1)
+
+    def _through(
+        self, x: np.ndarray, layers: Sequence[tuple[np.ndarray, np.ndarray]]
+    ) -> np.ndarray:
+        """Return what layers make of rows."""
         # A product of its own for each row: in one of all rows, BLAS would add up in an
         # order that depends on how many there are.
         x = x[:, None]
-        for i, (weight, bias) in enumerate(weights.layers):
+        for i, (weight, bias) in enumerate(layers):
             if i:
                 x = ACTIVATIONS[self.activation](x)
             x = x @ weight.T + bias
         return x[:, 0]
 
-    def _widths(self, part: Part) -> tuple[int, int]:
-        """Return how many numbers go into a part and how many come out."""
+    def _check_widths(self, part: Part) -> None:
+        """Raise ValueError unless the layers lead from its numbers to its actions."""
+        weights = self.weights[part.weights]
         inputs = sum(self._inputs[agent] for agent in part.agents) + part.count
-        return inputs, sum(self._outputs[agent] for agent in part.agents)
+        outputs = sum(self._outputs[agent] for agent in part.agents)
+        shapes: list[Any] = [(inputs,), (inputs,)]
+        trunk = inputs
+        if weights.element:
+            at = find_set(self.layout.observation[part.agents[0]])
+            own = inputs - at.count * at.width
+            shapes += _shapes(own + at.width - 1, weights.element)
+            trunk = own + 2 * len(weights.element[-1][1])
+        shapes += _shapes(trunk, weights.layers)
+        layers = *weights.element, *weights.layers
+        found = [array.shape for array in (weights.mean, weights.std, *chain(*layers))]
+        if found != shapes or shapes[-1] != (outputs,):
+            raise ValueError(
+                f"a network from {inputs} to {outputs} numbers has arrays of shapes"
+                f" {found}"
+            )
+
+    @property
+    def suits_any_team(self) -> bool:
+        """Whether one network for sets commands each robot, whichever its place."""
+        names = {part.weights for part in self._parts}
+        alike = all(p.index is None and len(p.agents) == 1 for p in self._parts)
+        return alike and len(names) == 1 and bool(self.weights[names.pop()].element)
 
     def serving(self, agents: Collection[str]) -> "NetworkPolicy":
         """Return the policy of these agents alone.
+
+        They may be others than those that it was trained for, if it suits any team.
 
         Raises:
           ValueError: if it has no network for one of them, or one that commands others
             too.
         """
+        if self.suits_any_team:
+            served, first = copy(self), self._parts[0]
+            served._parts = tuple(replace(first, agents=(a,)) for a in agents)
+            kinds = self.layout.observation, self.layout.action
+            [own] = first.agents
+            served.layout = Layout(
+                *(dict.fromkeys(agents, kind[own]) for kind in kinds)
+            )
+            served._inputs = served.layout.observation_sizes
+            served._outputs = served.layout.action_sizes
+            served.agents = tuple(agents)
+            return served
         if missing := [agent for agent in agents if agent not in self.agents]:
             raise ValueError(
                 f"this policy commands {_and(self.agents)}, not {_and(missing)}; name"
@@ -185,8 +253,10 @@ class NetworkPolicy:
 
         Starts and lengths of episodes may differ; with `any_env` all but the blocks.
         """
-        here = Identity.of(env.task)
-        differences = here.differences(self.identity, ignore=ON_PLAYING)
+        here, own = Identity.of(env.task), self.identity
+        if self.suits_any_team:
+            own = own.with_team_of(here)
+        differences = here.differences(own, ignore=ON_PLAYING)
         title = f"this policy is for {self.identity.title}"
         others = env.world.definition.layout.differences(self.layout, self.agents)
         or_else = ", or evaluate this one here with any_env=True (--any-env)"
@@ -216,16 +286,18 @@ class NetworkPolicy:
         tensors = {}
         for name, weights in self.weights.items():
             tensors |= {f"{name}/mean": weights.mean, f"{name}/std": weights.std}
-            for i, (weight, bias) in enumerate(weights.layers):
-                tensors |= {f"{name}/{i}/weight": weight, f"{name}/{i}/bias": bias}
+            for at, layers in (name, weights.layers), (_element(name), weights.element):
+                for i, (weight, bias) in enumerate(layers):
+                    tensors |= {f"{at}/{i}/weight": weight, f"{at}/{i}/bias": bias}
         tensors = {n: np.ascontiguousarray(t, np.float32) for n, t in tensors.items()}
         # What was read without blocks is written so too, and keeps its digest.
         has_names = self.layout.has_names
         parts = [asdict(part) for part in self._parts]
         for part in () if has_names else parts:
             del part["count"]
+        has_sets = any(weights.element for weights in self.weights.values())
         description = {
-            "format": _FORMATS[has_names],
+            "format": _FORMATS[has_names + has_sets],
             "parts": parts,
             "activation": self.activation,
             "identity": self.identity.to_dict(),
@@ -267,7 +339,7 @@ class NetworkPolicy:
         if description.get("format") not in _FORMATS:
             raise ValueError(
                 f"its format is {description.get('format')}, those of this version are"
-                f" {' and '.join(map(str, _FORMATS))}"
+                f" {', '.join(map(str, _FORMATS))}"
             )
         if digest != _digest(text, tensors):
             raise ValueError("its content does not match its digest")
@@ -325,26 +397,29 @@ def check_activation(name: str) -> None:
         raise ValueError(unknown("activation", name, ACTIVATIONS))
 
 
+def _element(name: str) -> str:
+    """Return under which name a file has the layers for the elements of a set."""
+    return f"{name}/element"
+
+
 def _weights(tensors: Mapping[str, np.ndarray], name: str) -> Weights:
-    count = sum(key.startswith(f"{name}/") for key in tensors) // 2 - 1
-    layers = tuple(
-        (tensors[f"{name}/{i}/weight"], tensors[f"{name}/{i}/bias"])
-        for i in range(count)
-    )
-    return Weights(tensors[f"{name}/mean"], tensors[f"{name}/std"], layers)
-
-
-def _check_widths(weights: Weights, inputs: int, outputs: int) -> None:
-    """Raise ValueError unless the layers lead from so many numbers to so many."""
-    shapes: list[tuple[int, ...]] = [(inputs,), (inputs,)]
-    for before, after in pairwise([inputs, *(len(w) for w, _ in weights.layers)]):
-        shapes += [(after, before), (after,)]
-    arrays = weights.mean, weights.std, *chain(*weights.layers)
-    found = [array.shape for array in arrays]
-    if found != shapes or shapes[-1] != (outputs,):
-        raise ValueError(
-            f"a network from {inputs} to {outputs} numbers has arrays of shapes {found}"
+    def layers(at: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        count = sum(f"{at}/{i}/weight" in tensors for i in range(len(tensors)))
+        return tuple(
+            (tensors[f"{at}/{i}/weight"], tensors[f"{at}/{i}/bias"])
+            for i in range(count)
         )
+
+    mean, std = tensors[f"{name}/mean"], tensors[f"{name}/std"]
+    return Weights(mean, std, layers(name), layers(_element(name)))
+
+
+def _shapes(inputs: int, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Any]:
+    """Return the shapes of arrays that lead from so many numbers on."""
+    shapes: list[tuple[int, ...]] = []
+    for before, after in pairwise([inputs, *(len(weight) for weight, _ in layers)]):
+        shapes += [(after, before), (after,)]
+    return shapes
 
 
 def _digest(text: str, tensors: Mapping[str, np.ndarray]) -> str:

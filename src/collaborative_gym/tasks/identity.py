@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from typing import Any
@@ -106,6 +106,13 @@ class Identity:
                 f"this is not the identity of an environment: {error!r}"
             ) from None
         return cls(name, task, robots, config, versions)
+
+    def with_team_of(self, other: "Identity") -> "Identity":
+        """Return it with the robots of another one, if it has all of their kinds."""
+        own = list(self.robots.values())
+        if all(robot in own for robot in other.robots.values()):
+            return replace(self, robots=other.robots)
+        return self
 
     def differences(
         self, other: "Identity", *, ignore: Collection[str] = ()

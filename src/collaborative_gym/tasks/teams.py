@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from collaborative_gym import math
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.scene import Placement
 
 MOST_MATES = 7
