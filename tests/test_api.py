@@ -79,7 +79,14 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
             "no randomization 'papr' .*mean 'paper'.*: default, hard, lost, paper,",
         ),
         (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(panda, p"),
-        (TypeError, {"robots": "panda"}, "sequence of names"),
+        (KeyError, {"robots": "pandas"}, "no robot 'pandas'"),
+        (ValueError, {"num_robots": 3}, r"needs 2 robots, got 3 \(panda, p"),
+        (ValueError, {"num_robots": 0}, "num_robots must be at least 1"),
+        (
+            ValueError,
+            {"num_robots": 2, "robots": ("panda", "jaco")},
+            "num_robots=2 needs one kind of robot, got panda, jaco",
+        ),
         (TypeError, {"robots": 3}, "sequence of names, got 3"),
         (ValueError, {"max_episode_steps": 0}, "max_episode_steps must be at least 1"),
     ],
@@ -91,6 +98,12 @@ def test_wrong_options_are_refused(carry_id, error, arguments, message):
         cg.make_vec(carry_id, 1, **arguments)
     with pytest.raises(error, match=message):
         gymnasium.make_vec(carry_id, **arguments)
+
+
+def test_one_name_stands_for_all_robots(carry_id):
+    for given in ({"robots": "jaco"}, {"robots": ["jaco"], "num_robots": 2}):
+        robots = cg.task(carry_id, **given).robots
+        assert [robot.name for robot in robots.values()] == ["jaco", "jaco"]
 
 
 def test_a_tasks_name_is_no_environments_id(carry_id):

@@ -267,7 +267,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
             "there is no policy for the agent robot_2",
         ),
         ("evaluate Carry --policy robot_3=idle", "no agent 'robot_3'"),
-        ("evaluate Carry --robots panda", "needs 2 robots, got 1"),
+        ("evaluate Carry --robots panda panda panda", "needs 2 robots, got 3"),
         ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),
         ("evaluate Carry --randomization none", "default, hard, lost, paper, wide"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),

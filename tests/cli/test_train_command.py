@@ -220,7 +220,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Carry --algorithm sac --clip 0.1", "sac knows no clip; leave out"),
         ("Carry --polyak 0.1", "ppo knows no polyak; leave out"),
         ("Carry --algorithm sac --partner idle", "choose the algorithm ppo"),
-        ("Carry --robots panda", "needs 2 robots, got 1"),
+        ("Carry --num-robots 3", "needs 2 robots, got 3"),
         ("Carry --randomization none", "default, hard, lost, paper, wide"),
         ("Carry --seed -1", "seed must be at least 0"),
         ("Carry --total-steps 0", "total_steps must be at least 1"),

@@ -190,8 +190,8 @@ def test_bad_input_says_what_is_allowed(carry):
         cg.evaluate(carry(), num_envs=0)
     with pytest.raises(ValueError, match=r"give them to cg\.task"):
         cg.make(carry(), ("panda", "jaco"))
-    for robots in ({"sawyer", "panda"}, "panda", iter(["panda", "panda"])):
-        with pytest.raises(TypeError, match="robots must be a sequence of names"):
+    for robots in ({"sawyer", "panda"}, b"panda", iter(["panda", "panda"])):
+        with pytest.raises(TypeError, match="robots must be a name, or a sequence of"):
             cg.evaluate(cg.task("Poke", robots))
 
 

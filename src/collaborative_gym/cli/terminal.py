@@ -95,12 +95,15 @@ Size = Annotated[
 def chosen_task(
     env: str,
     robots: Sequence[str],
+    num_robots: int | None,
     randomization: str | None,
     action: str | None,
 ) -> Task:
     """Return the task that options choose, which are empty where they are not given."""
-    own = {} if action is None else {"action": action}
-    return make_task(env, robots or None, randomization=randomization, **own)
+    own: dict[str, Any] = {} if action is None else {"action": action}
+    arms = robots[0] if len(robots) == 1 else robots or None
+    own |= {"num_robots": num_robots, "randomization": randomization}
+    return make_task(env, arms, **own)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +111,9 @@ class Worlds(Command):
     """The options of commands that start episodes.
 
     Attributes:
-      robots: robots to use instead of the environment's own, one per agent.
+      robots: robots to use instead of the environment's own, one per agent, or one for
+        all.
+      num_robots: how many robots of one kind, where a task has teams of any size.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
@@ -119,13 +124,15 @@ class Worlds(Command):
     """
 
     robots: Robots = ()
+    num_robots: int | None = None
     randomization: Randomization = "default"
     action: Action = None
     seed: int = 0
 
     def task(self, env: str) -> Task:
         """Return what to do in an environment of this name."""
-        return chosen_task(env, self.robots, self.randomization, self.action)
+        chosen = self.robots, self.num_robots, self.randomization, self.action
+        return chosen_task(env, *chosen)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -87,7 +87,9 @@ class Train(Command):
         league, population or guests); the folder of all of several runs (default:
         runs), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
-      robots: robots to use instead of the environment's own, one per agent.
+      robots: robots to use instead of the environment's own, one per agent, or one for
+        all.
+      num_robots: how many robots of one kind, where a task has teams of any size.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
@@ -126,6 +128,7 @@ class Train(Command):
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
     robots: Robots = ()
+    num_robots: int | None = None
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
     action: Action = None
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
@@ -189,7 +192,7 @@ class Train(Command):
 
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""
-        chosen = self.robots, self.randomization, self.action
+        chosen = self.robots, self.num_robots, self.randomization, self.action
         return chosen_task(env, *chosen) if any(chosen) else env
 
     def _given(self) -> dict[str, Any]:
@@ -238,8 +241,8 @@ class Train(Command):
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import write_baseline
 
-        own = "mode modes seed resume robots randomization action opponent partner"
-        for option in (*own.split(), "backend", "algorithm"):
+        own = "mode modes seed resume robots num_robots randomization action"
+        for option in (*own.split(), "opponent", "partner", "backend", "algorithm"):
             if getattr(self, option) not in (None, ()):
                 raise ValueError(
                     f"{option} does not go with --all: all baselines are trained alike"

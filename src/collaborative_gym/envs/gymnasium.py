@@ -51,7 +51,7 @@ class GymnasiumEnv(gymnasium.Env):
     def __init__(
         self,
         env_id: str,
-        robots: Sequence[str | Robot] | None = None,
+        robots: str | Robot | Sequence[str | Robot] | None = None,
         *,
         render_mode: str | None = None,
         randomization: str | Randomization = "default",

@@ -64,7 +64,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         num_envs: int = 1,
         *,
         num_threads: int = 0,
-        robots: Sequence[str | Robot] | None = None,
+        robots: str | Robot | Sequence[str | Robot] | None = None,
         render_mode: str | None = None,
         randomization: str | Randomization = "default",
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,

@@ -12,7 +12,7 @@ from collaborative_gym.tasks.task import Randomization, Task
 
 def make(
     env: str | Task,
-    robots: Sequence[str | Robot] | None = None,
+    robots: str | Robot | Sequence[str | Robot] | None = None,
     *,
     render_mode: str | None = None,
     randomization: str | Randomization | None = None,
@@ -24,13 +24,14 @@ def make(
     Args:
       env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
         `cg.task`, which has all that follows here but `render_mode` and `strain`.
-      robots: the arms in the order of the agents, by name or value; None for the
-        environment's own.
+      robots: the arms in the order of the agents, by name or value, or one for all;
+        None for the environment's own.
       render_mode: "rgb_array" lets `render` return pictures.
       randomization: how starts are drawn, "paper", "hard" or a value; None for
         "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: other fields of the task's config.
+      **settings: `num_robots`, how many arms of one kind, and other fields of the
+        task's config.
 
     Raises:
       KeyError: if there is no such environment, robot, preset or setting.
@@ -46,7 +47,7 @@ def make_vec(
     *,
     seed: int = 0,
     num_threads: int = 0,
-    robots: Sequence[str | Robot] | None = None,
+    robots: str | Robot | Sequence[str | Robot] | None = None,
     randomization: str | Randomization | None = None,
     strain: bool = False,
     **settings: Any,

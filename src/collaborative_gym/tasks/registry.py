@@ -9,6 +9,7 @@ import gymnasium
 
 from collaborative_gym.errors import (
     UnknownOption,
+    check_count,
     check_kind,
     check_name,
     check_word,
@@ -122,8 +123,9 @@ def find_env(task: Task) -> str | None:
 
 def make_task(
     name: str,
-    robots: Sequence[str | Robot] | None = None,
+    robots: str | Robot | Sequence[str | Robot] | None = None,
     *,
+    num_robots: int | None = None,
     randomization: str | Randomization | None = None,
     **settings: Any,
 ) -> Task:
@@ -131,8 +133,10 @@ def make_task(
 
     Args:
       name: an environment id, or a task's name.
-      robots: the arms in the order of the agents, by name or value. An environment id
-        has its own; other arms in its place are mounted by the task's rule.
+      robots: the arms in the order of the agents, by name or value, or one for all. An
+        environment id has its own; other arms in its place are mounted by the task's
+        rule.
+      num_robots: how many arms of one kind; None for as many as there usually are.
       randomization: how starts are drawn, a preset's name or a value; None for
         "default".
       **settings: other fields of the task's config.
@@ -140,25 +144,25 @@ def make_task(
     Raises:
       KeyError: if there is no such environment, robot, preset or setting.
       TypeError: if robots is not a sequence.
-      ValueError: if the task takes another number of robots.
+      ValueError: if the task takes another number of robots, or num_robots goes with
+        robots of several kinds.
     """
     tasks = {
         name: EnvSpec(name, task, ("panda",) * task.robot_counts[0])
         for name, task in _TASKS.items()
     }
     spec = look_up_registered("environment", name, {**_ENVS, **tasks})
-    chosen = spec.robots if robots is None else robots
-    # The order of a set would be chance.
-    if isinstance(chosen, str | bytes) or not isinstance(chosen, Sequence):
-        raise TypeError(f"robots must be a sequence of names, got {shown(chosen)}")
-    arms = tuple(get_robot(robot) for robot in chosen)
+    arms = _arms(spec, robots, num_robots)
     counts = spec.task.robot_counts
     if len(arms) not in counts:
         given = ", ".join(arm.name for arm in arms)
-        remedy = "name as many in its EnvSpec" if robots is None else "give as many"
+        is_own = robots is None and num_robots is None
+        remedy = "name as many in its EnvSpec" if is_own else "give as many"
+        numbers = " or ".join(map(str, counts))
+        if len(counts) > 2:
+            numbers = f"{min(counts)} to {max(counts)}"
         raise ValueError(
-            f"{name} needs {' or '.join(map(str, counts))} robots, got {len(arms)}"
-            f" ({given}); {remedy}"
+            f"{name} needs {numbers} robots, got {len(arms)} ({given}); {remedy}"
         )
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}
@@ -170,9 +174,36 @@ def make_task(
     return task
 
 
+def _arms(
+    spec: EnvSpec,
+    robots: str | Robot | Sequence[str | Robot] | None,
+    num_robots: int | None,
+) -> tuple[Robot, ...]:
+    """Return the arms that are asked for, or else those of an environment."""
+    given = spec.robots if robots is None else robots
+    usual = len(spec.robots) if isinstance(given, str | Robot) else None
+    chosen = (given,) if isinstance(given, str | Robot) else given
+    # The order of a set would be chance.
+    if isinstance(chosen, bytes) or not isinstance(chosen, Sequence):
+        raise TypeError(
+            f"robots must be a name, or a sequence of names, got {shown(chosen)}"
+        )
+    arms = tuple(get_robot(robot) for robot in chosen)
+    count = usual if num_robots is None else num_robots
+    if count is None:
+        return arms
+    check_count("num_robots", count, 1, 100)
+    if any(arm != arms[0] for arm in arms):
+        raise ValueError(
+            f"num_robots={count} needs one kind of robot, got"
+            f" {', '.join(arm.name for arm in arms)}; name each of them in robots"
+        )
+    return arms[:1] * count
+
+
 def as_task(
     env: str | Task,
-    robots: Sequence[str | Robot] | None = None,
+    robots: str | Robot | Sequence[str | Robot] | None = None,
     *,
     randomization: str | Randomization | None = None,
     **settings: Any,
