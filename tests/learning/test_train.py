@@ -482,3 +482,23 @@ def test_a_run_compiles_one_world(train_tiny, tiny, monkeypatch):
     monkeypatch.setattr(Scene, "compile", lambda s: compiled.append(s) or own(s))
     train_tiny(hyperparameters=tiny(contact_penalty=0.1))
     assert len(compiled) == 1
+
+
+def test_episodes_begin_after_mishaps_but_validations_do_not(carry, train_tiny, tiny):
+    begun = []
+
+    class Slips(type(carry())):
+        def mishap(self, sim, env_ids, *, rng):
+            begun.append((self.config.randomization.lost, len(env_ids)))
+
+    task = Slips(list(carry().robots.values()), carry().config)
+    result = train_tiny(task=task, hyperparameters=tiny(mishaps=0.5))
+    assert sum(count for _, count in begun) > 0
+    assert {lost for lost, _ in begun} == {0.5}
+    assert result.policy().identity.config["randomization"]["lost"] == 0.0
+
+
+def test_a_task_without_mishaps_refuses_them(train_tiny, tiny, tmp_path):
+    with pytest.raises(ValueError, match=r"Carry has no mishap\(\)"):
+        train_tiny(hyperparameters=tiny(mishaps=0.5))
+    assert not list(tmp_path.iterdir())

@@ -134,6 +134,9 @@ class Hyperparameters:
       delayed: share of the worlds in which each action is done one control step late;
         never in validations, and never an action of a guest, which may not have been
         trained for that.
+      mishaps: share of the episodes that begin after a mishap of the task (the
+        randomization `lost`), from which robots then learn to come back; never in
+        validations. A task without mishaps refuses it.
       lost_grips: how likely a robot that holds something loses it in a control step,
         whatever it asks for; 0.005 means about once in an episode. So it learns to grip
         again. Never in validations, and never a guest's.
@@ -207,6 +210,7 @@ class Hyperparameters:
     imitation: float = bounded(0.0, 0.0, 1e3)
     refined: int = bounded(0, 0, 1)
     delayed: float = bounded(0.0, 0.0, 1.0)
+    mishaps: float = bounded(0.0, 0.0, 1.0)
     lost_grips: float = bounded(0.0, 0.0, 1.0)
     missed_grips: float = bounded(0.0, 0.0, 1.0)
     population: int = bounded(3, 2, 64)

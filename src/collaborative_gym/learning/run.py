@@ -27,6 +27,7 @@ from collaborative_gym.learning.settings import Settings, first_policy
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.rng import validation_seed
+from collaborative_gym.tasks.registry import disturbed
 from collaborative_gym.tasks.task import Task
 
 _LEARNERS = {"ppo": PPOLearner, "sac": SACLearner}
@@ -388,6 +389,8 @@ def _make_collectors(
     task: Task, settings: Settings, resources: Resources, casting: Casting
 ) -> Any:
     """Return a collector, or several elsewhere that are called as one is."""
+    if settings.hyperparameters.mishaps:
+        task = disturbed(task, lost=settings.hyperparameters.mishaps)
     job = Job(
         task,
         settings.learners(task),

@@ -39,6 +39,7 @@ from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
 from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.registry import disturbed
 from collaborative_gym.tasks.task import Task, TaskConfig
 
 BACKENDS = ("skrl", "ray")
@@ -367,6 +368,8 @@ def _check_seats(settings: Settings, task: Task) -> None:
         raise ValueError(
             "sac has no critics of sets; choose the algorithm ppo, or network=flat"
         )
+    if settings.hyperparameters.mishaps:
+        disturbed(task, lost=1.0)  # Refused by tasks without mishaps.
     settings.learners(task)
     casting = settings.casting(task)
     by_turns = len(task.sides) == 1 and len(casting.learned(casting.members[0])) > 1
