@@ -1,4 +1,4 @@
-"""The mass of Lift's pot: too heavy for either arm, light enough for both.
+"""The mass of the pot of two arms: too heavy for either, light enough for both.
 
 `loads` searches for the postures in which an arm's torque limits carry most: for one
 arm with the pot hanging from its handle anywhere in the success radius, and for both
@@ -17,40 +17,49 @@ from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
 
-_MARGIN = 1.2
-"""The pot weighs at least so many times what one arm can carry, and two arms can carry
-at least so many times the pot."""
+_LEAST_RATIOS = {2: 1.44}
+"""What all carry, over what all but one do, by the number of arms: at least this.
+So the pot weighs 1.2 times what one of two arms carries, and two carry as much more."""
+
+_LEAST_RATIO = 1.15
+"""That of larger teams, in which all carry little more than all but one."""
+
+LEAST_SHARE = 0.6
+"""The pot weighs at least this share of what all carry."""
 
 _GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 
 
 @dataclass(frozen=True)
 class Weighing:
-    """What two arms carry. Tuples have an entry for each arm."""
+    """What arms carry. Tuples have an entry for each arm."""
 
     ways: tuple[Way, ...]  # of their handles, with approaches in the world frame
-    alone: tuple[float, ...]  # kg that each could hold near the target without help
-    together: float  # kg that both can hold all the way to the target
-    shares: tuple[float, float]  # of the pot's weight on each handle
+    fewer: tuple[float, ...]  # kg that the others hold near the target without it
+    together: float  # kg that all can hold all the way to the target
+    shares: tuple[float, ...]  # of the pot's weight on each handle
+    centre: tuple[float, float]  # x and y of the centre of mass in the pot, in m
 
     @property
     def pot_mass(self) -> float:
-        """The mass in kg that needs both arms.
+        """The mass in kg that needs all of the arms.
 
         Raises:
-          ValueError: if one arm carries nearly as much as both.
+          ValueError: if all but one carry nearly as much as all.
         """
-        most = max(self.alone)
-        if self.together < _MARGIN**2 * most:
-            alone = " and ".join(f"{load:.1f}" for load in self.alone)
+        most, count = max(self.fewer), len(self.ways)
+        ratio = _LEAST_RATIOS.get(count, _LEAST_RATIO)
+        if self.together < ratio * most:
+            weakest = self.fewer.index(most) + 1
             raise ValueError(
-                f"one of these arms carries too much of Lift's pot alone: {alone} kg"
-                f" alone and {self.together:.1f} kg together, which must be"
-                f" {_MARGIN**2:.2f} times what the stronger one carries alone; if one"
-                " is stronger, mount it farther from the pot and the weaker one nearer,"
-                " or pass pot_mass"
+                f"{count - 1} of these {count} arms carry too much of Lift's pot:"
+                f" {most:.1f} kg without robot_{weakest}, and {self.together:.1f} kg"
+                f" together, which must be {ratio:.2f} times as much; mount"
+                f" robot_{weakest} nearer to the pot, or stronger arms farther from it,"
+                " or take arms that are more alike, or pass pot_mass"
             )
-        return float(np.sqrt(most * self.together))
+        mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)
+        return float(mass)
 
 
 def weigh(
@@ -59,6 +68,7 @@ def weigh(
     *,
     ends: Sequence[tuple[np.ndarray, np.ndarray]],
     target: np.ndarray,
+    handles: np.ndarray,
     radius: float,
 ) -> Weighing:
     """Return what two arms carry, alone and together.
@@ -68,6 +78,7 @@ def weigh(
       placements: where they are mounted.
       ends: start and end (3,) of the way of each arm's handle, in the world frame.
       target: (3,) where the pot is to go.
+      handles: from the pot's middle to where each arm holds it, (2, 3), in m.
       radius: distance of the pot to the target that counts as there, in m.
     """
     ways, alone = [], []
@@ -85,7 +96,10 @@ def weigh(
     share = second / (first + second)
     share = min(max(share, 1 - _GREATEST_SHARE), _GREATEST_SHARE)
     together = min(first / (1 - share), second / share)
-    return Weighing(tuple(ways), tuple(alone), together, (1 - share, share))
+    shares = 1 - share, share
+    balance = float(np.dot(shares, handles[:, 1]))
+    # Without an arm, the other one carries alone.
+    return Weighing(tuple(ways), tuple(alone[::-1]), together, shares, (0.0, balance))
 
 
 def _places(

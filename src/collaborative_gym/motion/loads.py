@@ -28,6 +28,7 @@ _LIMIT_ROOM = 0.15  # rad from their limits, where joints stay in strong posture
 _TOLERANCE = 0.005  # m, greatest miss of a point that counts as reached
 _STARTS = 16  # postures from which each of some positions is searched
 _WAYPOINTS, _TRIES = 5, 128  # points of a way, postures from which it is searched
+_QUICK_TRIES = 12  # postures from which each of several ways is searched roughly
 _REDUNDANT = 7  # joints of an arm that can turn its elbow while its hand stays
 _DIPS = np.radians([25.0, 40.0, 60.0, 80.0])  # below level, of hands that keep so
 _CLEARANCE = 0.08  # m, least height of an elbow above what the arm stands on
@@ -79,21 +80,25 @@ def relief(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
     return -slope / np.maximum(math.norm(slope), 1e-9)[:, None]
 
 
+Positions = tuple[tuple[float, float, float], ...]
+"""Of a tcp, in the frame of its arm's base, in m."""
+
+
+def greatest_load(robot: Robot, positions: Positions) -> float:
+    """Return the greatest mass in kg that an arm can hold at one of some positions."""
+    return max(greatest_loads(robot, positions))
+
+
 @lru_cache(maxsize=256)
-def greatest_load(
-    robot: Robot, positions: tuple[tuple[float, float, float], ...]
-) -> float:
-    """Return the greatest mass in kg that an arm can hold at one of some positions.
+def greatest_loads(robot: Robot, positions: Positions) -> tuple[float, ...]:
+    """Return the greatest mass in kg that an arm can hold at each of some positions.
 
     The first joint reaches its torque limit then, in the strongest posture found. It is
-    0 if the arm reaches none of the positions.
-
-    Args:
-      robot: the arm.
-      positions: of the tcp, in the frame of the arm's base, in m.
+    0 if the arm does not reach the position.
     """
     paths = np.repeat(np.array(positions)[:, None], _STARTS, axis=0)
-    return float(strong_paths(robot, paths)[0].max())
+    loads = strong_paths(robot, paths)[0].reshape(len(positions), _STARTS)
+    return tuple(loads.max(axis=1).tolist())
 
 
 def strong_paths(
@@ -185,17 +190,7 @@ def strongest_way(
     """
     share = np.linspace(0.0, 1.0, _WAYPOINTS)[:, None]
     path = (1 - share) * np.array(start) + share * np.array(end)
-    paths = np.tile(path, (_TRIES, 1, 1))
-    ahead = np.array([*start[:2], 0.0]) / np.hypot(*start[:2])
-    if len(robot.joints) < _REDUNDANT:
-        # Left free, the hand would turn aside to where it is nearer to the load.
-        dip = np.resize(_DIPS, _TRIES)[:, None]
-        directions = np.cos(dip) * ahead - np.sin(dip) * (0.0, 0.0, 1.0)
-        loads, angles, quats = strong_paths(robot, paths, approaches=directions)
-        loads = np.where(_stays_above(robot, angles, path), loads, 0.0)
-    else:
-        loads, angles, quats = strong_paths(robot, paths)
-    loads = np.where(_points_ahead(quats, ahead), loads, 0.0)
+    loads, angles, quats = _search_ways(robot, np.tile(path, (_TRIES, 1, 1)))
     if not loads.any():
         raise ValueError(
             f"{robot.name} cannot carry a load from {start} to {end} as seen from its"
@@ -206,7 +201,42 @@ def strongest_way(
     return Way(float(loads[best]), angles[best], math.axis_z(quats[best, 0]))
 
 
-def _stays_above(robot: Robot, angles: np.ndarray, path: Array) -> np.ndarray:
+@lru_cache(maxsize=64)
+def way_loads(robot: Robot, lines: tuple[Positions, ...]) -> tuple[float, ...]:
+    """Return about how much an arm carries along lines of its tcp, in kg.
+
+    It is the load of `strongest_way`, or less, found by a search a tenth as long; 0
+    where the arm has no such way.
+
+    Args:
+      robot: the arm.
+      lines: start and end of each, as `strongest_way` takes them.
+    """
+    paths = np.repeat(np.array(lines), _QUICK_TRIES, axis=0)
+    loads = _search_ways(robot, paths)[0].reshape(len(lines), _QUICK_TRIES)
+    return tuple(loads.max(axis=1).tolist())
+
+
+def _search_ways(
+    robot: Robot, paths: Array
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `strong_paths` does, with loads of 0 on ways that do not fit.
+
+    The paths (n, points, 3) all begin in the same direction from the arm's base.
+    """
+    ahead = np.array([*paths[0, 0, :2], 0.0]) / np.hypot(*paths[0, 0, :2])
+    if len(robot.joints) < _REDUNDANT:
+        # Left free, the hand would turn aside to where it is nearer to the load.
+        dip = np.resize(_DIPS, len(paths))[:, None]
+        directions = np.cos(dip) * ahead - np.sin(dip) * (0.0, 0.0, 1.0)
+        loads, angles, quats = strong_paths(robot, paths, approaches=directions)
+        loads = np.where(_stays_above(robot, angles, paths), loads, 0.0)
+    else:
+        loads, angles, quats = strong_paths(robot, paths)
+    return np.where(_points_ahead(quats, ahead), loads, 0.0), angles, quats
+
+
+def _stays_above(robot: Robot, angles: np.ndarray, paths: Array) -> np.ndarray:
     """Return on which ways no elbow is lower than both the load and the arm's table."""
     scene = Scene()
     scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
@@ -215,7 +245,7 @@ def _stays_above(robot: Robot, angles: np.ndarray, path: Array) -> np.ndarray:
     # The first joint that carries another one stays where it is.
     elbows = model.dof_jntid[arm.dof][2:]
     stays = np.ones(len(angles), bool)
-    for i, way in enumerate(angles):
+    for i, (way, path) in enumerate(zip(angles, paths, strict=True)):
         for posture, point in zip(way, path, strict=True):
             data.qpos[arm.qpos] = posture
             mujoco.mj_kinematics(model, data)

@@ -10,11 +10,11 @@ from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.donut import donut
 from collaborative_gym.objects.mallet import mallet
 from collaborative_gym.objects.pedestal import pedestal
-from collaborative_gym.objects.pot import pot
+from collaborative_gym.objects.pot import pot, ring_pot
 from collaborative_gym.objects.puck import puck
 from collaborative_gym.objects.rink import rink
 from collaborative_gym.objects.stick import stick
-from collaborative_gym.objects.table import table
+from collaborative_gym.objects.table import round_table, table
 
 __all__ = [
     "ball",
@@ -26,7 +26,9 @@ __all__ = [
     "pedestal",
     "pot",
     "puck",
+    "ring_pot",
     "rink",
+    "round_table",
     "stick",
     "table",
 ]

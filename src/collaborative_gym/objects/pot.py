@@ -1,8 +1,9 @@
-"""A cooking pot with two bar handles."""
+"""A cooking pot with two bar handles, and a round one with a handle for each arm."""
 
 import mujoco
+import numpy as np
 
-from collaborative_gym.errors import check_number
+from collaborative_gym.errors import check_count, check_number
 from collaborative_gym.objects.visual import add_visual, begin
 
 _SIDE = 0.12  # m, from the original environment
@@ -10,6 +11,10 @@ _MOST_BALANCE = 0.059  # m; the contents are at least 2 mm wide
 _HANDLE_SIZE = (0.06, 0.01, 0.01)  # m, half lengths, from the original environment
 _HANDLE_Z = 0.05  # m above the pot's centre
 _GRIP_Y = 0.14  # m from the pot's centre to where a handle is gripped
+
+_HANDLE_SPACING = 0.21  # m along the circle of handles; hands beside one another fit
+_GRIP_ROOM = 0.08  # m between wall and grip; with two handles as in the original
+_LEAST_CONTENTS = 0.01  # m, least radius of what is in a round pot
 
 _SWING_DAMPING = 0.05  # N m s/rad per kg, our choice; as a drag it is negligible
 
@@ -24,6 +29,31 @@ _RIM = (0.55, 0.57, 0.60, 1.0)
 _LID = (0.80, 0.22, 0.16, 1.0)
 _BLACK = (0.10, 0.10, 0.11, 1.0)
 _ORANGE = (0.95, 0.50, 0.08, 1.0)
+
+
+def handle_directions(count: int) -> np.ndarray:
+    """Return the directions from a pot's middle to its handles, (count, 3).
+
+    They are evenly around the pot; the first is -y.
+    """
+    angles = 2.0 * np.pi * np.arange(count) / count - np.pi / 2
+    flat = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    return flat.round(12) + 0.0
+
+
+def grip_radius(count: int) -> float:
+    """Return the distance of so many handles from a pot's axis, in m."""
+    return max(_GRIP_Y, _HANDLE_SPACING * count / (2.0 * np.pi))
+
+
+def handle_places(count: int) -> np.ndarray:
+    """Return where handles are gripped, from a pot's middle, (count, 3), in m."""
+    return grip_radius(count) * handle_directions(count) + (0.0, 0.0, _HANDLE_Z)
+
+
+def greatest_balance(count: int) -> float:
+    """Return how far from a round pot's axis its centre of mass may lie, in m."""
+    return grip_radius(count) - _GRIP_ROOM - _LEAST_CONTENTS
 
 
 def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
@@ -45,57 +75,111 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
     """
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     check_number("balance", balance, at_least=-_MOST_BALANCE, at_most=_MOST_BALANCE)
+    box, half = mujoco.mjtGeom.mjGEOM_BOX, _SIDE / 2
+    # The contents are a cube that stops at the nearer wall.
+    spec, body = _begin_pot(
+        mass,
+        (0.0, balance, 0.0),
+        shape=box,
+        sizes=([half] * 3, [half - abs(balance)] * 3),
+    )
+    for i, direction in enumerate(handle_directions(2)):
+        _add_handle(body, f"handle_{i + 1}", direction, _GRIP_Y)
+    _add_vessel(body, half)
+    return spec
+
+
+def ring_pot(
+    count: int, mass: float, balance: tuple[float, float] = (0.0, 0.0)
+) -> mujoco.MjSpec:
+    """Return a round pot that is free to move, with handles evenly around it.
+
+    The body `pot` has its origin in the middle of a cylinder 0.12 m high. Sites `pot`
+    (the middle) and `handle_1` (at -y) and so on, counterclockwise, mark it; they lie
+    at `handle_places`, with the pot's axes. All else is as in `pot`.
+
+    Args:
+      count: number of handles.
+      mass: in kg.
+      balance: x and y of the centre of mass, in m.
+
+    Raises:
+      TypeError: if one is not a number.
+      ValueError: if one is out of bounds, or `balance` is outside the pot.
+    """
+    check_count("count", count, 2, 100)
+    check_number("mass", mass, at_least=1e-6, at_most=1e4)
+    most, radius = greatest_balance(count), grip_radius(count)
+    aside = check_number("the length of balance", float(np.hypot(*balance)))
+    check_number("the length of balance", aside, at_least=0.0, at_most=most + 1e-9)
+    wall, half = radius - _GRIP_ROOM, _SIDE / 2
+    sizes = [wall, half, 0.0], [wall - aside, half, 0.0]
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    spec, body = _begin_pot(mass, (*balance, 0.0), shape=cylinder, sizes=sizes)
+    for i, direction in enumerate(handle_directions(count)):
+        _add_handle(body, f"handle_{i + 1}", direction, radius)
+    _add_vessel(body, wall)
+    return spec
+
+
+def _begin_pot(
+    mass: float,
+    centre: tuple[float, float, float],
+    *,
+    shape: mujoco.mjtGeom,
+    sizes: tuple[list[float], list[float]],
+) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
+    """Return a pot without handles: what collides, and the contents that weigh."""
     spec, body = begin("pot")
     # Real fingers would not let the pot swing freely on its handles.
     body.add_freejoint().damping = (_SWING_DAMPING * mass, 0.0, 0.0)
     body.add_site(name="pot")
-    box, half = mujoco.mjtGeom.mjGEOM_BOX, _SIDE / 2
     # Polished steel slides on wood at 0.2 to 0.6 times its weight.
     body.add_geom(
         name="pot_collision",
-        type=box,
-        size=[half] * 3,
+        type=shape,
+        size=sizes[0],
         mass=0.0,
         friction=(0.4, 0.005, 0.0001),
         priority=1,
         group=3,
     )
-    # The contents are a cube that stops at the nearer wall.
     body.add_geom(
         name="contents",
-        type=box,
-        size=[half - abs(balance)] * 3,
-        pos=(0.0, balance, 0.0),
+        type=shape,
+        size=sizes[1],
+        pos=centre,
         mass=mass,
         contype=0,
         conaffinity=0,
         group=4,
     )
-    for name, side in (("handle_1", -1.0), ("handle_2", 1.0)):
-        _add_handle(body, name, side)
-    _add_vessel(body)
-    return spec
+    return spec, body
 
 
-def _add_handle(body: mujoco.MjsBody, name: str, side: float) -> None:
+def _add_handle(
+    body: mujoco.MjsBody, name: str, direction: np.ndarray, radius: float
+) -> None:
     """Add a bar that two struts carry, and the site where it is gripped."""
-    capsule, middle = mujoco.mjtGeom.mjGEOM_CAPSULE, (0.0, side * _GRIP_Y, _HANDLE_Z)
+    capsule, up = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([0.0, 0.0, 1.0])
+    middle = radius * direction + _HANDLE_Z * up
     body.add_site(name=name, pos=middle)
     long, thick = _HANDLE_SIZE[0] - 0.01, 0.013  # seen from a few metres
-    ends = (*(-long, *middle[1:]), *(long, *middle[1:]))
-    add_visual(body, capsule, size=(thick,), rgba=_ORANGE, fromto=ends)
-    for x in (-long, long):
-        strut = (x, side * 0.03, _HANDLE_Z - 0.012, x, *middle[1:])
-        add_visual(body, capsule, size=(0.009,), rgba=_ORANGE, fromto=strut)
+    along, inside = np.cross(up, direction), (radius - _GRIP_Y + 0.03) * direction
+    ends = [middle - long * along, middle + long * along]
+    add_visual(body, capsule, size=(thick,), rgba=_ORANGE, fromto=(*ends[0], *ends[1]))
+    for end in ends:
+        foot = end - middle + inside + (_HANDLE_Z - 0.012) * up
+        add_visual(body, capsule, size=(0.009,), rgba=_ORANGE, fromto=(*foot, *end))
 
 
-def _add_vessel(body: mujoco.MjsBody) -> None:
+def _add_vessel(body: mujoco.MjsBody, wall: float) -> None:
     """Add what is seen between the handles: steel wall, rim and a red lid."""
     cylinder, half = mujoco.mjtGeom.mjGEOM_CYLINDER, _SIDE / 2
-    ellipsoid, dome = mujoco.mjtGeom.mjGEOM_ELLIPSOID, half - 0.002
+    ellipsoid, dome = mujoco.mjtGeom.mjGEOM_ELLIPSOID, wall - 0.002
     for shape, size, z, rgba in (
-        (cylinder, (half, half - 0.003), -0.003, _STEEL),
-        (cylinder, (half + 0.004, 0.003), half - 0.006, _RIM),
+        (cylinder, (wall, half - 0.003), -0.003, _STEEL),
+        (cylinder, (wall + 0.004, 0.003), half - 0.006, _RIM),
         (ellipsoid, (dome, dome, 0.018), half - 0.004, _LID),
         (ellipsoid, (0.011, 0.011, 0.009), half + 0.02, _BLACK),
     ):

@@ -1,4 +1,4 @@
-"""A four-legged table."""
+"""A four-legged table and a round one."""
 
 import mujoco
 
@@ -56,4 +56,33 @@ def table(
                 rgba=_LEG_RGBA,
                 group=2,
             )
+    return spec
+
+
+def round_table(radius: float, *, height: float = 0.64) -> mujoco.MjSpec:
+    """Return a table with a round top on one column, its origin as that of `table`.
+
+    Args:
+      radius: of the top, metres.
+      height: z of the top's upper face, metres above the floor.
+
+    Raises:
+      TypeError: if one is not a number.
+      ValueError: if the top is too small or too low for the column.
+    """
+    thick, column = _TOP_THICKNESS, 2 * _LEG_RADIUS
+    check_number("radius", radius, at_least=column, at_most=100.0)
+    check_number("height", height, at_least=2 * thick, at_most=100.0)
+    spec, body = begin("table")
+    for name, size, z, rgba in (
+        ("top", (radius, thick / 2), height - thick / 2, _TOP_RGBA),
+        ("column", (column, height / 2 - thick / 2), (height - thick) / 2, _LEG_RGBA),
+        ("foot", (radius, thick / 2), thick / 2, _LEG_RGBA),
+    ):
+        kind = mujoco.mjtGeom.mjGEOM_CYLINDER
+        collision = f"table_{name}_collision"
+        body.add_geom(
+            name=collision, type=kind, size=(*size, 0), pos=(0, 0, z), group=3
+        )
+        add_visual(body, kind, size=size, pos=(0, 0, z), rgba=rgba)
     return spec

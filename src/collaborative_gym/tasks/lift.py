@@ -38,17 +38,25 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
-from collaborative_gym.errors import check_numbers
+from collaborative_gym.errors import check_flag, check_numbers
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import greatest_load, solve_pose, turn_fingers
 from collaborative_gym.motion.lift_mass import weigh
-from collaborative_gym.objects.pot import HANDLE_WIDTH, pot
-from collaborative_gym.objects.table import table
+from collaborative_gym.motion.team_mass import spread, weigh_team
+from collaborative_gym.objects.pot import (
+    HANDLE_WIDTH,
+    grip_radius,
+    handle_directions,
+    handle_places,
+    pot,
+    ring_pot,
+)
+from collaborative_gym.objects.table import round_table, table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import lift as player
-from collaborative_gym.tasks.experts.lift import GRIP_OFFSETS, START, WAY_OFFSETS
+from collaborative_gym.tasks.experts.lift import START
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
@@ -63,11 +71,22 @@ from collaborative_gym.tasks.task import (
     face_to_face,
     presets,
 )
+from collaborative_gym.tasks.teams import MOST_MATES, Frames, mates_block, mates_of
 
 _TABLE_HEIGHT = 0.64  # m
 _STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
 _LEAST_MISS, _FARTHEST_MISS = 1.25, 0.1  # of the distance of a grip; m
 _NEAREST, _FARTHEST = 0.36, 0.85  # from an arm to its handle, as shares of its reach
+_BEYOND = 0.03  # m by which an arm reaches farther than its handle, if pots are moved
+_HEIGHT = 0.45  # m from the lowest base up to the target
+_STAND = 0.13  # m, radius of what an arm of a team stands on
+
+_SUCCESS = {2: (0.15, float(np.radians(15.0)))}
+"""Radius in m and tilt in rad within which a pot is there and level, by arms."""
+
+_TEAM_SUCCESS = 0.08, float(np.radians(4.0))
+"""Those of teams of three and more. Within more, all but one arm of a large team could
+have the pot there."""
 
 
 @dataclass(frozen=True)
@@ -77,24 +96,31 @@ class LiftConfig(TaskConfig):
     Attributes:
       target: where the pot is to go, in m, or None for the task's rule.
       pot_mass: in kg, or None for the task's rule.
-      success_radius: distance to the target that counts as there, in m.
-      success_tilt: tilt of the pot that counts as level, in rad.
+      success_radius: distance to the target that counts as there, in m; None for 0.15
+        with two arms and 0.08 with more.
+      success_tilt: tilt of the pot that counts as level, in rad; None for 15 degrees
+        with two arms and 4 with more.
       success_speed: speed of the pot that counts as slow, in m/s.
       picking_threshold: greatest distance at which a grip starts, in m.
+      egocentric: whether each robot sees its own handle and its mates in the frame of
+        its own base; None for False with two arms and True with more.
     """
 
     target: tuple[float, float, float] | None = None
     pot_mass: float | None = bounded(None, 0.01, 1000.0)
-    success_radius: float = bounded(0.15, 0.001, 10.0)
-    success_tilt: float = bounded(float(np.radians(15.0)), 0.001, 1.5)
+    success_radius: float = bounded(None, 0.001, 10.0)
+    success_tilt: float = bounded(None, 0.001, 1.5)
     success_speed: float = bounded(0.3, 0.001, 100.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
+    egocentric: bool | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.target is not None:
             target = check_numbers("target", self.target, 3)
             object.__setattr__(self, "target", target)
+        if self.egocentric is not None:
+            check_flag("egocentric", self.egocentric)
 
 
 @dataclass(frozen=True)
@@ -114,15 +140,17 @@ class LiftFacts:
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
-    """Lift a pot that is too heavy for one arm to a target, and keep it level.
+    """Lift a pot that is too heavy for all arms but one to a target, and keep it level.
 
     Attributes:
       target: nominal place of the target, (3,).
+      handles: from the pot's middle to the handle of each agent, (agents, 3), in m.
       pot_mass: in kg.
-      weighing: what the arms can carry, alone and together.
+      weighing: what the arms can carry, all of them and without each.
       ways: by agent, how the arm lifts its handle to the target.
     """
 
+    robot_counts = range(2, MOST_MATES + 2)
     gripping = True
     randomizations = presets(Randomization(joint_noise=0.12))
     units: ClassVar[Mapping[str, str]] = {
@@ -142,49 +170,98 @@ class Lift(Task[LiftConfig, LiftFacts]):
     expert, styled = player.expert, player.styled
     config_class = LiftConfig
 
-    def mounts(self) -> tuple[Placement, ...]:
-        """Return arms face to face, the weaker one nearer to the pot.
-
-        What an arm can carry falls about as one over its distance. So both are put
-        where they can carry the same, as far as their reach allows.
-        """
-        strength = {
-            agent: greatest_load(robot, ((0.6 * robot.reach, 0.0, 0.3),))
-            for agent, robot in self.robots.items()
+    def _take(self, config: LiftConfig) -> None:
+        """Take settings, with those that are None set by the number of arms."""
+        count = len(self.agents)
+        radius, tilt = _SUCCESS.get(count, _TEAM_SUCCESS)
+        by_count = {
+            "success_radius": radius,
+            "success_tilt": tilt,
+            "egocentric": count > 2,
         }
-        least, most = min(strength.values()), max(strength.values())
+        missing = {n: x for n, x in by_count.items() if getattr(config, n) is None}
+        super()._take(replace(config, **missing))
+        self.handles = handle_places(count)
+
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return arms around the pot that face it, the weaker ones nearer.
+
+        Two arms are put where they can carry the same, as far as their reach allows:
+        what an arm can carry falls about as one over its distance. Larger teams stand
+        where each arm is needed most, which `spread` searches.
+        """
+        heights = tuple(
+            robot.base_height if robot.stand == "pedestal" else _TABLE_HEIGHT
+            for robot in self.robots.values()
+        )
+        count = len(heights)
+        directions, radius = handle_directions(count), grip_radius(count)
+        placements = []
+        for i, far in enumerate(self._distances(heights)):
+            x, y = ((far + radius) * directions[i, :2]).tolist()
+            angle = 2.0 * np.pi * i / count - np.pi / 2
+            yaw = angle - np.pi if angle > 0.0 else angle + np.pi
+            placements.append(Placement((x, y, heights[i]), yaw))
+        return tuple(placements)
+
+    def _distances(self, heights: tuple[float, ...]) -> tuple[float, ...]:
+        """Return how far the arms stand from their handles, in m."""
+        robots = tuple(self.robots.values())
+        if len(robots) > 2:
+            ends = START[2], self._target(min(heights))[2]
+            start, end = (z + self.handles[0, 2] for z in ends)
+            return spread(
+                robots, heights, start=start, end=end, radius=self.config.success_radius
+            )
+        strength = [greatest_load(r, ((0.6 * r.reach, 0.0, 0.3),)) for r in robots]
+        least, most = min(strength), max(strength)
         far = min(_FARTHEST, 0.8 * (most / least) ** 0.5)
-        distances, heights = [], []
-        for agent, robot in self.robots.items():
-            share = max(_NEAREST, far * strength[agent] / most)
-            distances.append(float(share * robot.reach + GRIP_OFFSETS[1, 1]))
-            at_floor = robot.stand == "pedestal"
-            heights.append(robot.base_height if at_floor else _TABLE_HEIGHT)
-        return face_to_face(distances, heights)
+        shares = (max(_NEAREST, far * own / most) for own in strength)
+        pairs = zip(shares, robots, strict=True)
+        return tuple(share * robot.reach for share, robot in pairs)
+
+    def _target(self, lowest: float) -> np.ndarray:
+        """Return where the pot is to go, by the height of the lowest base."""
+        return np.array(self.config.target or (0.0, 0.0, lowest + _HEIGHT))
 
     def build(self, scene: Scene) -> None:
         self._weigh()
-        for agent, placement in self.placements.items():
-            x, y, z = placement.position
-            robot = self.robots[agent]
-            own = robot.stand == "pedestal" or self.config.placements is not None
-            scene.add_robot(agent, robot, placement=placement, stand=own)
-            if not own and abs(y) > 0.55:
-                # Push the arm's table back to the pot's table, which it would overlap.
-                place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
-                turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-                scene.add(f"{agent}_stand", table(height=z), position=place, quat=turn)
-        scene.add("table", table())
-        balance = float(np.dot(self.weighing.shares, GRIP_OFFSETS[:, 1]))
-        scene.add("pot", pot(self.pot_mass, balance), position=START)
+        self._frames = Frames(self.placements)
+        self._add_arms(scene)
+        (x, y), count = self.weighing.centre, len(self.agents)
+        if count == 2:
+            scene.add("table", table())
+            scene.add("pot", pot(self.pot_mass, y), position=START)
+            scene.add_camera((2.25, 0.0, 1.62), (0, 1, 0, -0.22, 0, 1))
+        else:
+            scene.add("table", round_table(grip_radius(count) + 0.02))
+            scene.add("pot", ring_pot(count, self.pot_mass, (x, y)), position=START)
+            bases = [place.position[:2] for place in self.placements.values()]
+            far = np.hypot(*np.transpose(bases)).max()
+            place = far * np.array([1.3, 0.0, 1.0]) + [0.6, 0.0, 1.0]
+            scene.add_camera(place, (0, 1, 0, -1.0, 0, 1.4))
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
             threshold = self.config.picking_threshold
             scene.add_grip(agent, handle, threshold=threshold, width=HANDLE_WIDTH)
-        radius = self.config.success_radius
-        scene.add_target("target", radius)
-        scene.add_camera((2.25, 0.0, 1.62), (0, 1, 0, -0.22, 0, 1))
+        scene.add_target("target", self.config.success_radius)
+
+    def _add_arms(self, scene: Scene) -> None:
+        for agent, placement in self.placements.items():
+            (x, y, z), robot = placement.position, self.robots[agent]
+            own = robot.stand == "pedestal" or self.config.placements is not None
+            scene.add_robot(agent, robot, placement=placement, stand=own)
+            if own:
+                continue
+            if len(self.agents) > 2:
+                stand = round_table(_STAND, height=z)
+                scene.add(f"{agent}_stand", stand, position=(x, y, 0.0))
+            elif abs(y) > 0.55:
+                # Push the arm's table back to the pot's table, which it would overlap.
+                place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
+                turn = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+                scene.add(f"{agent}_stand", table(height=z), position=place, quat=turn)
 
     @property
     def _handles(self) -> dict[str, str]:
@@ -193,15 +270,20 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def _weigh(self) -> None:
         """Find the target, the arms' ways to it and the mass of the pot."""
         placements = tuple(self.placements.values())
-        lowest = min(placement.position[2] for placement in placements)
-        self.target = np.array(self.config.target or (0.0, 0.0, lowest + 0.45))
-        self.weighing = weigh(
-            tuple(self.robots.values()),
-            placements,
-            ends=[(START + offset, self.target + offset) for offset in WAY_OFFSETS],
-            target=self.target,
-            radius=self.config.success_radius,
-        )
+        self.target = self._target(min(place.position[2] for place in placements))
+        reached = self.handles - _BEYOND * handle_directions(len(placements))
+        team = tuple(self.robots.values()), placements
+        where = {
+            "ends": [(START + at, self.target + at) for at in reached],
+            "target": self.target,
+            "handles": self.handles,
+            "radius": self.config.success_radius,
+        }
+        if len(placements) == 2:
+            self.weighing = weigh(*team, **where)
+        else:
+            tilt = self.config.success_tilt
+            self.weighing = weigh_team(*team, **where, tilt=tilt)
         given = self.config.pot_mass
         self.pot_mass = self.weighing.pot_mass if given is None else given
         self.ways = dict(zip(self.agents, self.weighing.ways, strict=True))
@@ -209,12 +291,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._start, bar = {}, np.array([1.0, 0.0, 0.0])
+        self._start, self._bars = {}, _bars(len(self.agents))
         for i, (agent, arm) in enumerate(scene.arms.items()):
             way = self.ways[agent]
-            angles = turn_fingers(model, arm, angles=way.angles, bar=bar)
+            angles = turn_fingers(model, arm, angles=way.angles, bar=self._bars[i])
             self.ways[agent] = replace(way, angles=angles)
-            goal = START + GRIP_OFFSETS[i] - _STANDOFF * way.approach, way.approach
+            goal = START + self.handles[i] - _STANDOFF * way.approach, way.approach
             self._start[agent] = solve_pose(model, arm, goal=goal, start=angles[0])
             scene.postures[agent] = self.ways[agent].at(np.array([0.5]))[0]
 
@@ -228,7 +310,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         self.scene.place(sim, env_ids, name="target", position=self.target + shift)
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """One arm holds its handle, and the other has missed its own by some cm."""
+        """All arms but one hold their handles, and it has missed its own by some cm."""
         agents, moves = self.agents, self.config.randomization.moves
         pot_moved = rng.within(moves * [1.0, 1.0, 0.0, 1.0], 4)
         misses = rng.uniform(0, len(agents)).astype(int)
@@ -237,14 +319,15 @@ class Lift(Task[LiftConfig, LiftFacts]):
             _LEAST_MISS * self.config.picking_threshold,
         )
         far = rng.uniform(least, max(least, _FARTHEST_MISS))[:, None]
-        # Beside or above the bar, which is along x; below it, fingers meet the table.
-        aside = far * np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=1)
+        # Along or above the bar; below it, fingers meet the table.
+        along, up = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+        aside = far[:, None] * (along * self._bars + up * [0.0, 0.0, 1.0])
         misses = np.arange(len(agents)) == misses[:, None]
-        missed = (misses[:, :, None] * aside[:, None]).reshape(len(misses), -1)
+        missed = (misses[:, :, None] * aside).reshape(len(misses), -1)
 
         def grasps(moved: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
             place, quat = START + moved[:, :3], math.from_yaw(moved[:, 3])
-            handles = place + math.rotate(quat, GRIP_OFFSETS[:, None])
+            handles = place + math.rotate(quat, self.handles[:, None])
             missed = moved[:, 4:].reshape(len(moved), -1, 3)
             return [
                 (handles[i] + missed[:, i], self.ways[agent].approach)
@@ -283,6 +366,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         )
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
+        if self.config.egocentric:
+            return {a: self._seen_by(a, facts) for a in self.agents}
         xp = array_namespace(facts.target)
         kind = facts.target.dtype
         grips = {a: xp.astype(g, kind)[:, None] for a, g in facts.gripping.items()}
@@ -297,6 +382,37 @@ class Lift(Task[LiftConfig, LiftFacts]):
             "target": facts.target,
         }
         return dict.fromkeys(self.agents, blocks)
+
+    def _seen_by(self, agent: str, facts: LiftFacts) -> Blocks:
+        """Return what an agent sees in the frame of its base.
+
+        Its own handle counts as the first, and mates are seen from there.
+        """
+        xp, frames = array_namespace(facts.target), self._frames
+        radius, kind = grip_radius(len(self.agents)), facts.target.dtype
+        grips = {a: xp.astype(g, kind)[:, None] for a, g in facts.gripping.items()}
+        place, turn = facts.handles[agent][0], facts.pot[1]
+        angle = 2.0 * np.pi * self.agents.index(agent) / len(self.agents)
+        spin = xp.asarray(math.from_yaw(np.array(angle)), dtype=kind)
+        turn = math.multiply(turn, xp.broadcast_to(spin, turn.shape))
+        rows = []
+        for mate in mates_of(self.agents, agent):
+            apart = frames.direction(agent, facts.handles[mate][0] - place)
+            gap = facts.to_handle[mate][:, None]
+            rows.append(
+                xp.concat(
+                    [grips[mate], gap, apart[:, 2:], apart[:, :2] / radius], axis=1
+                )
+            )
+        return {
+            "joints": facts.joints[agent],
+            "gripping": grips[agent],
+            "tcp": math.pose(*frames.pose(agent, facts.tcps[agent])),
+            "handle": math.pose(*frames.pose(agent, (place, turn))),
+            "pot": math.pose(*frames.pose(agent, (facts.pot[0], turn))),
+            "target": frames.place(agent, facts.target),
+            "mates": mates_block(rows),
+        }
 
     def reward(
         self, facts: LiftFacts, commands: dict[str, Command]
@@ -333,6 +449,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return xp.where(self.success(facts), 0.0, missing)
 
 
+def _bars(count: int) -> np.ndarray:
+    """Return the directions of the handles' bars, (count, 3), each with x from 0 up."""
+    x, y, _ = handle_directions(count).T
+    along = np.stack([-y, x, 0.0 * x], axis=1)
+    return np.where(along[:, :1] < 0.0, -along, along) + 0.0
+
+
 _SAWYERS = {
     "placements": (
         Placement((0.22, -1.2, 1.0), np.pi / 2),
@@ -346,6 +469,16 @@ _JACOS = {
     "target": (0.0, 0.0, 1.2),
     "picking_threshold": 0.04,
 }
+_TEAMS = {
+    "LiftPandas3-v0": ("panda",) * 3,
+    "LiftPandas4-v0": ("panda",) * 4,
+    "LiftPandas6-v0": ("panda",) * 6,
+    "LiftPandas8-v0": ("panda",) * 8,
+    "LiftMixed3-v0": ("panda", "sawyer", "jaco"),
+    "LiftMixed4-v0": ("panda", "sawyer", "jaco", "panda"),
+}
 register_task("Lift", Lift)
 register_env(EnvSpec("LiftTaskSawyers-v0", Lift, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("LiftTaskJacos-v0", Lift, ("jaco", "jaco"), _JACOS))
+for env_id, robots in _TEAMS.items():
+    register_env(EnvSpec(env_id, Lift, robots))

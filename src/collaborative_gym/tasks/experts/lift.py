@@ -1,6 +1,6 @@
-"""How Lift's expert plays: arms grip, wait for each other and lift together.
+"""How Lift's expert plays: arms grip, wait for one another and lift together.
 
-If one arm loses its grip on the way, both let go and begin again.
+If one arm loses its grip on the way, all let go and begin again.
 """
 
 from functools import reduce
@@ -14,43 +14,42 @@ from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion import carry, shortened, standoff
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.task import LEVEL
 
 if TYPE_CHECKING:
     from collaborative_gym.tasks.lift import Lift, LiftFacts
 
 STYLES = {
-    "first-leads": "robot_1 lifts, and robot_2 only keeps the pot level",
-    "second-leads": "robot_2 lifts, and robot_1 only keeps the pot level",
+    "first-leads": "robot_1 lifts, and the others only keep the pot level",
+    "second-leads": "robot_2 lifts, and the others only keep the pot level",
 }
 
 START = np.array([0.0, 0.0, 0.7])
 """The pot's nominal place on the table, in m."""
-
-GRIP_OFFSETS = np.array([[0.0, -0.14, 0.05], [0.0, 0.14, 0.05]])
-"""From the pot's middle to each handle, in m."""
-
-WAY_OFFSETS = np.array([[0.0, -0.11, 0.05], [0.0, 0.11, 0.05]])
-"""Where the arms' ways pass the pot. They pass farther from the arm than its handle, so
-that the arm also reaches pots that do not stand in the middle."""
 
 _STEP = 0.067  # m from the pot to its goal; it moves by 0.4 of this in a control step
 _CLOSE = 0.018  # m from the handle at which an arm grips
 
 
 def expert(self: "Lift", sim: Sim, facts: "LiftFacts") -> dict[str, Motion]:
-    """Return motions with which both arms lift alike."""
+    """Return motions with which all arms lift alike."""
     return _lift(self, sim, facts, _lifted_handles(self, facts))
 
 
 def styled(
     self: "Lift", sim: Sim, facts: "LiftFacts", *, style: str, draws: np.ndarray
 ) -> dict[str, Motion]:
-    """Return motions with which one arm only keeps the pot level."""
+    """Return motions with which all arms but one only keep the pot level."""
     leads = list(STYLES).index(style)
-    leader, follower = self.agents[leads], self.agents[1 - leads]
-    across = (GRIP_OFFSETS[1 - leads] - GRIP_OFFSETS[leads]) * (0.0, 1.0, 0.0)
-    level = facts.handles[leader][0] + math.rotate(_straightened(facts), across)
-    return _lift(self, sim, facts, _lifted_handles(self, facts) | {follower: level})
+    place, straight = facts.handles[self.agents[leads]][0], _straightened(facts)
+    across = (self.handles - self.handles[leads]) * LEVEL
+    goals = _lifted_handles(self, facts)
+    goals |= {
+        agent: place + math.rotate(straight, across[i])
+        for i, agent in enumerate(self.agents)
+        if i != leads
+    }
+    return _lift(self, sim, facts, goals)
 
 
 def _lift(
@@ -59,16 +58,16 @@ def _lift(
     """Return motions of arms that grip, and bring handles to these goals."""
     holds, motions = facts.gripping, {}
     lifting = reduce(and_, holds.values())
-    # A pot that hangs from one arm tips over. If both let go of it, it lands upright.
+    # A pot that an arm has lost tips over. If all let go of it, it lands upright.
     stands = facts.pot[0][:, 2] < START[2] + 0.03
     for i, (agent, arm) in enumerate(task.scene.arms.items()):
         handle, tcp = facts.handles[agent][0], facts.tcps[agent][0]
         way = task.ways[agent]
         height = task.target[2] - START[2]
-        progress = (handle[:, 2] - START[2] - GRIP_OFFSETS[0, 2]) / height
+        progress = (handle[:, 2] - START[2] - task.handles[i, 2]) / height
         gap = standoff(tcp - handle, way.approach, slack=0.004, least=0.0, most=0.1)
-        # An arm that waits draws the pot to where the other surely reaches it.
-        aside = (START + GRIP_OFFSETS[i] - handle) * (1.0, 1.0, 0.0)
+        # An arm that waits draws the pot to where others surely reach it.
+        aside = (START + task.handles[i] - handle) * LEVEL
         drawn = handle + np.clip(aside, -0.02, 0.02)
         goal = np.where(holds[agent][:, None], drawn, handle - gap * way.approach)
         goal = np.where(lifting[:, None], goals[agent], goal)
@@ -84,13 +83,12 @@ def _lift(
 
 def _lifted_handles(task: "Lift", facts: "LiftFacts") -> dict[str, np.ndarray]:
     """Return where each handle goes next on the pot's way to the target."""
-    first, second = (facts.handles[agent][0] for agent in task.agents)
-    middle = (first + second) / 2
-    missing = facts.target + WAY_OFFSETS[0] * (0.0, 0.0, 1.0) - middle
+    middle = sum(facts.handles[agent][0] for agent in task.agents) / len(task.agents)
+    missing = facts.target + task.handles[0] * (0.0, 0.0, 1.0) - middle
     middle, straight = middle + shortened(missing, _STEP), _straightened(facts)
     return {
-        agent: middle + math.rotate(straight, offset * (0.0, 1.0, 0.0))
-        for agent, offset in zip(task.agents, GRIP_OFFSETS, strict=True)
+        agent: middle + math.rotate(straight, place * LEVEL)
+        for agent, place in zip(task.agents, task.handles, strict=True)
     }
 
 
