@@ -11,6 +11,8 @@ or still from when it holds. A team that the task refuses has its reason in the 
 
 import argparse
 import time
+from argparse import Namespace
+from collections.abc import Sequence
 from contextlib import closing
 
 import numpy as np
@@ -35,6 +37,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--arms", type=int, default=8, help="try so many arms in turn")
+    parser.add_argument("--steps", type=int, default=200, help="of an episode")
     parser.add_argument("--faults", nargs="*", default=None, choices=FAULTS)
     options = parser.parse_args()
     faults = FAULTS if options.faults == [] else options.faults or ()
@@ -45,7 +48,7 @@ def main() -> None:
             *[",".join(team) for team in random_teams(options.random, options.seed)],
         ]
         for team in teams:
-            table.append(row(task, team, options.episodes, faults, options.arms))
+            table.append(row(task, team, faults, options))
             print(*table[-1], sep="; ", flush=True)
     print(markdown_table((*COLUMNS, *faults), table))
 
@@ -63,13 +66,16 @@ def random_teams(count: int, seed: int) -> list[tuple[str, ...]]:
     return [tuple(rng.choice(kinds, size).tolist()) for size in sizes]
 
 
-def row(name: str, team: str, episodes: int, faults, arms: int) -> tuple[str, ...]:
+def row(
+    name: str, team: str, faults: Sequence[str], options: Namespace
+) -> tuple[str, ...]:
     """Return what a team does, as cells of a table."""
     names = get_env(team).robots if team in cg.list_envs() else tuple(team.split(","))
     short = team if team in cg.list_envs() else "".join(each[0] for each in names)
 
     def worlds(**changes):
-        return cg.VectorEnv(make_task(name, names, **changes), episodes, num_threads=0)
+        task = make_task(name, names, max_episode_steps=options.steps, **changes)
+        return cg.VectorEnv(task, options.episodes, num_threads=0)
 
     begun = time.perf_counter()
     try:
@@ -86,7 +92,9 @@ def row(name: str, team: str, episodes: int, faults, arms: int) -> tuple[str, ..
         completed, seconds = play(env)
         cells = [f"{completed:.0%}", f"{seconds:.1f}"]
         for fault in faults:
-            worst = max(fails(env, worlds, fault, agent) for agent in env.agents[:arms])
+            worst = max(
+                fails(env, worlds, fault, agent) for agent in env.agents[: options.arms]
+            )
             cells.append(f"{worst:.0%}")
     return name, short, f"{made:.1f} s", mass, ratio, *cells
 
@@ -107,8 +115,8 @@ def play(env: cg.VectorEnv, agent: str = "", fault: str = "") -> tuple[float, fl
     or `frozen`, still as soon as it holds its handle.
     """
     env.reset(seed=0)
-    gripping, ended = gripping_policy(env), np.zeros(env.num_envs, bool)
-    while not ended.any():
+    gripping, is_over = gripping_policy(env), False
+    while not is_over:
         actions = env.expert()
         if fault == "idle":
             actions[agent] = env.idle()[agent]
@@ -119,9 +127,12 @@ def play(env: cg.VectorEnv, agent: str = "", fault: str = "") -> tuple[float, fl
             still = env.idle({agent: held})[agent]
             actions[agent] = np.where(held[:, None], still, actions[agent])
         *_, infos = env.step(actions)
-        ended = infos["ended"]
-    times = infos["metrics"]["time_to_success"]
-    return float(infos["metrics"]["completion"].mean()), float(np.nanmean(times))
+        metrics = infos["metrics"]
+        is_over = infos["ended"].any() or metrics["completion"].all()
+    times = metrics["time_to_success"][metrics["completion"] > 0.0]
+    return float(metrics["completion"].mean()), float(times.mean()) if len(
+        times
+    ) else 0.0
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.motion.solver import Goal, Postures, descend, simulated
 from collaborative_gym.robots import Robot
 from collaborative_gym.robots.data import GRAVITY
-from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.cpu import CpuSim
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -125,10 +125,8 @@ def strong_paths(
       The loads (n,) at the weakest point of each path, 0 where the arm misses a point,
       joint angles (n, points, joints), and the tcp's quaternions (n, points, 4).
     """
-    scene = Scene()
-    scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
-    sim = CpuSim(scene.compile(), len(positions), num_threads=1)
-    arm = scene.arms["arm"]
+    model, arm = _alone(robot)
+    sim = CpuSim(model, len(positions), num_threads=1)
     low, high = arm.joint_range
     room = np.minimum(_LIMIT_ROOM, (high - low) / 4)
     low, high = low + room, high - room
@@ -144,6 +142,14 @@ def strong_paths(
         angles.append(posture)
         quats.append(np.array(sim.pose("arm/tcp")[1]))
     return loads, np.stack(angles, axis=1), np.stack(quats, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _alone(robot: Robot) -> tuple[mujoco.MjModel, Arm]:
+    """Return a world of one arm, whose base is at the origin."""
+    scene = Scene()
+    scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
+    return scene.compile(), scene.arms["arm"]
 
 
 def _strengthen(
@@ -238,10 +244,8 @@ def _search_ways(
 
 def _stays_above(robot: Robot, angles: np.ndarray, paths: Array) -> np.ndarray:
     """Return on which ways no elbow is lower than both the load and the arm's table."""
-    scene = Scene()
-    scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
-    model = scene.compile()
-    arm, data = scene.arms["arm"], mujoco.MjData(model)
+    model, arm = _alone(robot)
+    data = mujoco.MjData(model)
     # The first joint that carries another one stays where it is.
     elbows = model.dof_jntid[arm.dof][2:]
     stays = np.ones(len(angles), bool)

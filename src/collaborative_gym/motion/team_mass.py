@@ -24,7 +24,7 @@ from collaborative_gym.objects.pot import greatest_balance
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
 
-_SHARES = np.array([0.36, 0.44, 0.52, 0.6, 0.68, 0.76, 0.84])  # of the reach, tried
+_SHARES = np.array([0.36, 0.46, 0.56, 0.66, 0.75, 0.84])  # of the reach, tried
 _LEVELS = 40  # loads that are tried as what each arm is to carry
 _CENTRES = 9  # places of the centre of mass that are tried along each axis
 _SIDES = 8  # of the polygon in which a tilted pot's weight acts
@@ -166,7 +166,7 @@ def spread(
     """Return how far arms of a team stand from their handles, so that each is needed.
 
     What an arm carries to the target should be what each other one does, and no less
-    than what it carries near the target.
+    than what it holds near the target.
 
     Args:
       robots: the arms.
@@ -182,14 +182,14 @@ def spread(
         ways = [(x, 0.0, z - height) for x in far for z in (start, end)]
         near = [(x - dx, 0.0, end - height) for x in far for dx in (0.0, radius)]
         ways, near = _rounded(np.array(ways)), _rounded(np.array(near))
-        lines = tuple(zip(ways[::2], ways[1::2], strict=True))
-        carried.append(way_loads(robot, lines))
+        carried.append(way_loads(robot, tuple(zip(ways[::2], ways[1::2], strict=True))))
         loads = np.array(greatest_loads(robot, near)).reshape(-1, 2)
         held.append(loads.mean(axis=1))
-    carried, held = np.array(carried)[:, None], np.array(held)[:, None]
+    # What is out of reach counts as hardly carried; `strongest_way` refuses it.
+    carried, held = (np.maximum(each, 1e-3)[:, None] for each in (carried, held))
     level = np.geomspace(held.min(), held.max(), _LEVELS)[:, None]
     # How far apart the loads are, by kind, level and share of the reach.
-    cost = np.maximum(held / level, level / np.maximum(carried, 1e-3))
+    cost = np.maximum(held / level, level / carried)
     best = cost.min(axis=2).max(axis=0).argmin()
     shares = _SHARES[cost[:, best].argmin(axis=1)].tolist()
     return tuple(shares[kinds.index(kind)] * kind[0].reach for kind in team)
