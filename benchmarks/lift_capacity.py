@@ -139,7 +139,7 @@ def greatest(succeeds, low: float, high: float) -> float:
 def main() -> None:
     """Print a row for each environment or pair on the command line, or for all."""
     pairs = [",".join(pair) for pair in product(cg.list_robots(), repeat=2)]
-    ids = [name for name in cg.list_envs() if name.startswith("Lift")]
+    ids = [name for name in cg.list_envs() if name.startswith("LiftTask")]
     table = Table(title="Lift: masses in kg")
     headings = ("robots", "pot", "robot_1 alone", "robot_2 alone", "together")
     for heading in (*headings, "pot / alone", "together / pot"):

@@ -260,9 +260,11 @@ def _observations(env: cg.VectorEnv) -> str:
         )
         if alike:
             break
+    is_own = all("mates" in blocks for blocks in by_agent.values())
+    frame = "frame of the robot's own base" if is_own else "world's frame"
     tables.append(
         "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both in"
-        " the world's frame."
+        f" the {frame}."
     )
     return "\n\n".join(tables)
 
