@@ -41,6 +41,13 @@ def handle_directions(count: int) -> np.ndarray:
     return flat.round(12) + 0.0
 
 
+def bar_directions(count: int) -> np.ndarray:
+    """Return directions along the handles' bars, (count, 3), each with x from 0 up."""
+    x, y, _ = handle_directions(count).T
+    along = np.stack([-y, x, 0.0 * x], axis=1)
+    return np.where(along[:, :1] < 0.0, -along, along) + 0.0
+
+
 def grip_radius(count: int) -> float:
     """Return the distance of so many handles from a pot's axis, in m."""
     return max(_GRIP_Y, _HANDLE_SPACING * count / (2.0 * np.pi))

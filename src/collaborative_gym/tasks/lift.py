@@ -66,6 +66,7 @@ from collaborative_gym.motion.lift_mass import weigh
 from collaborative_gym.motion.team_mass import spread, weigh_team
 from collaborative_gym.objects.pot import (
     HANDLE_WIDTH,
+    bar_directions,
     grip_radius,
     handle_directions,
     handle_places,
@@ -92,7 +93,15 @@ from collaborative_gym.tasks.task import (
     face_to_face,
     presets,
 )
-from collaborative_gym.tasks.teams import MOST_MATES, Frames, mates_block, mates_of
+from collaborative_gym.tasks.teams import (
+    MOST_MATES,
+    Frames,
+    add_team_camera,
+    alike,
+    mates_block,
+    mates_of,
+    seat_turns,
+)
 
 _TABLE_HEIGHT = 0.64  # m
 _STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
@@ -194,13 +203,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def _take(self, config: LiftConfig) -> None:
         """Take settings, with those that are None set by the number of arms."""
         count = len(self.agents)
-        radius, tilt = _SUCCESS.get(count, _TEAM_SUCCESS)
-        by_count = {
-            "success_radius": radius,
-            "success_tilt": tilt,
-            "egocentric": count > 2,
-        }
-        missing = {n: x for n, x in by_count.items() if getattr(config, n) is None}
+        names = "success_radius", "success_tilt", "egocentric"
+        usual = zip(
+            names, (*_SUCCESS.get(count, _TEAM_SUCCESS), count > 2), strict=True
+        )
+        missing = {n: value for n, value in usual if getattr(config, n) is None}
         super()._take(replace(config, **missing))
         self.handles = handle_places(count)
 
@@ -247,7 +254,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def build(self, scene: Scene) -> None:
         self._weigh()
         self._frames = Frames(self.placements)
-        self._spins = self._find_spins()
+        self._spins = seat_turns(self.placements)
         self._add_arms(scene)
         (x, y), count = self.weighing.centre, len(self.agents)
         if count == 2:
@@ -257,35 +264,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         else:
             scene.add("table", round_table(grip_radius(count) + 0.02))
             scene.add("pot", ring_pot(count, self.pot_mass, (x, y)), position=START)
-            self._add_camera(scene)
+            add_team_camera(scene, self.placements)
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
             threshold = self.config.picking_threshold
             scene.add_grip(agent, handle, threshold=threshold, width=HANDLE_WIDTH)
         scene.add_target("target", self.config.success_radius)
-
-    def _find_spins(self) -> dict[str, np.ndarray]:
-        """Return how to turn the pot so that each agent's handle is its first."""
-        spins = {}
-        for i, (agent, placement) in enumerate(self.placements.items()):
-            angle = 2.0 * np.pi * i / len(self.agents)
-            # Of the two quaternions of a turn, the one that all bases see alike.
-            turns = np.round((angle - placement.yaw) / (2.0 * np.pi))
-            spins[agent] = math.from_yaw(np.array(angle - 2.0 * np.pi * turns))
-        return spins
-
-    def _add_camera(self, scene: Scene) -> None:
-        """Look at a team from above, between two of its arms."""
-        bases = np.array([each.position[:2] for each in self.placements.values()])
-        far = 1.25 * np.hypot(*bases.T).max() + 0.75
-        turns = (2.0 * np.arange(len(bases)) + 1.0) * np.pi / len(bases) - np.pi / 2
-        angle = turns[np.cos(turns).argmax()]
-        away, across = np.array(
-            [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        )
-        place, axes = (*far * away, far + 0.75), (*across, 0.0, *-away, 1.0)
-        scene.add_camera(place, axes)
 
     def _add_arms(self, scene: Scene) -> None:
         for agent, placement in self.placements.items():
@@ -331,7 +316,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._start, self._bars = {}, _bars(len(self.agents))
+        self._start, self._bars = {}, bar_directions(len(self.agents))
         for i, (agent, arm) in enumerate(scene.arms.items()):
             way = self.ways[agent]
             angles = turn_fingers(model, arm, angles=way.angles, bar=self._bars[i])
@@ -444,7 +429,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
                 )
             )
         return {
-            "joints": facts.joints[agent],
+            "joints": alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, facts.tcps[agent])),
             "handle": math.pose(*frames.pose(agent, (place, turn))),
@@ -488,13 +473,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return xp.where(self.success(facts), 0.0, missing)
 
 
-def _bars(count: int) -> np.ndarray:
-    """Return the directions of the handles' bars, (count, 3), each with x from 0 up."""
-    x, y, _ = handle_directions(count).T
-    along = np.stack([-y, x, 0.0 * x], axis=1)
-    return np.where(along[:, :1] < 0.0, -along, along) + 0.0
-
-
 _SAWYERS = {
     "placements": (
         Placement((0.22, -1.2, 1.0), np.pi / 2),
@@ -508,11 +486,7 @@ _JACOS = {
     "target": (0.0, 0.0, 1.2),
     "picking_threshold": 0.04,
 }
-_TEAMS = {
-    "LiftPandas3-v0": ("panda",) * 3,
-    "LiftPandas4-v0": ("panda",) * 4,
-    "LiftPandas6-v0": ("panda",) * 6,
-    "LiftPandas8-v0": ("panda",) * 8,
+_TEAMS = {f"LiftPandas{n}-v0": ("panda",) * n for n in (2, 3, 4, 6, 8)} | {
     "LiftMixed3-v0": ("panda", "sawyer", "jaco"),
     "LiftMixed4-v0": ("panda", "sawyer", "jaco", "panda"),
 }
@@ -520,4 +494,4 @@ register_task("Lift", Lift)
 register_env(EnvSpec("LiftTaskSawyers-v0", Lift, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("LiftTaskJacos-v0", Lift, ("jaco", "jaco"), _JACOS))
 for env_id, robots in _TEAMS.items():
-    register_env(EnvSpec(env_id, Lift, robots))
+    register_env(EnvSpec(env_id, Lift, robots, {"egocentric": True}))

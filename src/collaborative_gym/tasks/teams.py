@@ -6,10 +6,22 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.scene import Placement
+from collaborative_gym.scene import Placement, Scene
 
 MOST_MATES = 7
 """Elements of a block of mates, so that robots of teams of two to eight see alike."""
+
+
+MOST_JOINTS = 7
+"""Numbers of a block of joint angles that arms of all kinds share."""
+
+
+def alike(joints: Array) -> Array:
+    """Return joint angles (num_envs, k), with zeros after those of a shorter arm."""
+    xp = array_namespace(joints)
+    missing = max(0, MOST_JOINTS - joints.shape[1])
+    zeros = xp.zeros((len(joints), missing), dtype=joints.dtype)
+    return xp.concat([joints, zeros], axis=1) if missing else joints
 
 
 def mates_of(agents: Sequence[str], agent: str) -> tuple[str, ...]:
@@ -70,3 +82,31 @@ class Frames:
         turn = xp.asarray(self._turns[agent], dtype=quat.dtype)
         turn = xp.broadcast_to(turn, quat.shape)
         return self.place(agent, position), math.multiply(turn, quat)
+
+
+def seat_turns(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
+    """Return turns by agent, so that equal seats evenly around see one thing alike.
+
+    Each is a quaternion about the vertical, (4,), for a thing whose part is at -y for
+    the first agent, and counterclockwise for the others.
+    """
+    turns = {}
+    for i, (agent, placement) in enumerate(placements.items()):
+        angle = 2.0 * np.pi * i / len(placements)
+        # Of the two quaternions of a turn, the one that all bases see alike.
+        whole = np.round((angle - placement.yaw) / (2.0 * np.pi))
+        turns[agent] = math.from_yaw(np.array(angle - 2.0 * np.pi * whole))
+    return turns
+
+
+def add_team_camera(scene: Scene, placements: Mapping[str, Placement]) -> None:
+    """Look at a team around the origin from above, between two of its arms."""
+    bases = np.array([each.position[:2] for each in placements.values()])
+    far = 1.25 * np.hypot(*bases.T).max() + 0.75
+    turns = (2.0 * np.arange(len(bases)) + 1.0) * np.pi / len(bases) - np.pi / 2
+    angle = turns[np.cos(turns).argmax()]
+    away, across = np.array(
+        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    )
+    place, axes = (*far * away, far + 0.75), (*across, 0.0, *-away, 1.0)
+    scene.add_camera(place, axes)
