@@ -416,6 +416,7 @@ class VectorEnv:
         sim, idle, moving = self.sim, where(resting, self.sim.xp), None
         if len(idle):
             kept, moving = sim.get_state(idle), where(~resting, sim.xp)
+        memory = dict(sim.memory)
         commands = self.action_mode.commands(actions)
         controls = self.action_mode.prepare(commands)
         self.task.disturb(sim, self._progress.next_step)
@@ -434,6 +435,9 @@ class VectorEnv:
                 self._watcher()
         if len(idle):
             sim.set_state(kept, idle)
+            for name, array in copied(sim.memory, sim.xp).items():
+                array[idle] = memory[name][idle]
+                sim.memory[name] = array
         # A sum is finite only if all its terms are, and sums are cheap.
         total = sim.xp.sum(sim.qpos, axis=1) + sim.xp.sum(sim.qvel, axis=1)
         diverged = (diverged | ~sim.xp.isfinite(total)) & ~resting
