@@ -9,5 +9,6 @@ from collaborative_gym.tasks import pass_
 from collaborative_gym.tasks import balance_path
 from collaborative_gym.tasks import hockey
 from collaborative_gym.tasks import tug
+from collaborative_gym.tasks import reach
 
-__all__ = ["balance", "balance_path", "hockey", "lift", "pass_", "poke", "tug"]
+__all__ = ["balance", "balance_path", "hockey", "lift", "pass_", "poke", "reach", "tug"]
