@@ -14,7 +14,7 @@ from collaborative_gym.certificate import certify as module
 from collaborative_gym.certificate import rival
 from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.certificate.report import TEAM, Certificate
-from collaborative_gym.certificate.search import Motions, record
+from collaborative_gym.certificate.search import Motions, record_actions
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.folder import claimed
@@ -76,7 +76,7 @@ def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small
 
 def test_recorded_actions_played_again_are_the_episode_itself(press):
     with closing(VectorEnv(press(), 3, num_threads=1, auto_reset=False)) as env:
-        records = record(env, seed=4, episodes=2)
+        records = record_actions(env, seed=4, episodes=2)
         steps = records.shape[1]
         assert records.shape[0] == 2 and steps <= 15
         whole = env.sim.qpos[:2].copy()

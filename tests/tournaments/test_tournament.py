@@ -46,6 +46,15 @@ def test_every_policy_plays_in_every_seat_with_every_other(run, carry):
     assert own["completion"].mean == 1.0
 
 
+@pytest.mark.parametrize("state", ["limp", "absent"])
+def test_limp_and_absent_arms_play_as_evaluate_lets_them(run, carry, tmp_path, state):
+    played = run(["expert", state], output=tmp_path)
+    pair = {"robot_1": "expert", "robot_2": state}
+    report = cg.evaluate(carry(), pair, episodes=5, num_threads=1)
+    assert played.matrices["return"]["expert"][state] == report.mean_reward
+    assert run(["expert", state], output=tmp_path).to_json() == played.to_json()
+
+
 def test_numbers_do_not_depend_on_worlds_threads_and_order(run):
     policies = {"one": "expert", "two": "random", "three": "idle"}
     expected = run(policies, num_envs=5, num_threads=2)
@@ -83,7 +92,7 @@ def test_sides_of_several_robots_are_seats():
 
 
 def test_with_more_seats_one_player_sits_among_others():
-    players = [playing.Player(name, {}, name) for name in "ab"]
+    players = [playing.Player(name, {}, {}, name) for name in "ab"]
     seats = {f"robot_{i}": () for i in (1, 2, 3)}
 
     def lineups(turns):

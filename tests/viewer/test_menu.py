@@ -104,6 +104,31 @@ def test_another_arm_has_able_players(env):
     assert kept.policies == ("idle", "runs/mine")
 
 
+def test_only_the_starts_that_an_environment_has_are_offered(menu):
+    assert "lost" in menu.randomizations(LIFT)
+    assert "lost" not in menu.randomizations("HockeyPandas-v0")
+    after_mishaps = menu.drawn(lift(), "lost")
+    assert menu.moved(after_mishaps, "PassTaskSawyers-v0").randomization == "lost"
+    hockey = menu.moved(after_mishaps, "HockeyPandas-v0")
+    assert hockey.randomization == "default"
+    with pytest.raises(KeyError, match="no randomization 'lost'"):
+        menu.read(hockey.link.replace("default", "lost"))
+
+
+@pytest.mark.parametrize("state", ["limp", "absent"])
+def test_an_arm_may_be_limp_or_absent(menu, env, state):
+    chosen = menu.chosen(env, {"robot_1": "expert", "robot_2": "idle"})
+    assert state in menu.policies(chosen)
+    choice = menu.led(chosen, state, 1)
+    other, act, policies = menu.load(choice, env)
+    assert getattr(other.task.config.randomization, state) == ("robot_2",)
+    observations, _ = other.reset(choice.seed, [choice.episode])
+    other.step(act(observations))
+    assert menu.chosen(other, policies) == choice
+    back, *_ = menu.load(menu.led(choice, "idle", 1), other)
+    assert back.task.config.randomization == env.task.config.randomization
+
+
 def test_the_same_world_is_kept_for_other_policies_and_starts(menu, env):
     chosen = menu.chosen(env, {"robot_1": "idle", "robot_2": "idle"})
     same, act, policies = menu.load(chosen, env)

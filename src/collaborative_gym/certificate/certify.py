@@ -13,7 +13,7 @@ import numpy as np
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.report import TEAM, Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
-from collaborative_gym.certificate.search import Motions, record, search
+from collaborative_gym.certificate.search import Motions, record_actions, search
 from collaborative_gym.certificate.tries import Cast, Results, find_starts, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
@@ -306,7 +306,9 @@ class Work:
     @cached_property
     def _records(self) -> np.ndarray:
         """What the blind team begins with: episodes on which nothing else is tried."""
-        return record(self._env, training_seed(self._seed), self._budget.replays)
+        return record_actions(
+            self._env, training_seed(self._seed), self._budget.replays
+        )
 
     def _search(
         self,

@@ -101,7 +101,7 @@ class Motions:
         return split_columns(np.clip(now, -1.0, 1.0), self._sizes)
 
 
-def record(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
+def record_actions(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
     """Return the actions of the first episodes of a seed, as many as there are worlds.
 
     The expert and the baseline, if one is shipped for this task, play in turn. The

@@ -66,9 +66,8 @@ class _Policy(Command):
         shipped one that works with partners of many kinds), a path to a policy file, to
         one of ONNX or to a training folder, or one of idle, gripping and frozen, which
         hold still (with an open grip, with a closed grip, with the grip as it is). Or
-        one for each robot, such as robot_1=baseline robot_2=idle; evaluate and record
-        also know robot_2=limp, an arm without torque, and robot_2=absent, an arm that
-        touches nothing.
+        one for each robot, such as robot_1=baseline robot_2=idle, also robot_2=limp, an
+        arm without torque, and robot_2=absent, an arm that touches nothing.
     """
 
     policy: Policies = ("expert",)

@@ -38,9 +38,9 @@ class Tournament(Measured):
     Attributes:
       env: environment id, or a task's name.
       policies: two players or more, each given as for evaluate: expert, expert:late,
-        random, baseline, ego, idle, gripping, frozen, or a path to a policy file or to
-        a training folder. A player may have a policy for each robot, such as
-        robot_1=baseline robot_2=idle.
+        random, baseline, ego, idle, gripping, frozen, limp, absent, or a path to a
+        policy file or to a training folder. A player may have a policy for each
+        robot, such as robot_1=baseline robot_2=idle.
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:
         all, or the names of some, which saves games with three robots or more.

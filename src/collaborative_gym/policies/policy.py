@@ -71,7 +71,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         actions, the same for an episode of a seed in any batch; "idle", "gripping" and
         "frozen", which hold still with an open grip, with a closed one, and with what
         they hold; "limp" and "absent" for one agent, which the worlds' randomization
-        must say too (`evaluate`, `record` and `certify` see to it); a function from
+        must say too (calls that make worlds, as `evaluate`, see to it); a function from
         observations to actions; or a model of Stable-Baselines3 that commands all
         robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
@@ -140,7 +140,7 @@ def as_played(task: Task, policy: AnyPolicy) -> Task:
     )
     states = {
         state: tuple(agent for agent in task.agents if given.get(agent) == state)
-        for state in _STATES
+        for state in STATES
     }
     return disturbed(task, **states) if any(states.values()) else task
 
@@ -220,7 +220,7 @@ def commanding(
     """
     policy = read_policy(policy, env)
     if isinstance(policy, str):
-        if policy in _STATES:
+        if policy in STATES:
             _check_state(policy, agents, env)
         style = _style(policy)
         return expert_policy(env, style) if style else _BY_ENV[policy](env)
@@ -400,8 +400,8 @@ _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
 SCRIPTED = tuple(_BY_ENV)
 """Names of every task's policies."""
 
-_STATES = {"limp": gripping_policy, "absent": idle_policy}
+STATES = {"limp": gripping_policy, "absent": idle_policy}
 """Policies of arms in a state that no action puts them into, but the randomization."""
 
-_BY_ENV |= _STATES
+_BY_ENV |= STATES
 _NAMES = (*SHIPPED, *_BY_ENV)

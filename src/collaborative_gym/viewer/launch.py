@@ -6,7 +6,7 @@ from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import how_to_install
-from collaborative_gym.policies import AnyPolicy, as_policy
+from collaborative_gym.policies import AnyPolicy, as_played, as_policy
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.viewer.session import Session
@@ -44,7 +44,7 @@ def view(
       KeyError: if a name is unknown.
       OSError: if the server cannot listen there.
     """
-    task = as_task(env)
+    task = as_played(as_task(env), policy)
     say(f"building the world of {task.name} ...")
     world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
     with closing(world):

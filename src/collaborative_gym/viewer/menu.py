@@ -7,13 +7,19 @@ from urllib.parse import parse_qs, urlencode
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, look_up
-from collaborative_gym.policies import AnyPolicy, as_policy, name_policy
-from collaborative_gym.policies.policy import SCRIPTED, SHIPPED, Policy, shipped_kinds
+from collaborative_gym.policies import AnyPolicy, as_played, as_policy, name_policy
+from collaborative_gym.policies.policy import (
+    SCRIPTED,
+    SHIPPED,
+    STATES,
+    Policy,
+    shipped_kinds,
+)
 from collaborative_gym.policies.scripted import STYLES
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.registry import list_envs, make_task
+from collaborative_gym.tasks.registry import disturbed, list_envs, make_task
 from collaborative_gym.tasks.task import Task
 
 LINK = "/play/"
@@ -46,7 +52,7 @@ class Menu:
     With `any_env`, trained policies may play other environments than their own.
 
     Attributes:
-      envs, robots, randomizations: names of the choices.
+      envs, robots: names of the choices.
     """
 
     def __init__(
@@ -56,17 +62,23 @@ class Menu:
         *,
         any_env: bool = False,
     ):
-        self._task, self._any_env = env.task, any_env
-        self._policies: dict[str, Any] = {name: name for name in SCRIPTED}
+        self._task, self._any_env = _without_states(env.task, policies), any_env
+        self._policies: dict[str, Any] = {name: name for name in (*SCRIPTED, *STATES)}
         for policy in policies.values():
             self._policies[name_policy(policy)] = policy
         self._robots: dict[str, str | Robot] = {name: name for name in list_robots()}
         self._robots |= {robot.name: robot for robot in env.task.robots.values()}
         self.envs = tuple(dict.fromkeys([*list_envs(), env.task.name]))
         self.robots = tuple(self._robots)
-        presets = env.task.randomizations
-        is_own = env.task.config.randomization not in presets.values()
-        self.randomizations = *presets, *[_OWN] * is_own
+        presets = self._task.randomizations.values()
+        self._has_own = self._task.config.randomization not in presets
+
+    def randomizations(self, env: str) -> tuple[str, ...]:
+        """Return the names of an environment's starts."""
+        task = make_task(env) if env in list_envs() else self._task
+        has_mishaps = type(task).mishap is not Task.mishap
+        names = [n for n, s in task.randomizations.items() if has_mishaps or not s.lost]
+        return *names, *[_OWN] * self._has_own
 
     def policies(self, choice: Choice) -> tuple[str, ...]:
         """Return the names of policies for the arms of a choice."""
@@ -78,13 +90,14 @@ class Menu:
 
     def chosen(self, env: VectorEnv, policies: Mapping[str, AnyPolicy]) -> Choice:
         """Return the choice that plays, by its world and the policy of each agent."""
-        presets = env.task.randomizations.items()
+        task = _without_states(env.task, policies)
+        presets = task.randomizations.items()
         names = {value: name for name, value in presets}
         return Choice(
             env=env.task.name,
             robots=_arms(env.task),
             policies=tuple(name_policy(policies[agent]) for agent in env.agents),
-            randomization=names.get(env.task.config.randomization, _OWN),
+            randomization=names.get(task.config.randomization, _OWN),
             seed=int(env.progress["seed"][0]),
             episode=int(env.progress["episode"][0]),
         )
@@ -92,9 +105,14 @@ class Menu:
     def moved(self, choice: Choice, env: str) -> Choice:
         """Return the choice of another environment, with its own arms.
 
-        The same policies go on if they can play there; else the expert plays.
+        The same policies go on if they can play there, else the expert plays, and so do
+        the same starts, else the usual ones.
         """
-        return self._able(replace(choice, env=env, robots=self._usual(env)))
+        starts = choice.randomization
+        if starts not in self.randomizations(env):
+            starts = "default"
+        robots = self._usual(env)
+        return self._able(replace(choice, env=env, robots=robots, randomization=starts))
 
     def drawn(self, choice: Choice, randomization: str) -> Choice:
         """Return the choice of other starts."""
@@ -130,7 +148,7 @@ class Menu:
             env=env,
             robots=robots,
             policies=("expert",) * len(robots),
-            randomization=_one_of("randomization", drawn, self.randomizations),
+            randomization=_one_of("randomization", drawn, self.randomizations(env)),
             seed=check_seed(int(parts.get("seed", ["0"])[0])),
             episode=check_count("episode", int(parts.get("episode", ["0"])[0]), 0),
         )
@@ -153,19 +171,18 @@ class Menu:
           Exception: as `make_vec` and `load_policy` do.
         """
         task = self._make(choice)
+        given = [self._policies.get(name, name) for name in choice.policies]
+        policies = dict(zip(task.agents, given, strict=True))
+        task = as_played(task, policies)
         if Identity.of(task).differences(env.identity):
             env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
-        policies = {
-            agent: self._policies.get(name, name)
-            for agent, name in zip(env.agents, choice.policies, strict=True)
-        }
         return env, as_policy(policies, env, any_env=self._any_env), policies
 
     def _make(self, choice: Choice) -> Task:
         own, starts = self._task, choice.randomization
         randomization = own.config.randomization
         presets = {**own.randomizations, _OWN: randomization}
-        names = choice.env, choice.robots, presets[starts]
+        names = choice.env, choice.robots, presets.get(starts)
         if names == (own.name, _arms(own), randomization):
             return own
         robots = [self._robots[name] for name in choice.robots]
@@ -181,7 +198,7 @@ class Menu:
 
         Policies of `given` can, besides the scripted and the shipped ones.
         """
-        able = {*SCRIPTED, *self._styles(choice), *given} - SHIPPED.keys()
+        able = {*SCRIPTED, *STATES, *self._styles(choice), *given} - SHIPPED.keys()
         able.update(self._shipped(choice))
         names = [name if name in able else "expert" for name in choice.policies]
         names += names[-1:] * len(choice.robots)
@@ -206,6 +223,20 @@ class Menu:
         if choice.robots == self._usual(choice.env):
             playing.update(shipped_kinds(choice.env))
         return [kind for kind in SHIPPED if kind in playing]
+
+
+def _without_states(task: Task, policies: Mapping[str, AnyPolicy]) -> Task:
+    """Return a task without the limp and absent arms that its policies ask for."""
+    asked = {
+        state: [agent for agent, given in policies.items() if given == state]
+        for state in STATES
+    }
+    starts = task.config.randomization
+    others = {
+        state: tuple(agent for agent in getattr(starts, state) if agent not in agents)
+        for state, agents in asked.items()
+    }
+    return disturbed(task, **others)
 
 
 def _put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:

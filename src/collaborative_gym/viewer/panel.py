@@ -188,7 +188,12 @@ class Panel:
             old.remove()
         asked: list[tuple[str, Iterable[str], str, Any]] = [
             ("Environment", menu.envs, choice.env, menu.moved),
-            ("Starts", menu.randomizations, choice.randomization, menu.drawn),
+            (
+                "Starts",
+                menu.randomizations(choice.env),
+                choice.randomization,
+                menu.drawn,
+            ),
         ]
         for i, agent in enumerate(env.agents):
             arm, policy = choice.robots[i], choice.policies[i]
