@@ -98,8 +98,13 @@ def test_a_card_says_if_the_expert_was_a_guide():
     assert baselines._beginning(first) == f"from scratch, {guide}"
     start = {"start_from": "runs/a", "start": {"digest": "1f", "metadata": first}}
     text = baselines._beginning({"hyperparameters": {}, **start})
-    assert text.endswith(f"2.00 M steps from scratch, {guide})")
-    assert baselines._beginning(first | start).endswith(f"{guide}), {guide}")
+    assert f"2.00 M steps of seed 0, {guide} (digest 1f); the last, without" in text
+    second = first | start
+    assert f"(digest 1f); the last, {guide}" in baselines._beginning(second)
+    third = first | {"start_from": "b", "start": {"digest": "2a", "metadata": second}}
+    text = baselines._beginning(third)
+    assert text.startswith("in 3 runs, each from the policy of the one before: 2.00")
+    assert text.index("digest 1f") < text.index("digest 2a")
 
 
 def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
@@ -110,9 +115,8 @@ def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     start = card.with_suffix(".safetensors").name
     card = train_both(output=tmp_path / "more", start_from=start, drawn="wide")
     text = card.read_text()
-    began = f"beginning with the policy `{start}` as it was then (digest"
-    began += f" {first.digest[:12]}"
-    assert began in text and "0.00 M steps from scratch, without" in text
+    assert "in 2 runs, each from the policy of the one before: 0.00 M steps" in text
+    assert f", without demonstrations (digest {first.digest[:12]}); the last" in text
     # All runs that led to it can be trained again, one after another.
     commands = [line for line in text.splitlines() if line.startswith("- command")]
     assert [line.partition(":")[0] for line in commands] == [

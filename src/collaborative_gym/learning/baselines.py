@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -178,20 +179,34 @@ def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str
 
 
 def _beginning(own: Mapping[str, Any]) -> str:
-    """Return words for the policy with which a run began, back to random networks.
+    """Return words for the runs that led to a policy, the first one first.
 
     Args:
       own: the metadata of its policy, or its settings.
     """
-    guide = "with the scripted expert's actions as a guide"
-    is_guided = bool(own["hyperparameters"].get("imitation"))
-    if not own.get("start_from"):
-        return f"from scratch, {guide if is_guided else 'without demonstrations'}"
-    start, before = own["start"], own["start"]["metadata"]
+    runs = [own]
+    while runs[-1].get("start_from"):
+        runs.append(runs[-1]["start"]["metadata"])
+    if len(runs) == 1:
+        return f"from scratch, {_guide(own)}"
+    parts = [
+        f"{before['steps'] / 1e6:.2f} M steps of seed {before['seed']},"
+        f" {_guide(before)} (digest {after['start']['digest'][:12]})"
+        for after, before in pairwise(runs)
+    ]
     return (
-        f"beginning with the policy `{own['start_from']}` as it was then (digest"
-        f" {start['digest'][:12]}, seed {before['seed']}, {before['steps'] / 1e6:.2f} M"
-        f" steps {_beginning(before)})" + f", {guide}" * is_guided
+        f"in {len(runs)} runs, each from the policy of the one before:"
+        f" {'; '.join(reversed(parts))}; the last, {_guide(own)}, is that of the"
+        " table's steps and time"
+    )
+
+
+def _guide(own: Mapping[str, Any]) -> str:
+    is_guided = bool(own["hyperparameters"].get("imitation"))
+    return (
+        "with the scripted expert's actions as a guide"
+        if is_guided
+        else "without demonstrations"
     )
 
 
