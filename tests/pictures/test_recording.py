@@ -47,6 +47,38 @@ def test_mp4_plays_in_real_time(carry, tmp_path):
     assert [entry.name for entry in path.parent.iterdir()] == ["a.mp4"]
 
 
+@pytest.mark.parametrize(
+    ("speed", "shots", "rate"), [(0.5, 5, 25), (0.1, 10, 10), (2.0, 1, 20)]
+)
+def test_slow_motion_has_more_pictures_of_a_step(
+    carry, tmp_path, monkeypatch, speed, shots, rate
+):
+    labels = []
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: labels.append(text) or frame
+    )
+    path = recording.record(
+        carry(max_episode_steps=3),
+        tmp_path / "a.mp4",
+        seconds=0.1,
+        size=SIZE,
+        speed=speed,
+    )
+    with imageio.get_reader(path) as video:
+        frames, meta = list(video.iter_data()), video.get_meta_data()
+    assert meta["fps"] == rate
+    # A start, three steps, and a second of the film after the end.
+    assert len(frames) == 1 + shots * 3 + rate
+    assert f"0.3 s, speed {speed:g}" in labels[-1]
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.05, 3.0, float("nan"), "slow"])
+def test_a_speed_out_of_bounds_is_refused(carry, tmp_path, speed):
+    with pytest.raises((ValueError, TypeError), match="speed must be"):
+        recording.record(carry(), tmp_path / "a.mp4", size=SIZE, speed=speed)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_gif_plays_in_real_time(carry, tmp_path):
     task = carry(max_episode_steps=4)
     path = recording.record(
@@ -61,7 +93,7 @@ def test_gif_plays_in_real_time(carry, tmp_path):
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
-    draw = recording._Screen(env, env.expert, {}, 1, SIZE)._draw
+    draw = recording._Screen(env, env.expert, {}, 1, SIZE, 1.0)._draw
     first, again = draw(), draw()
     env.sim.qpos[0, 3] += 0.1
     moved = draw()

@@ -63,9 +63,9 @@ def serve(start):
     """Return a function that plays an environment and serves it."""
     served = []
 
-    def serve(env_id, policy="expert"):
+    def serve(env_id, policy="expert", num_envs=1):
         task = make_task(env_id)
-        env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
+        env = VectorEnv(task, num_envs, num_threads=1, auto_reset=False)
         policies = dict.fromkeys(env.agents, policy)
         session = Session(env, load_policy(policy, env), print, policies=policies)
         session.pause()
@@ -140,8 +140,11 @@ def likeness(one, other):
     return float(np.dot(*flat) / np.prod([np.linalg.norm(each) for each in flat]))
 
 
-def pixel_of(tab, page, body):
-    """Return where the middle of a body is in the tab, as all tabs see it."""
+def pixel_of(tab, page, body, place=0.0):
+    """Return where the middle of a body is in the tab, as all tabs see it.
+
+    `place` is where its world stands.
+    """
     data, model = page._stage._data, page._stage._model
     left, top, width, height = canvas(tab)
     camera = next(iter(page._server.get_clients().values())).camera
@@ -149,7 +152,7 @@ def pixel_of(tab, page, body):
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    away = data.body(body).xpos - camera.position
+    away = data.body(body).xpos + place - camera.position
     scale = height / 2 / np.tan(np.radians(model.camera(CAMERA).fovy[0]) / 2)
     scale /= away @ forward
     column, row = scale * (away @ right), scale * (away @ np.cross(right, forward))
@@ -241,6 +244,29 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     wait_until(lambda: session.perturb is None, timeout=PATIENCE)
 
 
+def test_a_pull_in_a_grid_reads_its_world(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0], num_envs=3)
+    tab = open_tab(page)
+    tab.get_by_text("success in 0 of 3 worlds").wait_for()
+    place = page._stage._places[2]
+    x, y = pixel_of(tab, page, "pot/pot", place)
+    tab.keyboard.down("Control")
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    for step in range(1, 9):
+        tab.mouse.move(x, y - 8 * step)
+    wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
+    assert session.world == 2
+    assert session.perturb.select == session.env.model.body("pot/pot").id
+    pot = session.env.sim.data(2).body("pot/pot").xpos
+    target = session.perturb.refselpos
+    assert np.linalg.norm(target - pot) < 1.5  # In the frame of its own world.
+    tab.mouse.up()
+    tab.keyboard.up("Control")
+    wait_until(lambda: session.perturb is None, timeout=PATIENCE)
+    tab.get_by_text("episode of seed 0").locator("xpath=..").get_by_text("2").wait_for()
+
+
 def test_a_tab_that_closes_lets_go_and_another_goes_on(serve, open_tab, wait_until):
     session, page = serve(ENVS[0])
     tab, other = open_tab(page), open_tab(page)
@@ -292,6 +318,10 @@ def test_a_phone_shows_the_arms_and_a_folded_panel(serve, open_tab, wait_until):
     plots, thumb = tab.get_by_role("tab", name="Plots"), ".mantine-Slider-thumb"
     for part, least in ((play, 44), (plots, 44), (tab.locator(thumb).first, 28)):
         assert (part.bounding_box() or {})["height"] >= least  # for a thumb
+    panel = tab.locator(".mantine-Paper-root").filter(has=play).bounding_box() or {}
+    assert panel["height"] <= 0.45 * 800
+    for agent in session.env.agents:
+        assert pixel_of(tab, page, f"{agent}/base")[1] < panel["y"]
 
 
 def test_a_tab_that_takes_the_first_camera_late_gets_its_own_again(

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from collaborative_gym.viewer import launch, window
+from collaborative_gym.viewer.launch import HERE
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
@@ -62,10 +63,9 @@ def test_where_no_window_opens_it_serves_a_page_and_says_so(
         told.append,
         warn=pytest.fail,
         policy="expert",
-        address=("127.0.0.1", 1234),
     )
     assert opened[0][0] == "page" and opened[0][1].was_closed
-    assert opened[0][2:] == (False, "127.0.0.1", 1234)
+    assert opened[0][2:] == (False, *HERE)
     assert told[1:] == [
         "there is no display; showing it in the browser instead",
         "open http://somewhere in a browser; Ctrl-C ends it",
@@ -76,14 +76,27 @@ def test_a_page_for_all_the_world_comes_with_a_warning(carry_id, opened, monkeyp
     monkeypatch.setattr(Face, "is_public", True)
     warned = []
     told = warned.append
-    launch.view(carry_id, told, warn=warned.append, web=True, address=("0.0.0.0", 8080))
+    launch.view(carry_id, told, warn=warned.append, address=("0.0.0.0", 8080))
     assert [kind for kind, *_ in opened] == ["page"]
     assert warned[1].startswith("WARNING: the viewer listens on 0.0.0.0. Everyone who")
 
 
+@pytest.mark.parametrize("given", [{"address": ("::1", 1234)}, {"num_envs": 3}])
+def test_an_address_and_several_worlds_need_a_page(carry_id, opened, given):
+    launch.view(carry_id, str, warn=str, **given)
+    [(kind, face, _, *address)] = opened
+    assert kind == "page" and tuple(address) == given.get("address", HERE)
+    assert len(face.session.readings) == given.get("num_envs", 1)
+
+
+def test_too_many_worlds_are_refused_before_they_are_built(carry_id, opened):
+    with pytest.raises(ValueError, match="num_envs must be at most 16, got 17"):
+        launch.view(carry_id, pytest.fail, warn=pytest.fail, num_envs=17)
+
+
 def test_each_robot_may_have_a_policy_of_its_own(carry_id, opened):
     policy = {"robot_1": "idle", "robot_2": "random"}
-    launch.view(carry_id, str, warn=pytest.fail, policy=policy, web=True)
+    launch.view(carry_id, str, warn=pytest.fail, policy=policy, address=HERE)
     assert opened[0][1].session.policies == policy
 
 

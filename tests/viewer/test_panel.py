@@ -115,7 +115,7 @@ def test_plots_follow_the_episode(poke, wait_until):
     wait_until(lambda: len(charts[reward].data[0]) == 3)  # A start has none.
     np.testing.assert_allclose(charts[reward].data[0], [0.1, 0.2, 0.3])
     for name, curve in zip(reward[1:], charts[reward].data[1:], strict=True):
-        terms = [frame.reading.rewards["robot_1"][name] for frame in session.film]
+        terms = [frame.readings[0].rewards["robot_1"][name] for frame in session.film]
         np.testing.assert_array_equal(curve, terms[1:])
     measured = next(key for key in charts if key[0] == "measured")
     assert measured[1] == "distance, m"

@@ -10,7 +10,7 @@ from collaborative_gym.viewer import reading
 
 
 def read(env, infos, before):
-    return reading.read(env, infos, before, name_players("expert", env.sides))
+    return reading.read(env, infos, name_players("expert", env.sides), before)
 
 
 @dataclass

@@ -213,13 +213,49 @@ def test_what_fails_to_draw_ends_it(make_session):
     session.env.step(session.env.expert())  # It is nobody's any more.
 
 
-def test_it_plays_one_world(make_env):
-    with pytest.raises(ValueError, match="plays 1 world, got 2"):
-        Session(make_env(2), lambda observations: {}, print)
+def test_it_plays_up_to_sixteen_worlds(make_env):
+    with pytest.raises(ValueError, match="num_envs must be at most 16, got 17"):
+        Session(make_env(17), lambda observations: {}, print)
+
+
+def test_worlds_beside_one_another_go_on_together(make_session, start, wait_until):
+    session = make_session(num_envs=3, max_episode_steps=1000)
+    session.moves_on = True
+    assert [each.episode for each in session.readings] == [0, 1, 2]
+    start(session)
+    wait_until(lambda: session.readings[0].episode == 3, timeout=30)
+    session.pause()
+    assert [each.episode for each in session.readings] == [3, 4, 5]
+    # It waited until the last of them had met its goal.
+    for i in range(3):
+        assert any(any(f.readings[i].success.values()) for f in session._previous)
+    session.reset()
+    wait_until(lambda: session.reading.time == 0)
+    assert [each.episode for each in session.readings] == [3, 4, 5]
+
+
+def test_each_world_is_read_and_pulled_by_itself(make_session, start, wait_until):
+    session = make_session("random", num_envs=3, max_episode_steps=1000)
+    session.pause()
+    session.perturb = mujoco.MjvPerturb()
+    session.look(2)
+    assert session.perturb is None and session.reading is session.readings[2]
+    with pytest.raises(ValueError, match="world must be at most 2, got 3"):
+        session.look(3)
+    cube = session.env.model.body("cube/cube").id
+    perturb = mujoco.MjvPerturb()
+    perturb.select, perturb.active = cube, mujoco.mjtPertBit.mjPERT_TRANSLATE.value
+    perturb.refselpos = (0.0, 0.0, 3.0)
+    session.perturb = perturb
+    start(session)
+    session.step()
+    wait_until(lambda: session.reading.time > 0)
+    forces = session.env.sim.xfrc_applied[:, cube, 2]
+    assert forces[2] > 0 and not forces[:2].any()
 
 
 def film_of(session):
-    return [frame.reading.time for frame in session.film]
+    return [frame.readings[0].time for frame in session.film]
 
 
 @pytest.fixture
@@ -271,7 +307,7 @@ def test_an_episode_can_be_gone_back_in_and_goes_on_with_the_same_bits(
         session.seek(step)
         wait_until(lambda step=step: steps_done(session) == step)
         np.testing.assert_array_equal(positions(session), expected[step])
-        assert session.reading == session.film[step].reading
+        assert session.reading == session.film[step].readings[0]
     assert len(session.film) == 6  # What was played is kept until time goes on.
     session.step()
     wait_until(lambda: steps_done(session) == 4)

@@ -4,9 +4,10 @@ import pytest
 
 pytest.importorskip("viser", reason="the extra `view` is not installed")
 
+from collaborative_gym import math
 from collaborative_gym.objects.ball import ball
 from collaborative_gym.scene import Scene
-from collaborative_gym.viewer.shapes import add_geom
+from collaborative_gym.viewer.shapes import surfaces
 
 KIND = mujoco.mjtGeom
 RED = (200, 50, 25)
@@ -14,21 +15,9 @@ VIEWS = ((0, 0), (90, 0), (180, 0), (45, 45), (90, -90), (90, 90))
 TETRAHEDRON = [0, 0, 0, 0.3, 0, 0, 0, 0.2, 0, 0, 0, 0.1]
 
 
-class Nodes:
-    """What was added to a page's scene."""
-
-    def __init__(self):
-        self.added = {}
-
-    def add_mesh_simple(self, name, vertices, faces, **looks):
-        self.faces = np.asarray(faces)
-        self.added[name] = (np.asarray(vertices)[self.faces], looks)
-        return name
-
-
 @pytest.fixture
 def draw():
-    """Return a function: the nodes of a world with one geom, and its model."""
+    """Return a function: the surfaces of a world with one geom, and its model."""
 
     def draw(**geom):
         spec = mujoco.MjSpec()
@@ -36,10 +25,8 @@ def draw():
         material = spec.add_material(name="paint", rgba=(0.0, 0.0, 1.0, 1.0))
         assert material is not None
         spec.worldbody.add_geom(**geom)
-        model, nodes = spec.compile(), Nodes()
-        handles = add_geom(nodes, "/a", model, 0)
-        assert handles == list(nodes.added)
-        return model, list(nodes.added.values())
+        model = spec.compile()
+        return model, surfaces(model, 0)
 
     return draw
 
@@ -58,14 +45,15 @@ def draw():
 )
 def test_a_shape_fills_mujocos_own_bounds(draw, geom):
     rgba = (*np.array(RED) / 255, 1.0)
-    model, [(triangles, looks)] = draw(**geom, rgba=rgba, pos=(1.0, 2.0, 3.0))
+    place, turn = (1.0, 2.0, 3.0), (0.5, 0.5, -0.5, 0.5)
+    model, [surface] = draw(**geom, rgba=rgba, pos=place, quat=turn)
+    away = surface.vertices - model.geom_pos[0]
+    triangles = math.rotate(math.conjugate(model.geom_quat[0]), away)[surface.faces]
     centre, half = model.geom_aabb[0][:3], model.geom_aabb[0][3:]
     corners = triangles.reshape(-1, 3)
     np.testing.assert_allclose(corners.min(axis=0), centre - half, atol=2e-3)
     np.testing.assert_allclose(corners.max(axis=0), centre + half, atol=2e-3)
-    np.testing.assert_array_equal(looks["position"], model.geom_pos[0])
-    np.testing.assert_array_equal(looks["wxyz"], model.geom_quat[0])
-    assert (looks["color"], looks["opacity"]) == (RED, None)
+    assert (surface.color, surface.opacity) == (RED, 1.0)
     normals = np.cross(
         triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     )
@@ -76,28 +64,44 @@ def test_a_shape_fills_mujocos_own_bounds(draw, geom):
 @pytest.mark.parametrize("kind", [KIND.mjGEOM_BOX, KIND.mjGEOM_CYLINDER])
 def test_the_light_breaks_at_edges(kind):
     # The page makes light smooth where triangles share a corner.
-    spec, nodes = mujoco.MjSpec(), Nodes()
+    spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=kind, size=[0.1, 0.2, 0.3])
-    add_geom(nodes, "/a", spec.compile(), 0)
-    [(triangles, _)] = nodes.added.values()
+    [surface] = surfaces(spec.compile(), 0)
+    faces = surface.faces
+    triangles = surface.vertices[faces]
     sides = triangles[:, 1:] - triangles[:, :1]
     is_end = np.abs(np.cross(sides[:, 0], sides[:, 1])[:, 2]) > 1e-9
     assert is_end.any() and not is_end.all()
-    assert not set(nodes.faces[is_end].ravel()) & set(nodes.faces[~is_end].ravel())
+    assert not set(faces[is_end].ravel()) & set(faces[~is_end].ravel())
 
 
-def test_a_marker_is_seen_through_from_both_sides(draw):
-    _, [(_, looks)] = draw(type=KIND.mjGEOM_SPHERE, size=[1, 0, 0], rgba=(0, 1, 0, 0.3))
-    assert looks["opacity"] == pytest.approx(0.3)
-    assert (looks["side"], looks["cast_shadow"]) == ("double", False)
+def test_a_marker_is_seen_through(draw):
+    _, [marker] = draw(type=KIND.mjGEOM_SPHERE, size=[1, 0, 0], rgba=(0, 1, 0, 0.3))
+    assert marker.opacity == pytest.approx(0.3)
+
+
+def test_what_looks_alike_is_one_surface():
+    spec, body = mujoco.MjSpec(), None
+    body = spec.worldbody.add_body()
+    for x, color in ((0.0, RED), (1.0, RED), (2.0, (0, 0, 255))):
+        rgba = (*np.array(color) / 255, 1.0)
+        body.add_geom(type=KIND.mjGEOM_BOX, size=[0.1] * 3, pos=(x, 0, 0), rgba=rgba)
+    spec.worldbody.add_geom(type=KIND.mjGEOM_PLANE, size=[1, 1, 1])
+    model = spec.compile()
+    assert [floor.is_floor for floor in surfaces(model, 0)] == [True]
+    red, blue = surfaces(model, 1)
+    assert (red.color, blue.color) == (RED, (0, 0, 255))
+    assert (len(red.faces), len(blue.faces)) == (24, 12)
+    places = red.vertices[red.faces].mean(axis=1)[:, 0].round()
+    assert places.tolist() == [0.0] * 12 + [1.0] * 12
 
 
 def test_a_material_colours_what_has_no_colour_of_its_own(draw):
     size, paint = [1, 1, 1], {"type": KIND.mjGEOM_BOX, "material": "paint"}
-    _, [(_, looks)] = draw(size=size, **paint)
-    assert looks["color"] == (0, 0, 255)
-    _, [(_, looks)] = draw(size=size, rgba=(1, 0, 0, 1), **paint)
-    assert looks["color"] == (255, 0, 0)
+    _, [box] = draw(size=size, **paint)
+    assert box.color == (0, 0, 255)
+    _, [box] = draw(size=size, rgba=(1, 0, 0, 1), **paint)
+    assert box.color == (255, 0, 0)
 
 
 @pytest.mark.parametrize("unseen", [{"group": 3}, {"rgba": (1, 1, 1, 0)}])
@@ -112,7 +116,7 @@ def test_a_shape_that_cannot_be_drawn_is_named():
     )
     spec.worldbody.add_geom(name="ground", type=KIND.mjGEOM_HFIELD, hfieldname="hill")
     with pytest.raises(ValueError, match="geom 'ground' is a HFIELD, which the page"):
-        add_geom(Nodes(), "/a", spec.compile(), 0)
+        surfaces(spec.compile(), 0)
 
 
 @pytest.mark.parametrize(
@@ -122,15 +126,15 @@ def test_a_shape_that_cannot_be_drawn_is_named():
 def test_a_texture_is_where_mujoco_has_it(name, azimuth, elevation):
     spec = Scene().spec if name == "floor" else ball()
     spec.visual.global_.fovy = 8.0 if name == "floor" else 0.1  # m, a side
-    model, nodes = spec.compile(), Nodes()
-    add_geom(nodes, "/a", model, 0)
-    assert len(nodes.added) == 2
-    (one, its_looks), (other, other_looks) = nodes.added.values()
+    model = spec.compile()
+    found = surfaces(model, 0 if name == "floor" else 1)
+    assert len(found) == 2
+    one, other = (each.vertices[each.faces] for each in found)
     points = np.concatenate([one, other]).mean(axis=1)
     is_one = np.arange(len(points)) < len(one)
     blue, is_seen = look(model, points, azimuth, elevation)
     # The bluer of the two colours is cream, or the light squares.
-    if its_looks["color"][2] < other_looks["color"][2]:
+    if found[0].color[2] < found[1].color[2]:
         is_one = ~is_one
     limit = np.median(blue[is_seen & is_one]) + np.median(blue[is_seen & ~is_one])
     agree = (blue > limit / 2) == is_one

@@ -112,10 +112,39 @@ def test_every_body_is_where_the_world_has_it(make_session, make_page):
         session.env.step(session.env.expert())
     page.refresh()
     data = session.env.sim.data(0)
-    assert len(page._stage._frames) > 15
-    for body, frame in page._stage._frames.items():
-        np.testing.assert_allclose(frame.position, data.xpos[body], atol=1e-4)
-        np.testing.assert_allclose(frame.wxyz, data.xquat[body], atol=1e-4)
+    assert len(page._stage._bodies) > 15
+    for body, nodes in page._stage._bodies.items():
+        for node in nodes:
+            [place], [turn] = node.batched_positions, node.batched_wxyzs
+            np.testing.assert_allclose(place, data.xpos[body], atol=1e-4)
+            np.testing.assert_allclose(turn, data.xquat[body], atol=1e-4)
+
+
+def test_worlds_beside_one_another_are_read_one_at_a_time(
+    make_session, make_page, start, wait_until
+):
+    session = make_session("random", num_envs=6, max_episode_steps=1000)
+    page = make_page(session)
+    end = start(session, page.refresh)
+    page._panel._read(4)
+    session.pause()
+    for _ in range(3):
+        session.step()
+    wait_until(lambda: all(each.time > 0.25 for each in session.readings))
+    wait_until(lambda: page._panel._said is session.reading)
+    end()
+    assert session.reading.episode == 4
+    assert ">4<" in page._panel._table.content
+    assert "success in 0 of 6 worlds" in page._panel._heading.content
+    assert "episode=4" in page._panel._link.content
+    places = page._stage._places
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    assert apart[~np.eye(6, dtype=bool)].min() > 1.0
+    for body, nodes in page._stage._bodies.items():
+        for node in nodes:
+            for i in range(6):
+                at = session.env.sim.data(i).xpos[body] + places[i]
+                np.testing.assert_allclose(node.batched_positions[i], at, atol=1e-4)
 
 
 def test_the_panel_says_what_the_reading_says(make_session, make_page):

@@ -75,7 +75,7 @@ class _Policy(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Record(Played, _Policy):
-    """Write a video of a policy at work, in real time.
+    """Write a video of a policy at work.
 
     Attributes:
       env: environment id, or a task's name.
@@ -87,6 +87,8 @@ class Record(Played, _Policy):
       only_episodes: episodes to show instead of the first ones, such as the worst ones
         that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
+      speed: simulated seconds per second of the film, 0.1 to 2; below 1 it is slow
+        motion.
     """
 
     env: Env
@@ -102,6 +104,7 @@ class Record(Played, _Policy):
         tyro.conf.arg(metavar="INDEX ...", help_behavior_hint="(default: none)"),
     ] = ()
     size: Size = OWN_SIZE
+    speed: float = 1.0
 
     def run(self) -> None:
         """Write the file."""
@@ -117,6 +120,7 @@ class Record(Played, _Policy):
                 seed=self.seed,
                 only_episodes=self.only_episodes or None,
                 size=None if self.size == OWN_SIZE else self.size,
+                speed=self.speed,
                 on_progress=progress(self.env),
             )
         show(f"wrote {self.output}")
@@ -348,13 +352,16 @@ class View(Played, _Policy):
 
     Attributes:
       env: environment id, or a task's name.
-      web: serve a page for the browser.
+      num_envs: worlds to show beside one another in the browser, up to 16, each with an
+        episode of its own. The panel reads one of them.
+      web: serve a page for the browser, even if a window can be opened.
       host: address at which the page is served. Whoever can reach it can watch and
         control the robots.
       port: port of the page; if it is in use, the next free one is taken.
     """
 
     env: Env
+    num_envs: int = 1
     web: tyro.conf.FlagCreatePairsOff[bool] = False
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     port: int = 8080
@@ -362,7 +369,9 @@ class View(Played, _Policy):
     def run(self) -> None:
         """Show it until the window is closed, or until Ctrl-C."""
         from collaborative_gym.viewer import view
+        from collaborative_gym.viewer.launch import HERE
 
+        address = self.host, self.port
         view(
             self.task(self.env),
             show,
@@ -370,8 +379,8 @@ class View(Played, _Policy):
             policy=read_policy(self.policy),
             any_env=self.any_env,
             seed=self.seed,
-            web=self.web,
-            address=(self.host, self.port),
+            num_envs=self.num_envs,
+            address=address if self.web or address != HERE else None,
         )
 
 

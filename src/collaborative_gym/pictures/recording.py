@@ -32,7 +32,7 @@ from collaborative_gym.policies.match import name_players, standing
 from collaborative_gym.scene.surroundings import LARGEST
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.timing import CONTROL_DT
+from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 _SAME_SPREAD = 0.01
 """Difference of the robots' nearness that a picture does not show, in m."""
@@ -42,6 +42,12 @@ _HOLD = 1.0
 
 _LONGEST = 36_000.0
 """Greatest length of a film, in s."""
+
+_SLOWEST, _FASTEST = 0.1, 2.0
+"""Bounds of a film's speed, in simulated seconds per second."""
+
+_SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
+"""How many pictures of a control step a film may have."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
@@ -60,9 +66,10 @@ def record(
     seed: int = 0,
     only_episodes: Sequence[int] | None = None,
     size: tuple[int, int] | None = None,
+    speed: float = 1.0,
     on_progress: OnProgress = None,
 ) -> Path:
-    """Write a video of a seed's episodes, in real time, and return its path.
+    """Write a video of a seed's episodes and return its path.
 
     The episodes are those that `evaluate` plays. One second after a success, or after
     the end of the episode, the film shows the next start. After an error or Ctrl-C
@@ -70,7 +77,7 @@ def record(
 
     Args:
       env: an environment id, a task's name, or a task.
-      output: the file: `.mp4` (H.264, 20 frames/s) or `.gif` (10 frames/s).
+      output: the file: `.mp4` (H.264, 20 frames/s at speed 1) or `.gif` (10 frames/s).
       policy: as `evaluate` takes it. Several are shown side by side, in the same
         episodes; the first one decides when the next start comes. Each picture says
         the time, who plays, and whether the goal is met or what the score is.
@@ -82,6 +89,8 @@ def record(
         such as the worst ones that a report names.
       size: width and height in pixels, of each policy's picture; None for 1280 x 720,
         of a GIF 416 x 234.
+      speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
+        for slow motion, which draws more pictures of each second of the world.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -112,6 +121,9 @@ def record(
             f"cannot record to {output.name!r}: {unknown('format', suffix, _FORMATS)}"
         )
     write, shots, usual = _FORMATS[suffix]
+    speed = check_number("speed", speed, at_least=_SLOWEST, at_most=_FASTEST)
+    # So many pictures a second as in real time, or a few more.
+    shots = next(n for n in _SHOTS if n >= min(shots / speed, SUBSTEPS))
     width, height = _sides(usual if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
@@ -128,9 +140,9 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            cast.append(_Screen(world, act, players, shots, (width, height)))
-        frames = _film(cast, seconds, seed, only_episodes, on_progress)
-        write(output, frames, round(shots / CONTROL_DT))
+            cast.append(_Screen(world, act, players, shots, (width, height), speed))
+        frames = _film(cast, seconds * speed, seed, only_episodes, on_progress)
+        write(output, frames, shots * speed / CONTROL_DT)
     return output
 
 
@@ -239,7 +251,9 @@ class _Screen:
         players: Mapping[str, str],
         shots: int,
         size: tuple[int, int],
+        speed: float,
     ):
+        self.speed = speed
         self._env, self._policy, self._players = env, policy, players
         self._shots, self._size = shots, size
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
@@ -277,7 +291,8 @@ class _Screen:
 
     def _labelled(self, frames: Iterable[np.ndarray]) -> list[np.ndarray]:
         seconds = self._infos["step"][0] * CONTROL_DT
-        label = f"{seconds:.1f} s  {standing(self._players, self._infos)}"
+        pace = f", speed {self.speed:g}" if self.speed != 1 else ""
+        label = f"{seconds:.1f} s{pace}  {standing(self._players, self._infos)}"
         return [_labelled(frame, label) for frame in frames]
 
 
@@ -290,14 +305,15 @@ def _film(
 ) -> Frames:
     """Yield the players' pictures side by side, one start after the other.
 
-    The film shows all `episodes`, or the first ones for at least so many seconds.
+    The film shows all `episodes`, or the first ones for at least so many seconds of
+    the world.
     """
     played = 0.0
     for i, episode in enumerate(count() if episodes is None else episodes):
         if episodes is None and played >= seconds:
             break
         rows = [player.start(seed, episode) for player in cast]
-        left = round(_HOLD / CONTROL_DT)
+        left = max(1, round(_HOLD * cast[0].speed / CONTROL_DT))
         while rows:
             for frames in zip(*rows, strict=True):
                 yield np.concatenate(frames, axis=1)
@@ -333,13 +349,13 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(picture)
 
 
-def _write_mp4(output: Path, frames: Frames, rate: int) -> None:
+def _write_mp4(output: Path, frames: Frames, rate: float) -> None:
     program = _import("imageio_ffmpeg").get_ffmpeg_exe()
     with replacing(output) as partial, TemporaryFile() as said:
         first = next(frames)
         command = [
             *(program, "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
-            *("-s", f"{first.shape[1]}x{first.shape[0]}", "-r", str(rate), "-i", "-"),
+            *("-s", f"{first.shape[1]}x{first.shape[0]}", "-r", f"{rate:g}", "-i", "-"),
             *("-codec:v", "libx264", "-crf", "25", "-pix_fmt", "yuv420p", partial),
         ]
         encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
@@ -367,7 +383,7 @@ def _feed(encoder: subprocess.Popen[bytes], frames: Iterable[np.ndarray]) -> Non
         encoder.stdin.close()
 
 
-def _write_gif(output: Path, frames: Frames, rate: int) -> None:
+def _write_gif(output: Path, frames: Frames, rate: float) -> None:
     image = _import("PIL.Image")
     with replacing(output) as partial:
         # One palette for all frames: one for each makes colours flicker.
@@ -376,7 +392,7 @@ def _write_gif(output: Path, frames: Frames, rate: int) -> None:
             image.fromarray(frame).quantize(palette=first, dither=image.Dither.NONE)
             for frame in frames
         )
-        options = {"append_images": rest, "duration": 1000 // rate, "loop": 0}
+        options = {"append_images": rest, "duration": round(1000 / rate), "loop": 0}
         _save(first, partial, output, format="GIF", save_all=True, **options)
 
 
@@ -389,8 +405,8 @@ def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
 
 
 _FORMATS = {".mp4": (_write_mp4, 2, (1280, 720)), ".gif": (_write_gif, 1, (416, 234))}
-"""Writers of a kind of video file, pictures per control step, so that it plays in real
-time, and default sizes in pixels."""
+"""Writers of a kind of video file, pictures per control step in real time, and default
+sizes in pixels."""
 
 
 def _import(name: str) -> Any:

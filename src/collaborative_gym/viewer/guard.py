@@ -16,6 +16,8 @@ import viser
 from websockets.asyncio import server as websockets
 from websockets.http11 import Request, Response
 
+from collaborative_gym.viewer.session import MOST_WORLDS
+
 PULL = "cmd/ctrl"
 """Key to hold down while the mouse pulls at a body."""
 
@@ -238,6 +240,7 @@ _Place = tuple[_Metres, _Metres, _Metres]
 _Pixels = Annotated[float, msgspec.Meta(ge=-_PIXELS, le=_PIXELS)]
 _Size = Annotated[int, msgspec.Meta(ge=0, le=_PIXELS)]
 _Part = Annotated[float, msgspec.Meta(ge=-1.01, le=1.01)]
+_World = Annotated[int, msgspec.Meta(ge=0, lt=MOST_WORLDS)]
 _Text = Annotated[str, msgspec.Meta(max_length=200)]
 
 
@@ -257,7 +260,7 @@ class _Drag(_Message, tag="SceneNodeDragMessage"):
 
     phase: Literal["start", "update", "end"]
     name: _Text
-    instance_index: None
+    instance_index: _World
     start_position: _Place
     start_screen_pos: tuple[_Pixels, _Pixels]
     end_position: _Place

@@ -5,11 +5,14 @@ from contextlib import closing
 from typing import Any
 
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import how_to_install
+from collaborative_gym.errors import check_count, how_to_install
 from collaborative_gym.policies import AnyPolicy, as_played, as_policy
 from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
-from collaborative_gym.viewer.session import Session
+from collaborative_gym.viewer.session import MOST_WORLDS, Session
+
+HERE = ("127.0.0.1", 8080)
+"""Host and port of a page's server, unless others are given."""
 
 
 def view(
@@ -20,13 +23,14 @@ def view(
     policy: AnyPolicy = "expert",
     any_env: bool = False,
     seed: int = 0,
-    web: bool = False,
-    address: tuple[str, int] = ("127.0.0.1", 8080),
+    num_envs: int = 1,
+    address: tuple[str, int] | None = None,
 ) -> None:
     """Show a policy in one episode after the other, until the viewer is closed.
 
-    It shows in a window, or else on a web page. The page's server has no password:
-    whoever reaches it may watch and control.
+    It shows in a window; or on a web page, if no window can be opened, an address is
+    given or there are several worlds. The page's server has no password: whoever
+    reaches it may watch and control.
 
     Args:
       env: an environment id, a task's name, or a task.
@@ -35,25 +39,27 @@ def view(
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
       seed: of the episodes.
-      web: whether to show a page even if a window can be opened.
-      address: host and port of the page's server; if the port is in use, the next free
-        one is taken.
+      num_envs: how many worlds to show beside one another, up to 16.
+      address: host and port of the page's server, at first 127.0.0.1 and 8080; if the
+        port is in use, the next free one is taken.
 
     Raises:
       ImportError: if a page is needed and the extra `view` is not installed.
       KeyError: if a name is unknown.
       OSError: if the server cannot listen there.
+      ValueError: if there are too many worlds.
     """
+    check_count("num_envs", num_envs, 1, MOST_WORLDS)
     task = as_played(as_task(env), policy)
     say(f"building the world of {task.name} ...")
-    world = VectorEnv(task, 1, seed=seed, num_threads=1, auto_reset=False)
+    world = VectorEnv(task, num_envs, seed=seed, num_threads=1, auto_reset=False)
     with closing(world):
         act = as_policy(policy, world, any_env=any_env)
         is_shared = not isinstance(policy, Mapping)
         policies = dict.fromkeys(world.agents, policy) if is_shared else policy
         session = Session(world, act, warn, policies=policies, moves_on=True)
         face: Any = None
-        if not web:
+        if address is None and num_envs == 1:
             # Imported here because a page needs no windowing system.
             from collaborative_gym.viewer.window import Window
 
@@ -62,10 +68,11 @@ def view(
             except RuntimeError as error:
                 say(f"{error}; showing it in the browser instead")
         if face is None:
-            face = _page(session, any_env, *address)
+            host, port = address or HERE
+            face = _page(session, any_env, host, port)
             if face.is_public:
                 warn(
-                    f"WARNING: the viewer listens on {address[0]}. Everyone who"
+                    f"WARNING: the viewer listens on {host}. Everyone who"
                     " reaches this machine can watch and control it; there is no"
                     " password."
                 )

@@ -99,7 +99,7 @@ class Menu:
             policies=tuple(name_policy(policies[agent]) for agent in env.agents),
             randomization=names.get(task.config.randomization, _OWN),
             seed=int(env.progress["seed"][0]),
-            episode=int(env.progress["episode"][0]),
+            episode=int(min(env.progress["episode"])),
         )
 
     def moved(self, choice: Choice, env: str) -> Choice:
@@ -175,7 +175,7 @@ class Menu:
         policies = dict(zip(task.agents, given, strict=True))
         task = as_played(task, policies)
         if Identity.of(task).differences(env.identity):
-            env = VectorEnv(task, 1, num_threads=1, auto_reset=False)
+            env = VectorEnv(task, env.num_envs, num_threads=1, auto_reset=False)
         return env, as_policy(policies, env, any_env=self._any_env), policies
 
     def _make(self, choice: Choice) -> Task:

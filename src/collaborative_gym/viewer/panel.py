@@ -3,7 +3,8 @@
 import html
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from typing import Any
@@ -12,10 +13,9 @@ import numpy as np
 import viser
 
 from collaborative_gym.pictures.rendering import CAMERA
-from collaborative_gym.tasks.task import Task
 from collaborative_gym.viewer.menu import Choice, Menu
 from collaborative_gym.viewer.reading import Reading
-from collaborative_gym.viewer.session import FASTEST, SLOWEST, Frame, Session
+from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
 
 _PAUSE = 0.5
@@ -55,8 +55,13 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Input-input { min-height: 44px !important; }
 .mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
 .mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
+} @media (max-width: 36em) {
+.mantine-Paper-root:has(.mantine-Tabs-root) {
+  max-height: 45% !important; width: 100% !important; }
+.mantine-ScrollArea-content > div { width: 100% !important; }
 }</style>"""
-"""Sizes of buttons, tabs, boxes and sliders that a thumb can hit."""
+"""Sizes of buttons, tabs, boxes and sliders that a thumb can hit, and of a panel on a
+phone, where it leaves the arms in view."""
 
 
 class Panel:
@@ -85,8 +90,9 @@ class Panel:
             self._table = gui.add_html("")
         self._choices = tabs.add_tab("Choose")
         self._plots = Plots(gui, tabs.add_tab("Plots"))
+        self._on_view = on_view
         with tabs.add_tab("Look"):
-            self._add_looks(on_view)
+            self._add_looks()
         self._script = gui.add_html("")
 
     @property
@@ -103,19 +109,19 @@ class Panel:
         """Bring the panel up to date. Only the session's thread may call this."""
         session = self._session
         self._play.label = "Play" if session.is_paused else "Pause"
-        self._plots.refresh(session.film)
+        self._plots.refresh(session)
         reading = session.reading
         if self._said is reading:
             return
         self._said = reading
-        self._heading.content = _heading(session.env.task, reading)
+        self._heading.content = _heading(session)
         self._table.content = _table(reading.rows)
-        self._time.value = reading.time
+        self._time.value = max(each.time for each in session.readings)
         offered = session.env, session.policies, reading.trouble
         if self._offered != offered:
             self._offered = offered
             self._offer()
-        link = html.escape(self._choice.link)
+        link = html.escape(replace(self._choice, episode=reading.episode).link)
         self._link.content = _STYLE % f'<a href="{link}">link to this start</a>'
 
     def offer_views(self, views: Iterable[str]) -> None:
@@ -144,6 +150,10 @@ class Panel:
             "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
         )
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
+        worlds = [f"world {i + 1}" for i in range(session.env.num_envs)]
+        self._worlds = gui.add_dropdown(
+            "Read", worlds, visible=len(worlds) > 1, hint="What the panel says"
+        )
         moves_on = gui.add_checkbox(
             "Move on",
             session.moves_on,
@@ -160,12 +170,13 @@ class Panel:
         step = session.env.control_dt
         _on_user(self._time, lambda value: session.seek(round(value / step)))
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
+        _on_user(self._worlds, lambda world: self._read(worlds.index(world)))
         _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
 
-    def _add_looks(self, on_view: Callable[[str], object]) -> None:
+    def _add_looks(self) -> None:
         gui = self._gui
         self._view = gui.add_dropdown("Camera", [CAMERA])
-        _on_user(self._view, on_view)
+        _on_user(self._view, self._on_view)
         arrows = f"Arrows, 1 m long for {NEWTONS_PER_METRE:g} N"
         self._looks = {
             "shadows": self._shadows,
@@ -175,6 +186,12 @@ class Panel:
         gui.add_markdown(
             "To pull at an object, drag it with Ctrl (on a Mac Cmd) held down."
         )
+
+    def _read(self, world: int) -> None:
+        """Read another world, and look at it where not all are seen."""
+        self._session.look(world)
+        if self.view != CAMERA:
+            self._on_view(self.view)
 
     @property
     def _choice(self) -> Choice:
@@ -236,8 +253,9 @@ def _on_user(box: Any, do: Callable[[Any], object]) -> None:
     box.on_update(lambda event: event.client and do(event.target.value))
 
 
-def _heading(task: Task, reading: Reading) -> str:
+def _heading(session: Session) -> str:
     """Return the goal in a sentence, how it stands, and who won last, as HTML."""
+    task, reading = session.env.task, session.reading
     goal = (type(task).__doc__ or task.name).partition("\n")[0]
     sides = [
         f"{player} <b>{reading.scores[side]:g}</b>"
@@ -249,6 +267,10 @@ def _heading(task: Task, reading: Reading) -> str:
     lines.append(" : ".join(sides))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
+    worlds = session.readings
+    if len(worlds) > 1 and not reading.scores:
+        done = sum(any(each.success.values()) for each in worlds)
+        lines.append(f"success in {done} of {len(worlds)} worlds")
     return _STYLE % "<br>".join(lines)
 
 
@@ -270,22 +292,24 @@ class Plots:
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle):
         self._gui, self._tab = gui, tab
         self._charts: dict[tuple[str, ...], viser.GuiUplotHandle] = {}
-        self._drawn: Frame | None = None
+        self._drawn: Reading | None = None
         self._next = 0.0
 
-    def refresh(self, film: Sequence[Frame]) -> None:
-        """Draw an episode so far, unless it was drawn just now."""
-        now = time.monotonic()
-        if film[-1] is self._drawn or now < self._next:
+    def refresh(self, session: Session) -> None:
+        """Draw the episode that is read so far, unless it was drawn just now."""
+        now, film, world = time.monotonic(), session.film, session.world
+        last = film[-1].readings[world]
+        if last is self._drawn or now < self._next:
             return
-        self._drawn, self._next = film[-1], now + _PAUSE
-        rows = [_curves(frame) for frame in film]
+        self._drawn, self._next = last, now + _PAUSE
+        readings = [frame.readings[world] for frame in film]
+        rows = [_curves(reading) for reading in readings]
         titles = {(title, *curves): title for title, curves in rows[0].items()}
         if titles.keys() != self._charts.keys():
             for chart in self._charts.values():
                 chart.remove()
             self._charts = {key: self._add(*key) for key in titles}
-        times = np.array([frame.reading.time for frame in film])
+        times = np.array([reading.time for reading in readings])
         for key, title in titles.items():
             # A start has no reward yet.
             first = int(title != _MEASURED and len(rows) > 1)
@@ -307,9 +331,8 @@ class Plots:
             )
 
 
-def _curves(frame: Frame) -> Mapping[str, Mapping[str, float]]:
+def _curves(reading: Reading) -> Mapping[str, Mapping[str, float]]:
     """Return the numbers of a control step, by chart and by name."""
-    reading = frame.reading
     charts = {f"reward of {agent}": own for agent, own in reading.rewards.items()}
     units = {name: f", {unit}" for name, unit in reading.units.items()}
     charts[_MEASURED] = {

@@ -60,14 +60,19 @@ class Reading:
 def read(
     env: VectorEnv,
     infos: Mapping[str, Any],
-    before: Reading | None,
     players: Mapping[str, str],
+    before: Reading | None = None,
+    world: int = 0,
 ) -> Reading:
     """Return the reading of one world after a step or reset with these infos.
 
     `before` is the reading of the step before, or None.
     """
-    seed, episode, step = (int(env.progress[n][0]) for n in ("seed", "episode", "step"))
+    progress = env.progress
+    seed, episode, step = (
+        int(progress[name][world]) for name in ("seed", "episode", "step")
+    )
+    infos = _OneWorld(infos, world)
     rewards = {
         agent: {name: float(term[0]) for name, term in named.items()}
         for agent, named in infos["reward_terms"].items()
@@ -75,7 +80,7 @@ def read(
     earned = before.returns if before is not None and step > 1 else {}
     success = _by_side(env.sides, infos["success"])
     points = infos["metrics"].get("score", {})
-    measures = list(_measures(env.facts, env.task.units))
+    measures = list(_measures(env.facts, env.task.units, world))
     previous = "" if before is None else before.previous
     return Reading(
         episode=episode,
@@ -98,13 +103,32 @@ def read(
     )
 
 
+class _OneWorld(Mapping[str, Any]):
+    """Infos of one of the worlds, as of a batch of one."""
+
+    def __init__(self, infos: Mapping[str, Any], world: int):
+        self._infos, self._world = infos, world
+
+    def __getitem__(self, name: str) -> Any:
+        value = self._infos[name]
+        if isinstance(value, Mapping):
+            return _OneWorld(value, self._world)
+        return value[self._world : self._world + 1]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._infos)
+
+    def __len__(self) -> int:
+        return len(self._infos)
+
+
 def _by_side(sides: Iterable[str], given: Any) -> list[tuple[str, Any]]:
     """Return a value for each side, from a mapping or from the single side's value."""
     return [(s, given[s] if isinstance(given, Mapping) else given) for s in sides]
 
 
 def _measures(
-    facts: Any, units: Mapping[str, str]
+    facts: Any, units: Mapping[str, str], world: int
 ) -> Iterator[tuple[str, str, float | bool]]:
     """Yield name, unit and value of the facts that are one number or truth a world."""
     for fact, value in named_facts(facts).items():
@@ -113,7 +137,7 @@ def _measures(
             if getattr(part, "ndim", None) == 1:
                 name = f"{fact.replace('_', ' ')} {agent}".rstrip()
                 is_truth = np.asarray(part).dtype == bool
-                value = bool(part[0]) if is_truth else float(part[0])
+                value = bool(part[world]) if is_truth else float(part[world])
                 yield name, units.get(fact, ""), value
 
 

@@ -1,4 +1,4 @@
-"""One world that a policy plays in real time, and the requests of its viewers."""
+"""Worlds that a policy plays in real time, and the requests of their viewers."""
 
 import threading
 import time
@@ -11,6 +11,7 @@ import mujoco
 
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import check_count
 from collaborative_gym.plugins import location_of
 from collaborative_gym.policies import Policy
 from collaborative_gym.policies.match import name_players
@@ -19,6 +20,9 @@ from collaborative_gym.viewer.spring import Spring
 
 SLOWEST, FASTEST = 0.1, 4.0
 """Bounds of the speed, in simulated seconds per second."""
+
+MOST_WORLDS = 16
+"""Most worlds that are shown beside one another."""
 
 _PICTURES = 60
 """Most pictures per second, of the user's time."""
@@ -35,38 +39,40 @@ Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Frame:
-    """An episode after a control step: its state and its reading."""
+    """The worlds after a control step: their states, and the reading of each."""
 
     state: EnvState
-    reading: Reading
+    readings: tuple[Reading, ...]
 
 
 class Session:
-    """A world that a policy plays in real time until `end`.
+    """Worlds that a policy plays in real time until `end`.
 
-    The world belongs to the thread that calls `run`. Everything else may be used by any
+    The worlds belong to the thread that calls `run`. Everything else may be used by any
     thread; requests take effect at the end of the present control step, which is then
-    played without waiting.
+    played without waiting. All worlds start together, and go on to their next episodes
+    once all are at an end.
 
     Args:
-      env: the world, a batch of one that does not reset itself, so that the end of an
-        episode is seen.
+      env: up to 16 worlds that do not reset themselves, so that the end of an episode
+        is seen.
       policy: commands the robots. Where it fails, the session says so and pauses.
       warn: called with a sentence about what went wrong.
       policies: the policy of each agent, as `evaluate` takes it; None for `policy`.
       moves_on: whether the next start comes a second after a success of a single side.
 
     Attributes:
-      env: the world.
+      env: the worlds.
+      world: index of the one that is read.
       policies: the policy of each agent.
       is_paused: whether time stands still.
       moves_on: as given.
       was_pulled: whether anybody has pulled at anything.
-      reading: of the present state.
-      film: the episode so far, a frame for its start and for each control step. Later
-        frames are of a future that may differ once time goes on again.
-      perturb: a pull at a body, for `Spring.pull`, or None. Without any, an episode has
-        the same bits as in every other environment.
+      readings: of the present state, one for each world.
+      film: the episodes so far, a frame for their start and for each control step.
+        Later frames are of a future that may differ once time goes on again.
+      perturb: a pull at a body of the world that is read, for `Spring.pull`, or None.
+        Without any, an episode has the same bits as in every other environment.
     """
 
     def __init__(
@@ -78,9 +84,8 @@ class Session:
         policies: Mapping[str, Any] | None = None,
         moves_on: bool = False,
     ):
-        if env.num_envs != 1:
-            raise ValueError(f"a session plays 1 world, got {env.num_envs}")
-        self.env = env
+        check_count("num_envs", env.num_envs, 1, MOST_WORLDS)
+        self.env, self.world = env, 0
         self.policies = policies or dict.fromkeys(env.agents, policy)
         self.film: list[Frame] = []
         self.perturb: mujoco.MjvPerturb | None = None
@@ -99,7 +104,18 @@ class Session:
         self._previous: list[Frame] = []
         self._players = name_players(self.policies, env.sides)
         self._observations, infos = env.reset()
-        self._roll_on(infos, None)
+        self._roll_on(infos, ())
+
+    @property
+    def reading(self) -> Reading:
+        """The reading of the world that is read."""
+        return self.readings[self.world]
+
+    def look(self, world: int) -> None:
+        """Read another world; a pull at the one before ends."""
+        if world != self.world:
+            self.world = check_count("world", world, 0, self.env.num_envs - 1)
+            self.perturb = None
 
     @property
     def speed(self) -> float:
@@ -130,7 +146,9 @@ class Session:
 
     def reset(self) -> None:
         """Start the same episode again, with the same bits."""
-        self._ask(lambda: self._start(self.reading.seed, [self.reading.episode]))
+        self._ask(
+            lambda: self._start(self.reading.seed, [r.episode for r in self.readings])
+        )
 
     def next(self) -> None:
         """Start the seed's next episode."""
@@ -145,7 +163,9 @@ class Session:
         self._ask(self._go_back, pauses=True)
 
     def change(self, load: Load, seed: int, episode: int) -> None:
-        """Start an episode of another world, or with other policies.
+        """Start an episode of other worlds, or with other policies.
+
+        World i plays the episode that comes i after this one.
 
         `load` is called in the session's thread; where it fails, all stays as it is.
         """
@@ -193,20 +213,19 @@ class Session:
 
     def _start(self, *episode: Any) -> None:
         """Start an episode, by its seed and index, or the next one."""
-        self._begin(self.env.reset(*episode), self.reading)
+        self._begin(self.env.reset(*episode), self.readings)
 
-    def _begin(self, begun: tuple[Any, Any], before: Reading | None) -> None:
+    def _begin(self, begun: tuple[Any, Any], before: tuple[Reading, ...]) -> None:
         self._spring.forget()
         self._observations, infos = begun
         self._roll_on(infos, before)
         self._draw()
 
     def _change(self, load: Load, seed: int, episode: int) -> None:
-        self.reading = replace(self.reading, is_loading=True)
-        self._draw()
+        self._note(is_loading=True)
         try:
             env, policy, policies = load(self.env)
-            begun = env.reset(seed, [episode])
+            begun = env.reset(seed, [episode + i for i in range(env.num_envs)])
         except Exception as error:
             self._stop("the choice", error)
             return
@@ -217,19 +236,31 @@ class Session:
             self.film, self._previous = [], []
         self._policy, self.policies = policy, policies
         self._players = name_players(policies, env.sides)
-        self._begin(begun, None)
+        self._begin(begun, ())
 
-    def _roll_on(self, infos: Mapping[str, Any], before: Reading | None) -> None:
+    def _roll_on(self, infos: Mapping[str, Any], before: tuple[Reading, ...]) -> None:
         """Show a new state, and film it; a start begins a new film."""
-        reading = read(self.env, infos, before, self._players)
-        step = self.env.progress["step"][0]
+        given = self.env, infos, self._players
+        self.readings = tuple(
+            read(*given, before[i] if before else None, i)
+            for i in range(self.env.num_envs)
+        )
+        step = max(self.env.progress["step"])
         if step == 0:
             if len(self.film) > 1:
                 self._previous = self.film
             self.film = []
-        self.reading = reading
-        self.film = [*self.film[:step], Frame(self.env.get_state(), reading)]
-        self._ended = time.perf_counter() if reading.has_ended else 0.0
+        self.film = [*self.film[:step], Frame(self.env.get_state(), self.readings)]
+        self._ended = time.perf_counter() if self._has_finished else 0.0
+
+    @property
+    def _has_finished(self) -> bool:
+        return all(reading.has_ended for reading in self.readings)
+
+    def _note(self, **changes: Any) -> None:
+        """Show readings with changes."""
+        self.readings = tuple(replace(each, **changes) for each in self.readings)
+        self._draw()
 
     def _go_to(self, step: int) -> None:
         frame = self.film[min(step, len(self.film) - 1)]
@@ -237,8 +268,8 @@ class Session:
         self._observations = self.env.set_state(frame.state)
         # A new object, so that a slider that was drawn past the end is set back even
         # where the world was at the end already.
-        self.reading, self._ended = replace(frame.reading), 0.0
-        self._draw()
+        self.readings, self._ended = frame.readings, 0.0
+        self._note()
 
     def _go_back(self) -> None:
         if self._previous:
@@ -246,39 +277,44 @@ class Session:
             self._go_to(len(self.film))
 
     def _step(self) -> None:
-        if self.reading.has_ended or self._is_done():
+        if self._has_finished or self._is_done():
             self._start()
             return
         try:
             actions = self._policy(self._observations)
             self.was_pulled |= self.perturb is not None
-            self._spring.pull(self.perturb)
+            self._spring.pull(self.perturb, self.world)
             self._observations, _, _, _, infos = self.env.step(actions)
         except Exception as error:
             if self._has_ended:  # The drawing failed, not the policy.
                 raise
             self._stop("the policy", error)
             return
-        self._roll_on(infos, self.reading)
+        self._roll_on(infos, self.readings)
         if self.is_paused:
             self._draw()
 
     def _is_done(self) -> bool:
-        """Return whether the goal was met a second ago, and the next start is due."""
+        """Return whether the next start is due, a second after the goal was met.
+
+        With several worlds that is so once each has met it, or is at its end.
+        """
         if not self.moves_on or self.is_paused or len(self.env.sides) > 1:
             return False
-        step = int(self.env.progress["step"][0])
+        step = int(max(self.env.progress["step"]))
         until = max(0, step + 1 - round(_HOLD / self.env.control_dt))
-        return any(any(frame.reading.success.values()) for frame in self.film[:until])
+        return all(
+            own[-1].has_ended or any(any(each.success.values()) for each in own[:until])
+            for own in zip(*(frame.readings for frame in self.film), strict=True)
+        )
 
     def _stop(self, what: str, error: Exception) -> None:
         """Pause, and warn of a failure; to play on is to try again."""
         where = location_of(error)
         trouble = f"{type(error).__name__}: {error}{f' ({where})' if where else ''}"
-        self.reading = replace(self.reading, trouble=trouble, is_loading=False)
         self._warn(f"{what} failed: {trouble}")
         self.is_paused = True
-        self._draw()
+        self._note(trouble=trouble, is_loading=False)
 
     def _after_physics(self) -> None:
         """Draw, wait until it is time for the next physics step, and pull in it."""
@@ -289,7 +325,7 @@ class Session:
             self._draw()
         if not self._has_ended:
             self._asked.wait(max(0.0, self._due - time.perf_counter()))
-        self._spring.pull(self.perturb)
+        self._spring.pull(self.perturb, self.world)
 
     def _draw(self) -> None:
         self._shown = time.perf_counter()

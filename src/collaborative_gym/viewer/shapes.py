@@ -1,10 +1,11 @@
-"""A world's geoms as nodes of a web page's scene."""
+"""A world's geoms as surfaces that a web page can draw."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
-import viser
+
+from collaborative_gym import math
 
 _MAX_GROUP = 2
 """Geoms of higher groups collide and are not seen."""
@@ -39,7 +40,7 @@ _CUBE = np.array(
 _KIND = mujoco.mjtGeom
 
 
-class _Surface(NamedTuple):
+class _Mesh(NamedTuple):
     """Corners (n, 3) in m, and their indices in each triangle, seen from outside.
 
     The light is smooth where triangles share a corner.
@@ -49,37 +50,48 @@ class _Surface(NamedTuple):
     faces: np.ndarray
 
 
-def add_geom(
-    scene: viser.SceneApi, name: str, model: mujoco.MjModel, geom: int
-) -> list[Any]:
-    """Add a geom to a page's scene and return its nodes; an unseen one has none.
+class Surface(NamedTuple):
+    """Geoms of a body that look alike.
 
-    The nodes' names begin with `name`, below that of the geom's body.
+    Corners (n, 3) in m in the body's frame, and their indices in each triangle, seen
+    from outside; the colour, 0 to 255, the opacity, 0 to 1, and whether it is a floor.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    color: tuple[int, int, int]
+    opacity: float
+    is_floor: bool
+
+
+def surfaces(model: mujoco.MjModel, body: int) -> list[Surface]:
+    """Return what is seen of a body, in its frame; of one look there is one surface.
 
     Raises:
-      ValueError: if geoms of its kind cannot be drawn.
+      ValueError: if geoms of a kind cannot be drawn.
     """
-    rgba = _rgba(model, geom)
-    if model.geom_group[geom] > _MAX_GROUP or rgba[3] == 0:
-        return []
-    looks: dict[str, Any] = {
-        "position": model.geom_pos[geom],
-        "wxyz": model.geom_quat[geom],
-        "opacity": None if rgba[3] == 1 else float(rgba[3]),
-        "cast_shadow": bool(rgba[3] == 1),
-        "side": "front" if rgba[3] == 1 else "double",
-    }
-    mesh = _mesh(model, geom)
-    return [
-        scene.add_mesh_simple(
-            f"{name}_{i}",
-            mesh.vertices,
-            faces,
-            color=tuple(np.rint(255 * color).astype(int).tolist()),
-            **looks,
-        )
-        for i, (color, faces) in enumerate(_painted(model, geom, mesh, rgba[:3]))
-    ]
+    first, found = model.body_geomadr[body], {}
+    for geom in range(first, first + model.body_geomnum[body]):
+        rgba = _rgba(model, geom)
+        if model.geom_group[geom] > _MAX_GROUP or rgba[3] == 0:
+            continue
+        mesh, is_floor = _mesh(model, geom), model.geom_type[geom] == _KIND.mjGEOM_PLANE
+        painted = _painted(model, geom, mesh, rgba[:3])
+        turn, place = model.geom_quat[geom], model.geom_pos[geom]
+        vertices = place + math.rotate(turn, mesh.vertices)
+        for color, faces in painted:
+            color = tuple(np.rint(255 * color).astype(int).tolist())
+            looks = color, round(float(rgba[3]), 6), is_floor
+            found.setdefault(looks, []).append(_Mesh(vertices, faces))
+    return [Surface(*_joined(parts), *looks) for looks, parts in found.items()]
+
+
+def _joined(meshes: list[_Mesh]) -> _Mesh:
+    """Return several meshes as one."""
+    firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return _Mesh(vertices, np.concatenate(faces))
 
 
 def _rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -89,7 +101,7 @@ def _rgba(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return own
 
 
-def _mesh(model: mujoco.MjModel, geom: int) -> _Surface:
+def _mesh(model: mujoco.MjModel, geom: int) -> _Mesh:
     """Return a geom's surface in its own frame, with edges where it is not smooth."""
     size = model.geom_size[geom].astype(float)
     match _KIND(model.geom_type[geom]):
@@ -113,7 +125,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> _Surface:
         case _KIND.mjGEOM_MESH:
             asset = model.mesh(model.geom_dataid[geom])
             first, face = asset.vertadr[0], asset.faceadr[0]
-            return _Surface(
+            return _Mesh(
                 model.mesh_vert[first : first + asset.vertnum[0]],
                 model.mesh_face[face : face + asset.facenum[0]],
             )
@@ -123,7 +135,7 @@ def _mesh(model: mujoco.MjModel, geom: int) -> _Surface:
     )
 
 
-def _box(half: np.ndarray) -> _Surface:
+def _box(half: np.ndarray) -> _Mesh:
     """Return a box of these half sides, (3,) in m."""
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     sides = [
@@ -132,10 +144,10 @@ def _box(half: np.ndarray) -> _Surface:
         for sign in (1, -1)
     ]
     faces = 4 * np.arange(6)[:, None, None] + [[0, 1, 2], [0, 2, 3]]
-    return _Surface(half * np.concatenate(sides), faces.reshape(-1, 3))
+    return _Mesh(half * np.concatenate(sides), faces.reshape(-1, 3))
 
 
-def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Surface:
+def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Mesh:
     """Return the surface of a line that is turned about z.
 
     The line has (points, 2) radii and heights from below, in m. Where a point comes
@@ -154,7 +166,7 @@ def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Surface:
     # At the axis, and between two points at one place, some have no area.
     corners = vertices[faces]
     sides = corners[:, 1:] - corners[:, :1]
-    return _Surface(vertices, faces[np.cross(sides[:, 0], sides[:, 1]).any(axis=1)])
+    return _Mesh(vertices, faces[np.cross(sides[:, 0], sides[:, 1]).any(axis=1)])
 
 
 def _arc(first: int, last: int, sectors: int = _SECTORS) -> np.ndarray:
@@ -164,7 +176,7 @@ def _arc(first: int, last: int, sectors: int = _SECTORS) -> np.ndarray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).round(12)
 
 
-def _plane(x: float, y: float) -> _Surface:
+def _plane(x: float, y: float) -> _Mesh:
     """Return squares that cover a plane, x and y being half its widths in m."""
     columns, rows = (max(1, round(2 * half / _SQUARE)) for half in (x, y))
     across, along = np.meshgrid(
@@ -175,11 +187,11 @@ def _plane(x: float, y: float) -> _Surface:
     corner = corner.reshape(-1, 1)
     above = corner + columns + 1
     triangles = [corner, corner + 1, above + 1, corner, above + 1, above]
-    return _Surface(vertices, np.hstack(triangles).reshape(-1, 3))
+    return _Mesh(vertices, np.hstack(triangles).reshape(-1, 3))
 
 
 def _painted(
-    model: mujoco.MjModel, geom: int, mesh: _Surface, rgb: np.ndarray
+    model: mujoco.MjModel, geom: int, mesh: _Mesh, rgb: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the colours of a surface, 0 to 1, and the faces that have each."""
     texels = _texels(model, geom, mesh.vertices[mesh.faces].mean(axis=1))

@@ -7,40 +7,41 @@ from collaborative_gym.envs.vector_env import VectorEnv
 
 
 class Spring:
-    """The force of a user's pull on a batch of one world, beside all other forces."""
+    """The force of a user's pull on one of the worlds, beside all other forces."""
 
     def __init__(self, env: VectorEnv):
         self._sim, self._model = env.sim, env.model
         self._data = mujoco.MjData(env.model)
         self._scene = mujoco.MjvScene(env.model, 100)
-        self._pulled: tuple[int, np.ndarray, np.ndarray] | None = None
+        self._pulled: tuple[tuple[int, int], np.ndarray, np.ndarray] | None = None
 
     def forget(self) -> None:
         """Leave the forces as they are, as after a reset, which clears them."""
         self._pulled = None
 
-    def pull(self, perturb: mujoco.MjvPerturb | None) -> None:
+    def pull(self, perturb: mujoco.MjvPerturb | None, world: int = 0) -> None:
         """Let MuJoCo's spring, and no other, act from now on; None lets go.
 
         Where its `localmass` is 0 it is new, and gets the mass at which it pulls.
         """
-        forces = self._sim.xfrc_applied[0]
+        forces = self._sim.xfrc_applied
         if self._pulled is not None:
-            body, before, written = self._pulled
+            at, before, written = self._pulled
             # If it differs, the task has set it since.
-            is_ours = forces[body] == written
-            forces[body] = np.where(is_ours, before, forces[body])
+            is_ours = forces[at] == written
+            forces[at] = np.where(is_ours, before, forces[at])
             self._pulled = None
         if perturb is None or not perturb.active or perturb.select <= 0:
             return
-        body, before = perturb.select, forces[perturb.select].copy()
-        forces[body] += self._force(perturb)
-        self._pulled = body, before, forces[body].copy()
+        at = world, perturb.select
+        before = forces[at].copy()
+        forces[at] += self._force(perturb, world)
+        self._pulled = at, before, forces[at].copy()
 
-    def _force(self, perturb: mujoco.MjvPerturb) -> np.ndarray:
+    def _force(self, perturb: mujoco.MjvPerturb, world: int) -> np.ndarray:
         """Return force and torque on the pulled body, (6,) in N and N m."""
         model, data = self._model, self._data
-        data.qpos[:], data.qvel[:] = self._sim.qpos[0], self._sim.qvel[0]
+        data.qpos[:], data.qvel[:] = self._sim.qpos[world], self._sim.qvel[world]
         mujoco.mj_forward(model, data)
         if perturb.localmass == 0:
             target = perturb.refselpos.copy()

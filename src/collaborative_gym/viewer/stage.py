@@ -1,4 +1,4 @@
-"""The world on a page: shapes, lights, labels, contact forces and cameras."""
+"""The worlds on a page: shapes, lights, labels, contact forces and cameras."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.policies import name_policy
 from collaborative_gym.viewer.guard import PULL
 from collaborative_gym.viewer.session import Session
-from collaborative_gym.viewer.shapes import add_geom
+from collaborative_gym.viewer.shapes import surfaces
 
 _SKY = (230, 235, 240)
 """Colour of the page's sky, into which the floor fades."""
@@ -35,6 +35,13 @@ NEWTONS_PER_METRE = 100.0
 _WEAK = 0.5
 """Least contact force that is drawn, in N."""
 
+_TALL, _LOWER = 0.75, 0.4
+"""A picture that is narrower than this share of its height looks so much lower, as a
+share of half its height: a phone's panel covers its lower part."""
+
+_WIDE = 1.6
+"""Width of all worlds together as a share of their depth."""
+
 _FROM: Mapping[str, tuple[float, float, float]] = {
     "front": (1.0, 0.0, 0.4),
     "back": (-1.0, 0.0, 0.4),
@@ -45,32 +52,42 @@ _FROM: Mapping[str, tuple[float, float, float]] = {
 }
 """Directions from the middle of the arms to a camera."""
 
-_HANDS = "hands"
-"""View of the hands alone."""
+_HANDS, _WORLD = "hands", "one world"
+"""Views of the hands alone, and of the world that is read."""
+
+_GRID = (1.0, 0.0, 0.8)
+"""Direction from the middle of several worlds to a camera that overlooks them."""
 
 _MARGIN = 0.4
 """Margin of a picture around the middles of an arm's parts, in m."""
 
+_APART = 1.8, 1.0
+"""Distance between the bodies of two worlds behind and beside one another, in m."""
+
 
 class Stage:
-    """A session's world in a page's scene, which is cleared before.
+    """A session's worlds in a page's scene, which is cleared before.
 
-    It shows this world until the session plays another. `views` are the names of the
-    places of a camera, the task's own first.
+    It shows these worlds, in rows, until the session plays others. `views` are the
+    names of the places of a camera, that of the task or of all worlds first.
 
     Raises:
-      ValueError: if the world has something that the page cannot draw.
+      ValueError: if a world has something that the page cannot draw.
     """
 
     def __init__(self, server: viser.ViserServer, session: Session):
         self.env, self._session, self._server = session.env, session, server
         self._model = model = self.env.world.drawn_model
-        self._data = mujoco.MjData(model)
+        self._worlds = [mujoco.MjData(model) for _ in range(self.env.num_envs)]
         self._pulls: dict[int, mujoco.MjvPerturb] = {}
+        self._places = np.zeros((len(self._worlds), 3))
         self._move()
-        mujoco.mj_forward(model, self._data)
+        for data in self._worlds:
+            mujoco.mj_forward(model, data)
+        self._places = _rows(len(self._worlds), self._data.xpos)
         own = [model.camera(i).name for i in range(model.ncam)]
         views = [CAMERA, *filter(None, own), _HANDS, *_FROM]
+        views[1:1] = [_WORLD] * (len(self._worlds) > 1)
         self.views = tuple(dict.fromkeys(views))
         owners = [model.body(i).name.partition("/")[0] for i in range(model.nbody)]
         self._arms = {
@@ -79,8 +96,8 @@ class Stage:
         }
         scene = server.scene
         scene.reset()
-        self._lights = _light(scene, model)
-        self._frames = self._add_bodies(scene)
+        self._lights = _light(scene, model, float(np.ptp(self._places, axis=0).max()))
+        self._bodies = self._add_bodies(scene)
         self._labels = {
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
@@ -88,7 +105,14 @@ class Stage:
         # On the floor, between the arms, until somebody has pulled.
         self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
-        self._hint.position = (*bases[:, :2].mean(axis=0), 0.05)
+        middle = np.append(bases[:, :2].mean(axis=0), 0.05)
+        self._hint.position = middle
+        self._titles = [
+            scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
+            for i in range(len(self._worlds))
+        ]
+        for title, place in zip(self._titles, self._places, strict=True):
+            title.position = middle + place
         self._forces = scene.add_arrows(
             "/forces",
             np.zeros((0, 2, 3)),
@@ -102,42 +126,64 @@ class Stage:
         camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
 
     def refresh(self, *, labels: bool, forces: bool, shadows: bool) -> None:
-        """Show the present state, with a policy's name over each arm if `labels`."""
+        """Show the present state, with a policy's name over each arm if `labels`.
+
+        The arms of the world that is read have names, and of several worlds each one.
+        """
         self._move()
-        data = self._data
+        session = self._session
+        data, place = self._data, self._places[session.world]
+        everywhere = [self._poses(body) for body in range(self._model.nbody)]
         with self._server.atomic():
-            for body, frame in self._frames.items():
-                frame.position, frame.wxyz = data.xpos[body], data.xquat[body]
-            self._hint.visible = labels and not self._session.was_pulled
+            for body, nodes in self._bodies.items():
+                for node in nodes:
+                    node.batched_positions, node.batched_wxyzs = everywhere[body]
+            has_many = len(self._worlds) > 1
+            self._hint.visible = labels and not has_many and not session.was_pulled
+            for i, title in enumerate(self._titles):
+                title.visible = labels and has_many
+                is_met = any(session.readings[i].success.values())
+                title.text = f"world {i + 1}{': success' if is_met else ''}"
             for agent, label in self._labels.items():
                 label.visible = labels
                 if labels:
-                    name = name_policy(self._session.policies[agent])
+                    name = name_policy(session.policies[agent])
                     label.text = f"{agent}: {name}"
-                    places = data.xpos[self._arms[agent]]
-                    top = places[:, 2].max() + _ABOVE
-                    label.position = np.append(places[0, :2], top)
+                    parts = data.xpos[self._arms[agent]]
+                    top = parts[:, 2].max() + _ABOVE
+                    label.position = place + np.append(parts[0, :2], top)
             self._forces.visible = forces
             if forces:
-                self._forces.points = _arrows(self.env.model, self.env.sim.data(0))
+                arrows = _arrows(self.env.model, self.env.sim.data(session.world))
+                self._forces.points = arrows + place
             for light in self._lights:
                 light.cast_shadow = shadows
 
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
-        eye, target = self._place(view, client.camera.aspect)
+        aspect = client.camera.aspect
+        eye, target = self._place(view, aspect)
+        if aspect < _TALL:
+            slope = np.tan(np.radians(self._model.camera(CAMERA).fovy[0]) / 2)
+            down = _LOWER * slope * np.linalg.norm(eye - target)
+            target = target - np.array([0.0, 0.0, down])
         client.camera.position, client.camera.look_at = eye, target
         return eye
 
     def _place(self, view: str, aspect: float) -> tuple[np.ndarray, np.ndarray]:
         """Return where a camera stands so that the arms are in view, and its target."""
         model, data = self._model, self._data
+        places = self._places
         own, looked_at = overview(model, data)
         if view == _HANDS:
             shown = data.site_xpos[[model.site(f"{a}/tcp").id for a in self._arms]]
         else:
             shown = np.concatenate([data.xpos[own] for own in self._arms.values()])
-        if view == CAMERA:
+        if len(places) > 1 and view == CAMERA:
+            shown = np.concatenate([shown + place for place in places])
+            target = (shown.min(axis=0) + shown.max(axis=0)) / 2
+            eye = target + np.array(_GRID)
+        elif view in (CAMERA, _WORLD):
             eye, target = own, looked_at
         elif view in (_HANDS, *_FROM):
             target = (shown.min(axis=0) + shown.max(axis=0)) / 2
@@ -156,57 +202,95 @@ class Stage:
         nearest = np.linalg.norm(eye - target) if view == CAMERA else 0.0
         return target + max(needed, nearest) * back, target
 
-    def _move(self) -> None:
-        """Move the drawn bodies to the world's state."""
-        sim, data = self.env.sim, self._data
-        data.qpos[:], data.mocap_pos[:] = sim.qpos[0], sim.mocap_pos[0]
-        mujoco.mj_kinematics(self._model, data)
+    @property
+    def _data(self) -> mujoco.MjData:
+        """The world that is read."""
+        return self._worlds[self._session.world]
 
-    def _add_bodies(self, scene: viser.SceneApi) -> dict[int, viser.FrameHandle]:
-        """Draw all bodies, and return the frames of those that move."""
-        model, data = self._model, self._data
-        frames: dict[int, viser.FrameHandle] = {}
+    def _poses(self, body: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return where a body of all worlds is drawn, (worlds, 3) in m, (worlds, 4)."""
+        positions = np.array([data.xpos[body] for data in self._worlds])
+        return positions + self._places, np.array(
+            [data.xquat[body] for data in self._worlds]
+        )
+
+    def _move(self) -> None:
+        """Move the drawn bodies to the worlds' state."""
+        sim = self.env.sim
+        for i, data in enumerate(self._worlds):
+            data.qpos[:], data.mocap_pos[:] = sim.qpos[i], sim.mocap_pos[i]
+            mujoco.mj_kinematics(self._model, data)
+
+    def _add_bodies(self, scene: viser.SceneApi) -> dict[int, list[Any]]:
+        """Draw all bodies, and return the nodes of those that move."""
+        model = self._model
+        moving: dict[int, list[Any]] = {}
         for body in range(model.nbody):
             name = f"/{model.body(body).name.replace('/', ' ') or body}"
-            frame = scene.add_frame(
-                name, False, position=data.xpos[body], wxyz=data.xquat[body]
-            )
-            first, count = model.body_geomadr[body], model.body_geomnum[body]
+            positions, wxyzs = self._poses(body)
+            nodes = [
+                scene.add_batched_meshes_simple(
+                    f"{name}/{i}",
+                    each.vertices,
+                    each.faces,
+                    # A floor is endless, and one is enough.
+                    wxyzs[:1] if each.is_floor else wxyzs,
+                    positions[:1] if each.is_floor else positions,
+                    batched_colors=each.color,
+                    opacity=None if each.opacity == 1 else each.opacity,
+                    cast_shadow=each.opacity == 1,
+                    side="front" if each.opacity == 1 else "double",
+                    lod="off",
+                )
+                for i, each in enumerate(surfaces(model, body))
+            ]
             is_free = model.body_weldid[body] > 0
             if is_free or model.body_mocapid[body] >= 0:
-                frames[body] = frame
-            pull = self._puller(body, frame)
-            for geom in range(first, first + count):
-                for node in add_geom(scene, f"{name}/{geom}", model, geom):
-                    if is_free:
-                        node.on_drag("left", modifier=PULL)(pull)
-        return frames
+                moving[body] = nodes
+            for node in nodes if is_free else ():
+                node.on_drag("left", modifier=PULL)(self._puller(body))
+        return moving
 
-    def _puller(self, body: int, frame: viser.FrameHandle) -> Callable[[Any], Any]:
+    def _puller(self, body: int) -> Callable[[Any], Any]:
         """Return the callback of the mice that pull at a body."""
 
         # Not a plain function: those may be called out of order.
         async def pull(event: viser.SceneNodeDragEvent) -> None:
             session, client = self._session, event.client_id
             pulling = self._pulls.get(client)
+            world = min(event.instance_index or 0, len(self._worlds) - 1)
+            place = self._places[world]
             if event.phase == "start":
-                offset = np.subtract(event.start_position, frame.position)
+                session.look(world)
+                data = self._worlds[world]
+                offset = event.start_position - place - data.xpos[body]
                 perturb = mujoco.MjvPerturb()
                 perturb.select = body
                 perturb.active = mujoco.mjtPertBit.mjPERT_TRANSLATE.value
-                perturb.localpos = math.rotate(math.conjugate(frame.wxyz), offset)
-                perturb.refselpos = event.end_position
+                perturb.localpos = math.rotate(math.conjugate(data.xquat[body]), offset)
+                perturb.refselpos = event.end_position - place
                 session.perturb = self._pulls[client] = perturb
             elif pulling is None:
                 return  # Another of its pulls has ended.
             elif event.phase == "update":
-                pulling.refselpos = event.end_position
+                pulling.refselpos = event.end_position - place
             else:
                 del self._pulls[client]
                 if session.perturb is pulling:
                     session.perturb = None
 
         return pull
+
+
+def _rows(count: int, bodies: np.ndarray) -> np.ndarray:
+    """Return where worlds stand in rows, the first at the origin, (count, 3) in m.
+
+    The bodies of one are at (bodies, 3). Later rows are farther from the camera.
+    """
+    apart = np.ptp(bodies[:, :2], axis=0) + _APART
+    columns = min(count, round(np.sqrt(_WIDE * count * apart[0] / apart[1])))
+    along = np.stack([-(np.arange(count) // columns), np.arange(count) % columns], 1)
+    return np.pad(along * apart, ((0, 0), (0, 1)))
 
 
 def _arrows(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -222,9 +306,11 @@ def _arrows(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
 
 
 def _light(
-    scene: viser.SceneApi, model: mujoco.MjModel
+    scene: viser.SceneApi, model: mujoco.MjModel, width: float
 ) -> list[viser.DirectionalLightHandle]:
     """Light a page's scene about as MuJoCo lights the world.
+
+    The haze begins behind worlds that are so wide, in m.
 
     Returns:
       The lights that cast shadows.
@@ -232,7 +318,8 @@ def _light(
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)
     scene.set_background_image(np.full((2, 2, 3), _SKY, np.uint8))
-    scene.configure_fog(*_HAZE, color=_SKY)
+    near, far = _HAZE
+    scene.configure_fog(near + 3 * width, far + 3 * width, color=_SKY)
     ambient = model.vis.headlight.ambient.mean()
     scene.add_light_ambient("/ambient", intensity=float(np.pi * ambient))
     lights = [
