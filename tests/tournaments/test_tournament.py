@@ -92,7 +92,7 @@ def test_sides_of_several_robots_are_seats():
 
 
 def test_with_more_seats_one_player_sits_among_others():
-    players = [playing.Player(name, {}, {}, name) for name in "ab"]
+    players = [playing.Player(name, {}, name) for name in "ab"]
     seats = {f"robot_{i}": () for i in (1, 2, 3)}
 
     def lineups(turns):

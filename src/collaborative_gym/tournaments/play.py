@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -66,16 +66,14 @@ class Player:
 
     Attributes:
       name: of the player.
-      policies: by agent.
-      given: the same as the user named them.
+      policies: by agent, with the networks of files read.
       mark: names of scripted policies and digests of trained ones, which differ from
         those of other policies under the same name. None where there is a function,
         since nobody can say whether it is the same one.
     """
 
     name: str
-    policies: Mapping[str, Policy]
-    given: Mapping[str, Any]
+    policies: Mapping[str, Any]
     mark: str | None
 
     def misfit(self, agents: Collection[str]) -> str:
@@ -174,10 +172,8 @@ def tournament(
         parts = parts_of(on_progress, [1] * len(casts))
         for i, (cast, part) in enumerate(zip(casts, parts, strict=True)):
             if pairings[i] is None:
-                with _worlds(
-                    world, cast, all_seats, any_env=any_env, num_threads=num_threads
-                ) as (own, policy):
-                    pairings[i] = played = _play(own, policy, cast, settings, part)
+                given = world, cast, all_seats, settings, num_threads, part
+                pairings[i] = played = _play(*given)
                 kept.write(cast, played)
                 if on_pairing is not None:
                     on_pairing(played)
@@ -277,39 +273,24 @@ def _misfits(cast: _Seating, seats: Mapping[str, tuple[str, ...]]) -> str:
     return "; ".join(f"{name!r}: {why}" for name, why in found.items() if why)
 
 
-@contextmanager
-def _worlds(
+def _play(
     env: VectorEnv,
     cast: _Seating,
     seats: Mapping[str, tuple[str, ...]],
-    *,
-    any_env: bool,
-    num_threads: int,
-) -> Iterator[tuple[VectorEnv, Policy]]:
-    """Yield the worlds of a pairing and its policy; limp and absent arms need others.
-
-    They are closed with the context.
-    """
-    players = {agent: cast[seat] for seat, own in seats.items() for agent in own}
-    given = {agent: player.given[agent] for agent, player in players.items()}
-    task = as_played(env.task, given)
-    if task is env.task:
-        team = {agent: player.policies[agent] for agent, player in players.items()}
-        yield env, as_policy(team, env, any_env=True)  # The players have been checked.
-        return
-    with closing(VectorEnv(task, env.num_envs, num_threads=num_threads)) as own:
-        yield own, as_policy(given, own, any_env=any_env)
-
-
-def _play(
-    env: VectorEnv,
-    policy: Policy,
-    cast: _Seating,
     settings: Mapping[str, Any],
+    num_threads: int,
     on_progress: OnProgress,
 ) -> Pairing:
+    team = {
+        agent: player.policies[agent]
+        for seat, player in cast.items()
+        for agent in seats[seat]
+    }
     episodes, seed = settings["episodes"], settings["seed"]
-    rows, _ = play_episodes(env, policy, episodes, seed, on_progress)
+    task = as_played(env.task, team)  # Some arms may be limp or absent.
+    with closing(VectorEnv(task, env.num_envs, num_threads=num_threads)) as world:
+        policy = as_policy(team, world, any_env=True)  # The players have been checked.
+        rows, _ = play_episodes(world, policy, episodes, seed, on_progress)
     columns = {
         name: tuple(float(row[name]) for row in rows)
         for name in rows[0]
@@ -419,23 +400,19 @@ def enter(
 
 
 def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
-    policies: dict[str, Policy] = {}
-    named: dict[str, Any] = {}
+    policies: dict[str, Any] = {}
     marks: dict[str, str | None] = {}
     with naming(f"player {name!r}"):
         for given, agents in group_agents(policy, env):
             own = read_policy(given, env)
-            if isinstance(own, str) and own in STATES:
-                own = STATES[own](env)  # Its worlds are made with its pairing.
-            elif isinstance(own, NetworkPolicy):
+            if isinstance(own, NetworkPolicy):
                 own.check(env, any_env=any_env)
-            else:
-                own = commanding(agents, own, env, any_env)
+            elif given not in STATES:  # Of those the worlds come with the pairing.
+                commanding(agents, own, env, any_env)
             policies |= dict.fromkeys(agents, own)
-            named |= dict.fromkeys(agents, given)
             marks |= dict.fromkeys(agents, _mark(given, own))
     mark = "; ".join(f"{agent} {marks[agent]}" for agent in env.agents)
-    return Player(name, policies, named, None if None in marks.values() else mark)
+    return Player(name, policies, None if None in marks.values() else mark)
 
 
 def _mark(given: Any, found: Policy) -> str | None:
