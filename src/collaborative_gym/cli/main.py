@@ -8,7 +8,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,7 +28,7 @@ from collaborative_gym.cli.commands import (
 )
 from collaborative_gym.cli.studies import Compare, Report, Tournament
 from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, show
-from collaborative_gym.cli.train import BriefTrain, Train
+from collaborative_gym.cli.train import BriefTrain, Train, explain_hyperparameters
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
 
@@ -131,10 +131,13 @@ def _run(arguments: list[str]) -> None:
             raise ValueError(f"{verb} has no {option}; give {instead}")
     if verb in _VERBS:  # Reading the options of one command is quicker.
         kind, description, rest = _VERBS[verb], None, arguments[1:]
-        if kind is Train and "--help-all" in rest:
-            rest = ["--help"]
-        elif kind is Train and {"-h", "--help"} & {*rest}:
+        if kind is Train and {"-h", "--help", "--help-all"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
+            if "--help-all" in rest:
+                with suppress(SystemExit):
+                    main([verb, "--help"])
+                show(explain_hyperparameters())
+                raise SystemExit(0)
         command = tyro.cli(
             kind,
             prog=f"collaborative-gym {verb}",

@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -39,6 +40,19 @@ _Own = tyro.conf.arg(help_behavior_hint="")
 _MOST_SEEDS = 10_000
 """More runs of one kind than anybody trains."""
 
+_SUBJECTS = {
+    "device": "The machine",
+    "total_steps": "How long, and how much at a time",
+    "discount": "Learning",
+    "replay_size": "SAC alone",
+    "initial_std": "Noise of actions, and grips",
+    "assistance": "Help that fades, and penalties",
+    "imitation": "The expert's advice, and mishaps in training alone",
+    "population": "Populations and leagues",
+    "hidden_sizes": "Networks and validations",
+}
+"""What a hyperparameter and those after it are about."""
+
 _Flat = tyro.conf.arg(name="")
 
 
@@ -68,7 +82,7 @@ class Train(Command):
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.
-      help_all: like --help, with what each hyperparameter does.
+      help_all: like --help, then what each hyperparameter does, by subject.
       all: train the baselines of all environments, or of those named, each with
         several seeds, and write their cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
@@ -293,11 +307,38 @@ class BriefTrain(Train):
         """Return what stands above the options."""
         text = inspect.cleandoc(Train.__doc__ or "").partition("\n\nAttributes:")[0]
         for what, kind in (("resources", Resources), ("how to learn", Hyperparameters)):
-            names = [f"--{each.name.replace('_', '-')}" for each in fields(kind)]
+            names = [_option(each.name) for each in fields(kind)]
             more = f"More options, {what} (see --help-all): {', '.join(names)}."
             lines = textwrap.wrap(more, 80, break_on_hyphens=False)
             text += "\n\n" + "\n".join(lines)
         return text
+
+
+def explain_hyperparameters() -> str:
+    """Return the hyperparameters by subject: a sentence about each, and its default."""
+    lines: list[str] = []
+    for kind in (Resources, Hyperparameters):
+        told = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")[2]
+        _, *parts = re.split(r"^  (\w+): ", told, flags=re.MULTILINE)
+        about = dict(zip(parts[::2], parts[1::2], strict=True))
+        for option in fields(kind):
+            if option.name in _SUBJECTS:
+                lines += ["", f"{_SUBJECTS[option.name]}:"]
+            usual = option.default
+            usual = " ".join(map(str, usual)) if isinstance(usual, tuple) else usual
+            sentence = re.split(r"\. (?=[A-Z(])", " ".join(about[option.name].split()))
+            lines += textwrap.wrap(
+                f"{sentence[0].rstrip('.')} ({usual})",
+                80,
+                initial_indent=f"  {_option(option.name):<24} ",
+                subsequent_indent=" " * 27,
+            )
+    more = "More about each: python -m pydoc collaborative_gym.Hyperparameters"
+    return "\n".join([*lines, "", more])
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _raise_failures(outcomes: "Sequence[Outcome]") -> None:
