@@ -227,16 +227,9 @@ class Menu:
 
 def _without_states(task: Task, policies: Mapping[str, AnyPolicy]) -> Task:
     """Return a task without the limp and absent arms that its policies ask for."""
-    asked = {
-        state: [agent for agent, given in policies.items() if given == state]
-        for state in STATES
-    }
     starts = task.config.randomization
-    others = {
-        state: tuple(agent for agent in getattr(starts, state) if agent not in agents)
-        for state, agents in asked.items()
-    }
-    return disturbed(task, **others)
+    kept = {s: [a for a in getattr(starts, s) if policies.get(a) != s] for s in STATES}
+    return disturbed(task, **kept)
 
 
 def _put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:

@@ -133,11 +133,12 @@ class Stage:
         self._move()
         session = self._session
         data, place = self._data, self._places[session.world]
-        everywhere = [self._poses(body) for body in range(self._model.nbody)]
+        positions, wxyzs = self._poses()
         with self._server.atomic():
             for body, nodes in self._bodies.items():
                 for node in nodes:
-                    node.batched_positions, node.batched_wxyzs = everywhere[body]
+                    node.batched_positions = positions[:, body]
+                    node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
             self._hint.visible = labels and not has_many and not session.was_pulled
             for i, title in enumerate(self._titles):
@@ -207,12 +208,11 @@ class Stage:
         """The world that is read."""
         return self._worlds[self._session.world]
 
-    def _poses(self, body: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a body of all worlds is drawn, (worlds, 3) in m, (worlds, 4)."""
-        positions = np.array([data.xpos[body] for data in self._worlds])
-        return positions + self._places, np.array(
-            [data.xquat[body] for data in self._worlds]
-        )
+    def _poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return where all bodies are drawn, (worlds, bodies, 3) in m, and (..., 4)."""
+        positions = np.array([data.xpos for data in self._worlds])
+        wxyzs = np.array([data.xquat for data in self._worlds])
+        return positions + self._places[:, None], wxyzs
 
     def _move(self) -> None:
         """Move the drawn bodies to the worlds' state."""
@@ -225,17 +225,17 @@ class Stage:
         """Draw all bodies, and return the nodes of those that move."""
         model = self._model
         moving: dict[int, list[Any]] = {}
+        positions, wxyzs = self._poses()
         for body in range(model.nbody):
             name = f"/{model.body(body).name.replace('/', ' ') or body}"
-            positions, wxyzs = self._poses(body)
             nodes = [
                 scene.add_batched_meshes_simple(
                     f"{name}/{i}",
                     each.vertices,
                     each.faces,
                     # A floor is endless, and one is enough.
-                    wxyzs[:1] if each.is_floor else wxyzs,
-                    positions[:1] if each.is_floor else positions,
+                    wxyzs[: 1 if each.is_floor else None, body],
+                    positions[: 1 if each.is_floor else None, body],
                     batched_colors=each.color,
                     opacity=None if each.opacity == 1 else each.opacity,
                     cast_shadow=each.opacity == 1,
