@@ -124,6 +124,11 @@ def _run(arguments: list[str]) -> None:
         show(f"collaborative-gym {version('collaborative-gym')}")
         return
     verb = arguments[0] if arguments else ""
+    if verb == "train" and "--help-all" in arguments:
+        with suppress(SystemExit):
+            _run([verb, "--help"])
+        show(explain_hyperparameters())
+        raise SystemExit(0)
     for word in arguments:
         option = word.partition("=")[0]
         if (verb, option) in _INSTEAD:
@@ -131,13 +136,8 @@ def _run(arguments: list[str]) -> None:
             raise ValueError(f"{verb} has no {option}; give {instead}")
     if verb in _VERBS:  # Reading the options of one command is quicker.
         kind, description, rest = _VERBS[verb], None, arguments[1:]
-        if kind is Train and {"-h", "--help", "--help-all"} & {*rest}:
+        if kind is Train and {"-h", "--help"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
-            if "--help-all" in rest:
-                with suppress(SystemExit):
-                    main([verb, "--help"])
-                show(explain_hyperparameters())
-                raise SystemExit(0)
         command = tyro.cli(
             kind,
             prog=f"collaborative-gym {verb}",
@@ -154,13 +154,18 @@ def _run(arguments: list[str]) -> None:
             description=_DESCRIPTION,
             args=arguments,
         )
+    _check_given(command, arguments)
+    if isinstance(command, Command):
+        load_modules(command.module)
+    command.run()
+
+
+def _check_given(command: Any, arguments: list[str]) -> None:
+    """Raise ValueError if an option of several values has none."""
     for name, value in vars(command).items():
         option = f"--{name.replace('_', '-')}"
         if value == () and option in arguments:
             raise ValueError(f"{option} takes a value, or several, got none")
-    if isinstance(command, Command):
-        load_modules(command.module)
-    command.run()
 
 
 def _any_command() -> Any:
