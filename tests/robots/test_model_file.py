@@ -1,5 +1,9 @@
 """Any arm's model file is prepared for any world."""
 
+import re
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -110,3 +114,27 @@ def test_fingers_that_mimic_and_have_servos_are_not_tied_besides(from_urdf, in_a
     _, model = in_a_world(from_urdf)
     assert model.neq == 0
     assert model.nu == 6 + 2
+
+
+def test_visual_meshes_are_drawn_and_change_no_bit(tmp_path):
+    panda = cg.get_robot("panda")
+    text = Path(panda.model_file).read_text()
+    corners = ("v 0 0 0", "v .1 0 0", "v 0 .1 0", "v 0 0 .1")
+    faces = ("f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4")
+    (tmp_path / "cowl.obj").write_text("\n".join((*corners, *faces)))
+    shape = '<geom class="visual" type="mesh" mesh="cowl"/>'
+    text = text.replace("<asset>", '<asset><mesh name="cowl" file="cowl.obj"/>', 1)
+    text = re.sub(r'<geom class="visual" size="0.0545"[^>]*/>', shape, text, count=1)
+    file = tmp_path / "panda.xml"
+    file.write_text(text)
+    played = []
+    for arm in panda, replace(panda, name="meshed", model_file=file):
+        env = cg.make_vec("Lift", 1, robots=(arm, "panda"), num_threads=1)
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(env.expert())
+        played.append(env.sim.qpos.copy())
+    drawn = env.world.drawn_model
+    names = [drawn.mesh(i).name for i in range(drawn.nmesh)]
+    assert any("cowl" in name for name in names) and env.model.nmesh == 0
+    np.testing.assert_array_equal(*played)
