@@ -53,6 +53,9 @@ def test_the_environments_are_the_thesis_eight_and_our_own():
     own |= {f"Hockey{arms}-v0" for arms in ("Pandas", "Sawyers", "PandaSawyer")}
     own |= {"HockeyDoubles-v0"}
     own |= {f"Tug{arms}-v0" for arms in ("Pandas", "Sawyers", "PandaSawyer")}
+    own |= {f"Lift{team}-v0" for team in ("Mixed3", "Mixed4")}
+    own |= {f"LiftPandas{count}-v0" for count in (2, 3, 4, 6, 8)}
+    own |= {"ReachMixed3-v0", *(f"ReachPandas{count}-v0" for count in (2, 4, 8))}
     assert set(cg.list_envs()) == {*BASES, *own}
 
 
