@@ -165,3 +165,12 @@ def test_other_arms_play_in_the_same_action_mode():
     other, _, _ = menu.load(choice, env)
     assert other.task.config.action == "tcp"
     assert other.task.robots["robot_1"].name == "panda"
+
+
+def test_as_many_worlds_play_after_another_choice(menu):
+    env = cg.make_vec("PokeTaskSawyers-v0", 3, num_threads=1)
+    env.reset(seed=2, episodes=[4, 5, 6])
+    chosen = menu.chosen(env, {"robot_1": "expert", "robot_2": "idle"})
+    assert (chosen.seed, chosen.episode) == (2, 4)
+    other, *_ = menu.load(menu.moved(chosen, LIFT), env)
+    assert other.num_envs == 3

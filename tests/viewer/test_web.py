@@ -2,6 +2,7 @@ import html
 import socket
 import sys
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -136,10 +137,18 @@ def test_worlds_beside_one_another_are_read_one_at_a_time(
     assert session.reading.episode == 4
     assert ">4<" in page._panel._table.content
     assert "success in 0 of 6 worlds" in page._panel._heading.content
+    assert page._panel._worlds.value == "world 5"
     assert "episode=4" in page._panel._link.content
     places = page._stage._places
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     assert apart[~np.eye(6, dtype=bool)].min() > 1.0
+    tab = SimpleNamespace(camera=SimpleNamespace(aspect=1.5))
+    for view in "one world", "above":
+        eyes = []
+        for world in 0, 4:
+            session.look(world)
+            eyes.append(page._stage.stand(tab, view))
+        np.testing.assert_allclose(eyes[1] - eyes[0], places[4], atol=0.5)
     for body, nodes in page._stage._bodies.items():
         for node in nodes:
             for i in range(6):

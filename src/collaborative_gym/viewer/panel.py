@@ -115,6 +115,7 @@ class Panel:
             return
         self._said = reading
         self._heading.content = _heading(session)
+        self._worlds.value = self._worlds.options[session.world]
         self._table.content = _table(reading.rows)
         self._time.value = max(each.time for each in session.readings)
         offered = session.env, session.policies, reading.trouble

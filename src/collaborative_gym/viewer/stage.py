@@ -164,6 +164,10 @@ class Stage:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         aspect = client.camera.aspect
         eye, target = self._place(view, aspect)
+        if view != CAMERA:
+            # Of several worlds, all other views are of the one that is read.
+            place = self._places[self._session.world]
+            eye, target = eye + place, target + place
         if aspect < _TALL:
             slope = np.tan(np.radians(self._model.camera(CAMERA).fovy[0]) / 2)
             down = _LOWER * slope * np.linalg.norm(eye - target)
