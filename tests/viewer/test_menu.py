@@ -48,7 +48,7 @@ def test_what_a_link_does_not_say_is_as_usual(menu):
         ("env=Nothing-v0", "no environment 'Nothing-v0'"),
         ("nonsense", "bad query field"),
         (f"env={LIFT}&robots=sawyer&robots=tank", "no robot 'tank'"),
-        (f"env={LIFT}&robots=sawyer", "needs 2 robots, got 1"),
+        (f"env={LIFT}&robots=sawyer", "needs 2 to 8 robots, got 1"),
         (f"env={LIFT}&policies=idle", "1 policies for 2 robots"),
         (f"env={LIFT}&policies=idle&policies=/etc/passwd", "no policy '/etc/passwd'"),
         (f"env={LIFT}&randomization=wild", "no randomization 'wild'"),
