@@ -6,7 +6,8 @@
 A team is an environment's id, or names of arms with commas; the default are all ids of
 teams of three and more, and random teams of three to eight arms, which the seed names.
 `--faults` also plays with one arm, each in turn, that is idle, idle and gripping, limp,
-or still from when it holds. A team that the task refuses has its reason in the row.
+or still from when it holds, where tasks have grips. A team that the task refuses has
+its reason in the row.
 """
 
 import argparse
@@ -75,7 +76,7 @@ def row(
 
     def worlds(**changes):
         task = make_task(name, names, max_episode_steps=options.steps, **changes)
-        return cg.VectorEnv(task, options.episodes, num_threads=0)
+        return cg.VectorEnv(task, options.episodes, num_threads=0, auto_reset=False)
 
     begun = time.perf_counter()
     try:
@@ -92,6 +93,9 @@ def row(
         completed, seconds = play(env)
         cells = [f"{completed:.0%}", f"{seconds:.1f}"]
         for fault in faults:
+            if fault in ("gripping", "frozen") and not env.task.gripping:
+                cells.append("-")
+                continue
             worst = max(
                 fails(env, worlds, fault, agent) for agent in env.agents[: options.arms]
             )
@@ -128,7 +132,7 @@ def play(env: cg.VectorEnv, agent: str = "", fault: str = "") -> tuple[float, fl
             actions[agent] = np.where(held[:, None], still, actions[agent])
         *_, infos = env.step(actions)
         metrics = infos["metrics"]
-        is_over = infos["ended"].any() or metrics["completion"].all()
+        is_over = (infos["ended"] | (metrics["completion"] > 0.0)).all()
     times = metrics["time_to_success"][metrics["completion"] > 0.0]
     return float(metrics["completion"].mean()), float(times.mean()) if len(
         times

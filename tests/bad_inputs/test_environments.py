@@ -22,7 +22,7 @@ import collaborative_gym as cg
 
 ENV = "LiftTaskSawyers-v0"
 ONE = {"num_envs": 1, "num_threads": 1}
-NO_ROBOTS = (3, 1.5, "panda", b"panda", {}, {"panda"}, THING, [], ["panda"])
+NO_ROBOTS = (3, 1.5, "pandas", b"panda", {}, {"panda"}, THING, [], ["panda"])
 NO_ROBOTS = (*NO_ROBOTS, ["panda", 3], ["panda", "x"], ["panda"] * 3, [[], "panda"])
 NO_RANDOMIZATION = (3, [], {"joint_noise": 0.1}, {}, THING, "", "papr", True, 0.0)
 NO_PLACEMENTS = (3, "ab", [], {}, THING, ["a", "b"], [cg.Placement((0, 0, 0))], [1, 2])

@@ -170,7 +170,7 @@ class LiftFacts:
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
-    """Lift a pot that is too heavy for all arms but one to a target, and keep it level.
+    """Lift a pot that needs all arms to a target, and keep it level.
 
     Attributes:
       target: nominal place of the target, (3,).

@@ -157,7 +157,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
         places = []
         for angle, robot in zip(angles, self.robots.values(), strict=True):
             far = inner + _AHEAD * robot.reach
-            x, y = far * np.cos(angle), far * np.sin(angle)
+            x, y = np.round([far * np.cos(angle), far * np.sin(angle)], 12).tolist()
             places.append(Placement((x, y, _HEIGHT), angle + np.pi))
         return tuple(places)
 
