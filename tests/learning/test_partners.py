@@ -80,3 +80,22 @@ def test_a_run_goes_on_with_its_partners(train_tiny, tiny):
 def test_wrong_partners_are_refused(train_tiny, partners, message):
     with pytest.raises((KeyError, TypeError, ValueError), match=message):
         train_tiny(partner=partners)
+
+
+def test_a_large_team_has_drawn_casts_with_each_member_in_each_seat(tiny):
+    task = cg.task("Reach", "panda", num_robots=5)
+    casting = make_casting(
+        task, (), ("population",), hyperparameters=tiny(population=3, num_envs=128)
+    )
+    assert len(casting.casts) == 63
+    for seat in range(5):
+        own = [cast[seat] for cast in casting.casts]
+        assert {name: own.count(name) for name in own} == dict.fromkeys("123", 21)
+    assert len(set(casting.casts)) > 40
+    casting.check(128)
+
+
+def test_a_small_team_has_all_casts(carry, tiny):
+    numbers = tiny(population=3)
+    casting = make_casting(carry(), (), ("population",), hyperparameters=numbers)
+    assert len(set(casting.casts)) == len(casting.casts) == 9

@@ -19,6 +19,10 @@ SELF, LEAGUE, POPULATION = "self", "league", "population"
 MAIN, EXPLOITERS = "main", ("main_exploiter", "league_exploiter")
 """The members of a league that learn."""
 
+MOST_CASTS = 64
+"""Casts of a population, whose number grows as a power of that of the seats; with more,
+each would have too few worlds (our choice)."""
+
 Cast = tuple[str | None, ...]
 """The name in each seat of a world: a member that learns, or None for a guest."""
 
@@ -132,7 +136,7 @@ def make_casting(
         return Casting()
     if words == (POPULATION,):
         members = [f"{i + 1}" for i in range(hyperparameters.population)]
-        return Casting(seats, tuple(product(members, repeat=len(seats))))
+        return Casting(seats, _mixed(members, len(seats)))
     bound = {seat for seat, _ in map(split_word, words) if seat}
     for seat in bound:
         if seat not in seats:
@@ -153,6 +157,21 @@ def make_casting(
     own = tuple(agent for agent in task.agents if agent not in bound)
     guests = {agent: (agent,) for agent in task.agents if agent in bound}
     return Casting({"team": own} | guests, (("", *[None] * len(guests)),))
+
+
+def _mixed(members: Sequence[str], num_seats: int) -> tuple[Cast, ...]:
+    """Return all casts of members, or drawn ones if these would be too many.
+
+    Of drawn ones, each member has each seat equally often.
+    """
+    if len(members) ** num_seats <= MOST_CASTS:
+        return tuple(product(members, repeat=num_seats))
+    rng, rounds = np.random.default_rng(0), MOST_CASTS // len(members)
+    seats = [
+        [str(name) for _ in range(rounds) for name in rng.permutation(members)]
+        for _ in range(num_seats)
+    ]
+    return tuple(zip(*seats, strict=True))
 
 
 def _each_alone(member: str, seats: Mapping[str, Any]) -> Iterator[Cast]:
