@@ -207,7 +207,8 @@ class Train(Command):
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""
         chosen = self.robots, self.num_robots, self.randomization, self.action
-        return chosen_task(env, *chosen) if any(chosen) else env
+        is_given = any(each not in (None, ()) for each in chosen)
+        return chosen_task(env, *chosen) if is_given else env
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""
