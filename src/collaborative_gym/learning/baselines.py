@@ -137,18 +137,24 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         ", and among seeds by completion, performance, clearance and energy in"
         f" {_CHOICE_EPISODES} others"
     ) * (count > 1)
+    who = "A policy for each robot"
+    if settings.mode == "shared":
+        who = "One policy for all robots"
+    layers = " x ".join(map(str, numbers.hidden_sizes))
+    if numbers.network == "set":
+        layers = f"for sets, {layers} after the pooling"
     return [
         f"# {identity.name}: baseline",
         "",
-        f"A policy for each robot ({', '.join(identity.robot_names)}), trained by PPO"
-        f" on the thesis's reward, {_beginning(settings.to_dict())}; mode"
-        f" collaborative, {curriculum}; penalties and late actions, where they are"
+        f"{who} ({', '.join(identity.robot_names)}), trained by PPO"
+        f" on the task's reward, {_beginning(settings.to_dict())}; mode"
+        f" {settings.mode}, {curriculum}; penalties and late actions, where they are"
         " listed below, are in no return.",
         "",
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.name, identity.config['randomization'])}`",
-        f"- network: {' x '.join(map(str, numbers.hidden_sizes))},"
-        f" {numbers.activation}; actions are the mean, without noise",
+        f"- network: {layers}, {numbers.activation}; actions are the mean, without"
+        " noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
         f" chosen by {numbers.validation_episodes} validation episodes{among}; they are"
