@@ -36,7 +36,7 @@ def test_list_has_a_line_per_environment(carry_id, capsys):
     for env_id in cg.list_envs():
         assert sum(line.split()[:1] == [env_id] for line in lines) == 1
     carry = next(line for line in lines if line.startswith(carry_id))
-    assert carry.split()[1:] == ["Carry", "panda,", "panda", "-"]
+    assert carry.split()[1:] == ["Carry", "2", "panda", "-"]
     assert max(map(len, lines[: len(cg.list_envs()) + 2])) <= 80
 
 
@@ -48,7 +48,7 @@ def test_list_builds_worlds_for_their_sizes_alone(carry_id, capsys, monkeypatch)
     assert main(["list", "--sizes"]) == 0
     lines = capsys.readouterr().out.splitlines()
     carry = [line.split() for line in lines if line.startswith(carry_id)]
-    assert carry[1] == [carry_id, "panda,", "panda", "19,", "19", "8,", "8"]
+    assert carry[1] == [carry_id, "2", "panda", "19,", "19", "8,", "8"]
 
 
 def test_a_list_with_sizes_has_room_for_every_name(capsys, monkeypatch):
@@ -419,8 +419,8 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         "policy": "expert",
         "any_env": False,
         "seed": 0,
-        "web": False,
-        "address": ("127.0.0.1", 8080),
+        "num_envs": 1,
+        "address": None,
     }
     other = asked[1][0][0]
     arms = [robot.name for robot in other.robots.values()]
@@ -430,7 +430,7 @@ def test_view_hands_on_what_is_asked_for(monkeypatch, capsys):
         "policy": {"robot_1": "expert", "robot_2": "idle"},
         "any_env": True,
         "seed": 3,
-        "web": True,
+        "num_envs": 1,
         "address": ("0.0.0.0", 99),
     }
     tell("here"), warn("beware")

@@ -43,7 +43,7 @@ def comparison(ours, on_default=None, thesis=THESIS[ENV_ID]):
 
 
 def test_every_environment_of_the_thesis_has_its_line():
-    assert list(THESIS) == list(cg.list_envs())[:8]
+    assert list(THESIS) == [each for each in cg.list_envs() if each in THESIS]
     assert THESIS["LiftTaskSawyers-v0"] == Thesis(-356.88, 0.98, 0.2901)
 
 

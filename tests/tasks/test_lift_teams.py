@@ -190,7 +190,7 @@ def test_arms_that_others_do_without_are_refused():
 
 
 def test_ring_pot_has_its_handles_and_its_centre_of_mass_where_it_says():
-    model = ring_pot(6, 12.0, (0.03, -0.02)).compile()
+    model = ring_pot(6, 12.0, balance=(0.03, -0.02)).compile()
     assert model.body("pot").mass[0] == pytest.approx(12.0)
     assert model.body("pot").ipos == pytest.approx([0.03, -0.02, 0.0])
     sites = np.array([model.site(f"handle_{i + 1}").pos for i in range(6)])

@@ -102,6 +102,29 @@ def seen_from_base(env, data, block, agent):
     return np.concatenate([back @ (place - placement.position), quat[1:], quat[:1]])
 
 
+def seen_in_reach(env, data, block, agent):
+    """Return what a robot of Reach sees of the world in the frame of its base."""
+    agents, placement = env.agents, env.task.placements[agent]
+    i, back = agents.index(agent), turn(placement.yaw).T
+    tcp = data.site(f"{agent}/tcp").xpos
+
+    def goal(name):
+        return data.mocap_pos[env.model.body(f"{name} goal").mocapid[0]]
+
+    if block == "mates":
+        rows = np.zeros((7, 10))
+        for row, mate in enumerate([*agents[i + 1 :], *agents[:i]]):
+            places = data.site(f"{mate}/tcp").xpos, data.site(f"{mate}/elbow").xpos
+            apart = [back @ (place - tcp) for place in (*places, goal(mate))]
+            rows[row] = 1.0, *np.concatenate(apart)
+        return rows.ravel()
+    return {
+        "tcp": back @ (tcp - placement.position),
+        "tcp velocity": back @ velocity(env.model, data, f"{agent}/tcp")[3:],
+        "goal": back @ (goal(agent) - tcp),
+    }[block]
+
+
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_block_is_what_mujoco_says(env_id):
     env = cg.make_vec(env_id, num_envs=2, num_threads=1)
@@ -122,10 +145,13 @@ def check(env, observations):
             ends = np.cumsum(list(sizes.values()))[:-1]
             parts = np.split(observations[agent][i], ends)
             for block, part in zip(sizes, parts, strict=True):
-                if block == "target velocity":
-                    continue  # MuJoCo has none; see test_balance_path.py.
+                if block in ("target velocity", "goals left"):
+                    # MuJoCo has neither; see test_balance_path.py.
+                    continue
                 if "mates" in sizes and block not in ("joints", "gripping"):
-                    wanted = seen_from_base(env, data, block, agent)
+                    is_reach = "goal" in sizes
+                    look = seen_in_reach if is_reach else seen_from_base
+                    wanted = look(env, data, block, agent)
                 else:
                     name = f"{agent} gripping" if block == "gripping" else block
                     wanted = expected(env.model, data, name, agent)

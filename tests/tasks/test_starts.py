@@ -39,6 +39,9 @@ def drawn(env_id, facts, nominal):
         found = moved(facts.pot, nominal.pot, axes=2)
     elif env_id.startswith("Balance"):
         found = moved(facts.board, nominal.board)
+    elif env_id.startswith("Reach"):
+        goals = [facts.goals[agent] - nominal.goals[agent] for agent in facts.goals]
+        found = {"target_position": np.hstack(goals)}
     else:
         found = moved(facts.cube, nominal.cube, axes=2)
     if hasattr(facts, "target"):
@@ -72,8 +75,12 @@ def test_each_draw_spreads_over_its_bounds(env_id):
         # turn of 15 degrees comes out as 12.5 one way and as 17 the other.
         is_poke = env_id.startswith("Poke")
         least, most = (0.8, 1.5) if is_poke else (0.9, 1.001)
+        # Of some draws Reach takes the first that is apart from other goals.
+        wide = 0.9
+        if env_id.startswith("Reach") and field == "target_position":
+            least = wide = 0.7
         low, high = found.min(axis=0), found.max(axis=0)
-        assert ((high - low) / 2 > 0.9).all(), field
+        assert ((high - low) / 2 > wide).all(), field
         assert (high > least).all() and (low < -least).all(), field
         assert np.abs(found).max() < most, field
 
@@ -116,6 +123,7 @@ def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
         reached |= env.step(env.expert())[4]["success"]
         if reached.all():
             break
-    # With all joints at their bounds at once, a Jaco's wrist may start at its ends.
-    most = 3 if env_id == "LiftTaskJacos-v0" else 0
+    # With all joints at their bounds at once, a Jaco's wrist may start at its ends, and
+    # eight arms are in one another's way.
+    most = {"LiftTaskJacos-v0": 3, "ReachPandas8-v0": 16}.get(env_id, 0)
     assert (~reached).sum() <= most, np.flatnonzero(~reached)

@@ -137,12 +137,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         ", and among seeds by completion, performance, clearance and energy in"
         f" {_CHOICE_EPISODES} others"
     ) * (count > 1)
-    who = "A policy for each robot"
-    if settings.mode == "shared":
-        who = "One policy for all robots"
-    layers = " x ".join(map(str, numbers.hidden_sizes))
-    if numbers.network == "set":
-        layers = f"for sets, {layers} after the pooling"
+    who, layers = _network(settings)
     return [
         f"# {identity.name}: baseline",
         "",
@@ -153,8 +148,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         "",
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.name, identity.config['randomization'])}`",
-        f"- network: {layers}, {numbers.activation}; actions are the mean, without"
-        " noise",
+        f"- network: {layers}, {numbers.activation}; actions are means, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
         f" chosen by {numbers.validation_episodes} validation episodes{among}; they are"
@@ -182,6 +176,16 @@ def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str
         format_statistic(report.performance, percent=True),
         format_statistic(report.time_to_success, unit=" s"),
     ]
+
+
+def _network(settings: Settings) -> tuple[str, str]:
+    """Return whom networks command, and their layers, in words."""
+    numbers = settings.hyperparameters
+    layers = " x ".join(map(str, numbers.hidden_sizes))
+    if numbers.network == "set":
+        layers = f"for sets, {layers} after the pooling"
+    who = "One policy for all robots"
+    return who if settings.mode == "shared" else "A policy for each robot", layers
 
 
 def _beginning(own: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def pot(mass: float, balance: float = 0.0) -> mujoco.MjSpec:
 
 
 def ring_pot(
-    count: int, mass: float, balance: tuple[float, float] = (0.0, 0.0)
+    count: int, mass: float, *, balance: tuple[float, float] = (0.0, 0.0)
 ) -> mujoco.MjSpec:
     """Return a round pot that is free to move, with handles evenly around it.
 

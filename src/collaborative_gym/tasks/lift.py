@@ -263,7 +263,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
             scene.add_camera((2.25, 0.0, 1.62), (0, 1, 0, -0.22, 0, 1))
         else:
             scene.add("table", round_table(grip_radius(count) + 0.02))
-            scene.add("pot", ring_pot(count, self.pot_mass, (x, y)), position=START)
+            vessel = ring_pot(count, self.pot_mass, balance=(x, y))
+            scene.add("pot", vessel, position=START)
             add_team_camera(scene, self.placements)
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")

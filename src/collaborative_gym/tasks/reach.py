@@ -364,6 +364,17 @@ class Reach(Task[ReachConfig, ReachFacts]):
         finished = reduce(and_, (own >= self.config.goals for own in done))
         return finished & ~reduce(or_, facts.touches.values())
 
+    def shortfall(self, facts: ReachFacts) -> Array:
+        xp, goals = array_namespace(*facts.done.values()), self.config.goals
+        missing = 0.0
+        for agent in self.agents:
+            left = goals - facts.done[agent]
+            # What a goal counts beside a metre is our choice.
+            missing = missing + left + xp.where(left > 0, facts.distance[agent], 0.0)
+        missing = missing / (goals * len(self.agents))
+        touches = reduce(or_, facts.touches.values())
+        return xp.where(self.success(facts), 0.0, missing + xp.where(touches, 1.0, 0.0))
+
     def over(self, facts: ReachFacts) -> Array:
         return self.success(facts) | reduce(or_, facts.touches.values())
 

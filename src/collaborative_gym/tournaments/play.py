@@ -31,7 +31,7 @@ from collaborative_gym.evaluation.table import without_nan
 from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
 from collaborative_gym.policies import AnyPolicy, Policy, as_played, as_policy
 from collaborative_gym.policies.network import NetworkPolicy
-from collaborative_gym.policies.onnx import SUFFIX
+from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
 from collaborative_gym.policies.policy import (
     POLICY_FILE,
     STATES,
@@ -289,6 +289,12 @@ def _play(
     episodes, seed = settings["episodes"], settings["seed"]
     task = as_played(env.task, team)  # Some arms may be limp or absent.
     with closing(VectorEnv(task, env.num_envs, num_threads=num_threads)) as world:
+        for player in {each.name: each for each in cast.values()}.values():
+            for given, agents in group_agents(player.policies, world):
+                if isinstance(given, OnnxNetwork):  # It sees more than its seat.
+                    whole = given.commanding(agents, world)
+                    own = [a for a in agents if team[a] is given]
+                    team |= dict.fromkeys(own, whole)
         policy = as_policy(team, world, any_env=True)  # The players have been checked.
         rows, _ = play_episodes(world, policy, episodes, seed, on_progress)
     columns = {
