@@ -65,6 +65,11 @@ PICTURES = {
             policy={"robot_1": "baseline", "robot_2": "expert"},
         ),
     ),
+    "teams": (
+        World("LiftPandas4-v0", 20),
+        World("LiftMixed3-v0", 20),
+        World("ReachPandas8-v0", 30),
+    ),
     "teamwork": (
         World("BalanceTaskSawyers-v0", 20, policy=beside("idle")),
         World("BalancePathSawyers-v0", 60, policy=beside("idle")),
