@@ -1,5 +1,6 @@
 """Bad inputs to the command line: status 2, a sentence, and no traceback."""
 
+import os
 import subprocess
 import sys
 
@@ -233,11 +234,17 @@ def test_a_process_ends_with_the_status(line, status):
     assert "Traceback" not in done.stderr and len(done.stderr.split()) > 3
 
 
-def test_a_full_disk_is_told_where_no_file_has_a_name():
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_is_told_where_no_file_has_a_name(unbuffered):
     command = [sys.executable, "-m", "collaborative_gym", "list"]
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300
+            command,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=300,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         )
     assert done.returncode == 1
     assert done.stderr == (

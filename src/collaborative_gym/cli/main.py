@@ -185,6 +185,7 @@ def _fail(error: Exception) -> int:
     if isinstance(error, OSError) and error.errno is not None:
         of = error.filename or "a file without a name, such as the output"
         words = f"the system says {error.strerror!r} of {of}"
+        _drop_output()
     if location:
         # Python's own words are often not a sentence, as those of a KeyError.
         raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
@@ -194,6 +195,14 @@ def _fail(error: Exception) -> int:
     elif not (cannot or isinstance(error, _BAD)):
         raise error
     return _end(f"error: {words}", _CANNOT if cannot else _BAD_INPUT)
+
+
+def _drop_output() -> None:
+    """Forget output that its file does not take, or Python's own end fails, too."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _end(last_words: str, status: int) -> int:
