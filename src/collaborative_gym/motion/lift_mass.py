@@ -7,12 +7,18 @@ carries alone and what both carry together, so that both have the same share to 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym import math
-from collaborative_gym.motion.loads import Way, greatest_load, strongest_way
+from collaborative_gym.motion.loads import (
+    Positions,
+    Way,
+    from_base,
+    greatest_load,
+    mounted_way,
+    rounded,
+)
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement
@@ -86,14 +92,9 @@ def weigh(
     """
     ways, alone = [], []
     for robot, placement, line in zip(robots, placements, ends, strict=True):
-        back = math.from_yaw(np.array(-placement.yaw))
-        points = np.array([*line, target]) - np.array(placement.position)
-        # In the frame of the arm's base, to the micrometre.
-        start, end, middle = math.rotate(back, points).round(6)
-        way = strongest_way(robot, start=tuple(start.tolist()), end=tuple(end.tolist()))
-        turn = math.from_yaw(np.array(placement.yaw))
-        ways.append(replace(way, approach=math.rotate(turn, way.approach)))
-        alone.append(greatest_load(robot, _places(middle, radius)))
+        [middle] = from_base(placement, target[None])
+        ways.append(mounted_way(robot, placement, line))
+        alone.append(greatest_load(robot, _places(np.array(middle), radius)))
     first, second = (way.load for way in ways)
     # The contents lie nearer to the stronger arm, but still inside the pot.
     share = second / (first + second)
@@ -105,9 +106,7 @@ def weigh(
     return Weighing(tuple(ways), tuple(alone[::-1]), together, shares, (0.0, balance))
 
 
-def _places(
-    target: np.ndarray, radius: float
-) -> tuple[tuple[float, float, float], ...]:
+def _places(target: np.ndarray, radius: float) -> Positions:
     """Return where one arm, at the origin, would hold a pot that counts as lifted.
 
     The pot hangs from its handle, on the near side of the ball around the target.
@@ -119,4 +118,4 @@ def _places(
         target + radius * (np.cos(a) * nearer + np.sin(a) * up) + GRIP_RADIUS * up
         for a in np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
     ]
-    return tuple((x, y, z) for x, y, z in np.round(places, 6).tolist())
+    return rounded(np.array(places))

@@ -5,7 +5,7 @@ joint's lever. The arm's links are gravity compensated, so that the whole torque
 is there for the load.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import mujoco
@@ -82,6 +82,17 @@ def relief(robot: Robot, jacobian: Array, pull: Array = UP) -> Array:
 
 Positions = tuple[tuple[float, float, float], ...]
 """Of a tcp, in the frame of its arm's base, in m."""
+
+
+def from_base(place: Placement, points: np.ndarray) -> Positions:
+    """Return points (n, 3) in the frame of a base, to the micrometre."""
+    back = math.from_yaw(np.array(-place.yaw))
+    return rounded(math.rotate(back, points - np.array(place.position)))
+
+
+def rounded(points: np.ndarray) -> Positions:
+    """Return points (n, 3) to the micrometre, as arguments of what is cached."""
+    return tuple((x, y, z) for x, y, z in (points.round(6) + 0.0).tolist())
 
 
 def greatest_load(robot: Robot, positions: Positions) -> float:
@@ -205,6 +216,22 @@ def strongest_way(
     motion = np.abs(np.diff(angles, axis=1)).max(axis=(1, 2))
     best = np.where(loads >= 0.95 * loads.max(), motion, np.inf).argmin()
     return Way(float(loads[best]), angles[best], math.axis_z(quats[best, 0]))
+
+
+def mounted_way(
+    robot: Robot, place: Placement, line: tuple[np.ndarray, np.ndarray]
+) -> Way:
+    """Return the `strongest_way` of a mounted arm, its approach in the world frame.
+
+    Args:
+      robot: the arm.
+      place: where it is mounted.
+      line: start and end (3,) of its tcp, in the world frame, in m.
+    """
+    start, end = from_base(place, np.array(line))
+    way = strongest_way(robot, start=start, end=end)
+    turn = math.from_yaw(np.array(place.yaw))
+    return replace(way, approach=math.rotate(turn, way.approach))
 
 
 @lru_cache(maxsize=64)

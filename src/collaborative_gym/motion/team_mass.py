@@ -7,7 +7,6 @@ between what all arms carry and what the best of all but one do.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,9 +14,10 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.motion.lift_mass import LEAST_SHARE, Weighing
 from collaborative_gym.motion.loads import (
-    Positions,
+    from_base,
     greatest_loads,
-    strongest_way,
+    mounted_way,
+    rounded,
     way_loads,
 )
 from collaborative_gym.objects.pot import greatest_balance
@@ -82,12 +82,9 @@ def weigh_team(
     moved = target + radius * np.concatenate([0.0 * up, up, -up, out])
     ways, held = [], []
     for i, (robot, place) in enumerate(zip(robots, placements, strict=True)):
-        start, end = _from_base(place, np.array(ends[i]))
-        way = strongest_way(robot, start=start, end=end)
-        turn = math.from_yaw(np.array(place.yaw))
-        ways.append(replace(way, approach=math.rotate(turn, way.approach)))
+        ways.append(mounted_way(robot, place, ends[i]))
         # In an order that equal arms around the pot share, so as to be searched once.
-        points = _from_base(place, moved + handles[i])
+        points = from_base(place, moved + handles[i])
         order = tuple(sorted(set(points)))
         loads = dict(zip(order, greatest_loads(robot, order), strict=True))
         held.append([loads[point] for point in points])
@@ -181,7 +178,7 @@ def spread(
         far = robot.reach * _SHARES
         ways = [(x, 0.0, z - height) for x in far for z in (start, end)]
         near = [(x - dx, 0.0, end - height) for x in far for dx in (0.0, radius)]
-        ways, near = _rounded(np.array(ways)), _rounded(np.array(near))
+        ways, near = rounded(np.array(ways)), rounded(np.array(near))
         carried.append(way_loads(robot, tuple(zip(ways[::2], ways[1::2], strict=True))))
         loads = np.array(greatest_loads(robot, near)).reshape(-1, 2)
         held.append(loads.mean(axis=1))
@@ -193,14 +190,3 @@ def spread(
     best = cost.min(axis=2).max(axis=0).argmin()
     shares = _SHARES[cost[:, best].argmin(axis=1)].tolist()
     return tuple(shares[kinds.index(kind)] * kind[0].reach for kind in team)
-
-
-def _from_base(place: Placement, points: np.ndarray) -> Positions:
-    """Return points (n, 3) in the frame of a base."""
-    back = math.from_yaw(np.array(-place.yaw))
-    return _rounded(math.rotate(back, points - np.array(place.position)))
-
-
-def _rounded(points: np.ndarray) -> Positions:
-    """Return points (n, 3) to the micrometre, as arguments of what is cached."""
-    return tuple((x, y, z) for x, y, z in (points.round(6) + 0.0).tolist())
