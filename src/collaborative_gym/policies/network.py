@@ -119,6 +119,11 @@ class NetworkPolicy:
         self._inputs, self._outputs = layout.observation_sizes, layout.action_sizes
         if len(set(self.agents)) != len(self.agents):
             raise ValueError("two networks command one agent")
+        self._sets = {
+            part.weights: find_set(layout.observation[part.agents[0]])
+            for part in parts
+            if self.weights[part.weights].element
+        }
         for part in parts:
             self._check_widths(part)
 
@@ -148,9 +153,7 @@ class NetworkPolicy:
         weights, limit = self.weights[part.weights], np.float32(OBSERVATION_LIMIT)
         x = np.clip((rows - weights.mean) / weights.std, -limit, limit)
         if weights.element:
-            x = self._pooled(
-                x, weights, find_set(self.layout.observation[part.agents[0]])
-            )
+            x = self._pooled(x, weights, self._sets[part.weights])
         return self._through(x, weights.layers)
 
     def _pooled(self, x: np.ndarray, weights: Weights, at: SetColumns) -> np.ndarray:
@@ -191,7 +194,7 @@ class NetworkPolicy:
         shapes: list[Any] = [(inputs,), (inputs,)]
         trunk = inputs
         if weights.element:
-            at = find_set(self.layout.observation[part.agents[0]])
+            at = self._sets[part.weights]
             own = inputs - at.count * at.width
             shapes += _shapes(own + at.width - 1, weights.element)
             trunk = own + 2 * len(weights.element[-1][1])

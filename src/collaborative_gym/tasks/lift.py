@@ -392,11 +392,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
         )
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
-        if self.config.egocentric:
-            return {a: self._seen_by(a, facts) for a in self.agents}
         xp = array_namespace(facts.target)
         kind = facts.target.dtype
         grips = {a: xp.astype(g, kind)[:, None] for a, g in facts.gripping.items()}
+        if self.config.egocentric:
+            return {a: self._seen_by(a, facts, grips) for a in self.agents}
         handles = {agent: math.pose(*pose) for agent, pose in facts.handles.items()}
         tcps = {agent: math.pose(*pose) for agent, pose in facts.tcps.items()}
         blocks = {
@@ -409,14 +409,13 @@ class Lift(Task[LiftConfig, LiftFacts]):
         }
         return dict.fromkeys(self.agents, blocks)
 
-    def _seen_by(self, agent: str, facts: LiftFacts) -> Blocks:
+    def _seen_by(self, agent: str, facts: LiftFacts, grips: dict[str, Array]) -> Blocks:
         """Return what an agent sees in the frame of its base.
 
         Its own handle counts as the first, and mates are seen from there.
         """
         xp, frames = array_namespace(facts.target), self._frames
         radius, kind = grip_radius(len(self.agents)), facts.target.dtype
-        grips = {a: xp.astype(g, kind)[:, None] for a, g in facts.gripping.items()}
         place, turn = facts.handles[agent][0], facts.pot[1]
         spin = xp.asarray(self._spins[agent], dtype=kind)
         turn = math.multiply(turn, xp.broadcast_to(spin, turn.shape))
