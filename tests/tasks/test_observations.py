@@ -125,6 +125,28 @@ def seen_in_reach(env, data, block, agent):
     }[block]
 
 
+def seen_in_balance(env, data, block, agent):
+    """Return what a robot of BalancePath sees of the world in its base's frame."""
+    agents, placement = env.agents, env.task.placements[agent]
+    i, back = agents.index(agent), turn(placement.yaw).T
+    if block == "mates":
+        sites = [f"robot_1/board/handle_{j + 1}" for j in range(len(agents))]
+        places = [data.site(site).xpos for site in sites]
+        rows = np.zeros((7, 4))
+        for row, j in enumerate([*range(i + 1, len(agents)), *range(i)]):
+            rows[row] = 1.0, *(back @ (places[j] - places[i]))
+        return rows.ravel()
+    if block.endswith("velocity"):
+        return back @ expected(env.model, data, block, agent)
+    place = back @ (expected(env.model, data, block, agent)[:3] - placement.position)
+    if block != "board":
+        return place
+    quat, spin = np.zeros(4), turn(2 * np.pi * i / len(agents))
+    board = data.site("robot_1/board/board").xmat.reshape(3, 3)
+    mujoco.mju_mat2Quat(quat, (back @ board @ spin).ravel())
+    return np.concatenate([place, quat[1:], quat[:1]])
+
+
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_block_is_what_mujoco_says(env_id):
     env = cg.make_vec(env_id, num_envs=2, num_threads=1)
@@ -149,8 +171,8 @@ def check(env, observations):
                     # MuJoCo has neither; see test_balance_path.py.
                     continue
                 if "mates" in sizes and block not in ("joints", "gripping"):
-                    is_reach = "goal" in sizes
-                    look = seen_in_reach if is_reach else seen_from_base
+                    ways = {"goal": seen_in_reach, "board": seen_in_balance}
+                    look = next((ways[n] for n in ways if n in sizes), seen_from_base)
                     wanted = look(env, data, block, agent)
                 else:
                     name = f"{agent} gripping" if block == "gripping" else block

@@ -14,9 +14,9 @@ from collaborative_gym.cli.terminal import (
     Envs,
     File,
     Measured,
-    Played,
     Policies,
     Size,
+    Watched,
     Worlds,
     check_files,
     continuing,
@@ -74,7 +74,7 @@ class _Policy(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(Played, _Policy):
+class Record(Watched, _Policy):
     """Write a video of a policy at work.
 
     Attributes:
@@ -343,7 +343,7 @@ class Benchmark(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Played, _Policy):
+class View(Watched, _Policy):
     """Watch a policy in real time, and pull at things to disturb it.
 
     It opens a window, or serves a page for the browser if it cannot open one. On the

@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
@@ -21,7 +21,9 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 from rich.table import Table
 
+from collaborative_gym.errors import look_up
 from collaborative_gym.files import check_writable, write_text
+from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Task
 
@@ -76,6 +78,10 @@ Robots = Annotated[
 File = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
 ]
+Looks = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="ARM=FILE ...", help_behavior_hint="(default: its own)"),
+]
 Folder = Annotated[
     Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")
 ]
@@ -94,7 +100,7 @@ Size = Annotated[
 
 def chosen_task(
     env: str,
-    robots: Sequence[str],
+    robots: Sequence[str | Robot],
     num_robots: int | None,
     randomization: str | None,
     action: str | None,
@@ -144,6 +150,40 @@ class Played(Worlds):
     """
 
     any_env: tyro.conf.FlagCreatePairsOff[bool] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watched(Played):
+    """The options of commands that show policies at play.
+
+    Attributes:
+      look: other model files of arms, such as panda=FILE, with whose shapes they are
+        drawn: those with the makers' meshes. They change no physics.
+    """
+
+    look: Looks = ()
+
+    def task(self, env: str) -> Task:
+        """Return what to do in an environment of this name, with arms that look so."""
+        task, files = super().task(env), {}
+        names = [robot.name for robot in task.robots.values()]
+        for word in self.look:
+            name, _, file = word.partition("=")
+            if not file:
+                raise ValueError(
+                    "--look takes the arm before its file, such as panda=panda.xml,"
+                    f" got {word!r}"
+                )
+            files[look_up("robot of this team", name, dict.fromkeys(names, name))] = (
+                file
+            )
+        if not files:
+            return task
+        robots = [
+            replace(robot, look=files.get(robot.name, robot.look))
+            for robot in task.robots.values()
+        ]
+        return chosen_task(env, robots, None, self.randomization, self.action)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -102,6 +102,7 @@ class RobotData:
     stiffness: tuple[float, ...] = ()
     stand: Literal["pedestal", "table", "none"] = "table"
     tcp: str = "tcp"
+    look: Path | None = None
     _overlaps: tuple[tuple[str, str], ...] = field(
         init=False, repr=False, compare=False
     )
@@ -112,6 +113,9 @@ class RobotData:
         check_kind("title", self.title, str, "a string")
         check_kind("gripper", self.gripper, Gripper, "a Gripper")
         check_name("tcp", self.tcp)
+        if self.look is not None:
+            check_kind("look", self.look, (str, Path), "a path")
+            freeze(self, look=Path(self.look).absolute())
         freeze(
             self,
             model_file=Path(self.model_file).absolute(),

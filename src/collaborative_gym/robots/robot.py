@@ -57,6 +57,8 @@ class Robot(RobotData):
       stand: what the arm stands on.
       tcp: site, or else body, of the tool centre point, z along the approach direction
         and y along the closing direction of the fingers.
+      look: another model file of the same arm, with whose shapes it is drawn, such as
+        one with the maker's meshes; None for its own. It changes no physics.
 
     Raises:
       FileNotFoundError: if the model file or one of its meshes is missing.

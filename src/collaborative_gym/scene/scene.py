@@ -34,6 +34,7 @@ from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
 from collaborative_gym.scene.contacts import add_depth_sensors
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
+from collaborative_gym.scene.look import dress
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import SIM_DT
@@ -276,8 +277,17 @@ class Scene:
         return model
 
     def compile_to_draw(self) -> mujoco.MjModel:
-        """Compile the world with all its geoms; its `qpos` and mocap are the same."""
-        return self.spec.compile()
+        """Compile the world with all its geoms; its `qpos` and mocap are the same.
+
+        Raises:
+          FileNotFoundError: if the file of an arm's look is missing.
+          ValueError: if it is not a model of the arm.
+        """
+        spec = self.spec.copy()
+        for agent, robot in self.robots.items():
+            if robot.look is not None:
+                dress(spec, agent, robot)
+        return spec.compile()
 
     def place(
         self,

@@ -1,11 +1,18 @@
-"""Balance: two arms hold a board by its ends and keep a ball on its middle.
+"""Balance: two to eight arms hold a board and keep a ball on its middle.
 
-The board (0.8 x 1.5 m, 1 kg) is fixed in robot_1's hand and welded to robot_2's tcp, so
-both arms move with every tilt. One arm can tilt it alone, against the servos of the
-other. So the task measures how well two arms cooperate, not whether they must. The ball
-rolls without slipping. On slopes below 0.075 it rests. In the two-Sawyer environment a
-vertical force acts on a random point of the board; it is a new one at every step,
-up to 10 N up or down.
+The board (1 kg, with two arms 0.8 x 1.5 m) is fixed in robot_1's hand and welded to
+the tcps of the others, so all arms move with every tilt. One arm can tilt it alone,
+against the servos of the others. So the task measures how well arms cooperate, not
+whether they must. The ball rolls without slipping. On slopes below 0.075 it rests. In
+the two-Sawyer environment a vertical force acts on a random point of the board; it is a
+new one at every step, up to 10 N up or down.
+
+Agents: of two, `robot_1` holds the board at -y and `robot_2` at +y; both observe
+everything but the other's joints. Three arms and more stand evenly around a round board
+(1.2 m), `robot_1` at -y and the others counterclockwise. Each observes its joints, ball
+and board in the frame of its own base, the board turned as if its handle were the
+first, and of each mate, in the block `mates`, whether there is one and the way from its
+own handle to the mate's, in m.
 
 Randomised: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm
@@ -29,7 +36,7 @@ reach. So the board starts at 0.95 m.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar
 
@@ -39,16 +46,16 @@ import numpy as np
 from collaborative_gym import math, motion
 from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.errors import check_flag
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
     BAR,
-    HANDLE,
-    HANDLES,
-    LENGTH,
     THICKNESS,
-    WIDTH,
     board,
+    handle_radius,
+    is_off,
+    within,
 )
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
@@ -65,8 +72,20 @@ from collaborative_gym.tasks.task import (
     columns,
     face_to_face,
 )
+from collaborative_gym.tasks.teams import (
+    MOST_MATES,
+    Frames,
+    add_stand,
+    add_team_camera,
+    alike,
+    around,
+    mates_block,
+    mates_of,
+    seat_turns,
+)
 
-_BALL_START = np.array([0.2, 0.45])  # m, bounds along the board
+_BALL_START = np.array([0.2, 0.45])  # m, bounds along a board of two
+_TEAM_BALL_START = np.array([0.3, 0.3])  # m, along a round one
 _FASTEST = 0.6  # m/s, of a ball that already rolls
 REST_HEIGHT = THICKNESS / 2 + RADIUS
 
@@ -79,11 +98,19 @@ class BalanceConfig(TaskConfig):
       success_distance: between the centres of ball and board, in m.
       board_height: of the board's centre above the floor at the nominal start, in m.
       push: greatest vertical force on the board, a new one at every step, in N.
+      egocentric: whether each robot sees in the frame of its own base; None for False
+        with two arms and True with more.
     """
 
     success_distance: float = bounded(0.09, 0.001, 10.0)
     board_height: float = bounded(0.95, 0.0, 10.0)
     push: float = bounded(0.0, 0.0, 1000.0)
+    egocentric: bool | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.egocentric is not None:
+            check_flag("egocentric", self.egocentric)
 
 
 @dataclass(frozen=True)
@@ -100,13 +127,14 @@ class BalanceFacts:
 
 
 class Balance(Task[BalanceConfig, BalanceFacts]):
-    """Keep a ball on the middle of a board that two arms hold.
+    """Keep a ball on the middle of a board that all arms hold.
 
     Attributes:
       centre: nominal place of the board's centre, (3,).
       postures: of each arm, in the middle of what it needs to do, in rad.
     """
 
+    robot_counts = range(2, MOST_MATES + 2)
     config_class = BalanceConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
@@ -123,11 +151,16 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     performance_from_start = True
     expert = player.expert
 
+    def _take(self, config: BalanceConfig) -> None:
+        if config.egocentric is None:
+            config = replace(config, egocentric=len(self.agents) > 2)
+        super()._take(config)
+
     def mounts(self) -> tuple[Placement, ...]:
-        """Return bases 0.7 of each reach behind the handles, facing each other."""
-        robots = self.robots.values()
-        far = [HANDLE + 0.7 * robot.reach for robot in robots]
-        return face_to_face(far, [robot.base_height for robot in robots])
+        """Return bases 0.7 of each reach behind the handles, facing the middle."""
+        robots, radius = self.robots.values(), handle_radius(len(self.agents))
+        far = [radius + 0.7 * robot.reach for robot in robots]
+        return around(far, [robot.base_height for robot in robots])
 
     @property
     def marked_radius(self) -> float:
@@ -135,17 +168,25 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return float(np.sqrt(self.config.success_distance**2 - REST_HEIGHT**2))
 
     def build(self, scene: Scene) -> None:
-        first, second = self.agents
+        first, *others = self.agents
         for agent, placement in self.placements.items():
-            scene.add_robot(agent, self.robots[agent], placement=placement, holds=BAR)
-        # A free board with two welds would move in the same way, but take more time.
-        tool = _held(board(marked_radius=self.marked_radius))
-        scene.add_tool(first, "board", child=tool)
-        tcp = scene.spec.site(f"{second}/{self.robots[second].tcp}")
-        scene.add_weld(tcp.name, f"{first}/board/{HANDLES[1]}")
-        for body in (tcp.parent, *tcp.parent.find_all(mujoco.mjtObj.mjOBJ_BODY)):
-            plate = f"{first}/board/board"
-            scene.spec.add_exclude(bodyname1=body.name, bodyname2=plate)
+            robot = self.robots[agent]
+            is_slim = len(others) > 1 and robot.stand == "table"
+            scene.add_robot(
+                agent, robot, placement=placement, holds=BAR, stand=not is_slim
+            )
+            if is_slim:
+                add_stand(scene, agent, placement)
+        # A free board with a weld for each would move in the same way, but take more
+        # time.
+        tool = board(marked_radius=self.marked_radius, count=len(self.agents))
+        scene.add_tool(first, "board", child=_held(tool))
+        for i, agent in enumerate(others):
+            tcp = scene.spec.site(f"{agent}/{self.robots[agent].tcp}")
+            scene.add_weld(tcp.name, f"{first}/board/handle_{i + 2}")
+            for body in (tcp.parent, *tcp.parent.find_all(mujoco.mjtObj.mjOBJ_BODY)):
+                plate = f"{first}/board/board"
+                scene.spec.add_exclude(bodyname1=body.name, bodyname2=plate)
         above = (0.0, 0.0, self.config.board_height + REST_HEIGHT)
         scene.add("ball", ball(), position=above)
         # With MuJoCo's own settings rolling friction is a creep: a ball rolls down
@@ -155,7 +196,10 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("board", f"{first}/board/board")
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
-        scene.add_camera((2.9, 0, 1.85), (0, 1, 0, -0.34, 0, 1))
+        if len(others) > 1:
+            add_team_camera(scene, self.placements)
+        else:
+            scene.add_camera((2.9, 0, 1.85), (0, 1, 0, -0.34, 0, 1))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
@@ -165,9 +209,11 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         joint = model.body("ball/ball").jntadr[0]
         self._ball = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
         self.centre = np.array([0.0, 0.0, self.config.board_height])
+        self._frames = Frames(self.placements)
+        self._spins = seat_turns(self.placements)
         self._handles, self.postures = {}, {}
-        for (agent, arm), name in zip(scene.arms.items(), HANDLES, strict=True):
-            site = model.site(f"{prefix}/{name}")
+        for i, (agent, arm) in enumerate(scene.arms.items()):
+            site = model.site(f"{prefix}/handle_{i + 1}")
             self._handles[agent] = site.pos.copy(), site.quat.copy()
             poses = [self.grasp(agent, *pose) for pose in self.poses()]
             self.postures[agent] = motion.central_pose(model, arm, poses=poses)
@@ -212,13 +258,14 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         moved = start_holding(
             self, sim, env_ids, grasps, rng=rng, moved=moved, postures=self.postures
         )
-        rolled = rng.within(_BALL_START, 2)
+        is_pair = len(self.agents) == 2
+        rolled = rng.within(_BALL_START if is_pair else _TEAM_BALL_START, 2)
         place, quat = board_at(moved)
         resting = np.full((len(rolled), 1), REST_HEIGHT)
         place = place + math.rotate(quat, np.concatenate([rolled, resting], axis=1))
         self.scene.place(sim, env_ids, name="ball", position=place, quat=quat)
         if self.config.push > 0:
-            span = np.array([self.config.push, WIDTH / 2, LENGTH / 2])
+            span = np.array([self.config.push, *within(len(self.agents))])
             size = (self.config.max_episode_steps, 3)
             sim.memory["pushes"][env_ids] = sim.xp.asarray(rng.within(span, size))
 
@@ -249,11 +296,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         into_board = math.conjugate(board_pose[1])
         offset = math.rotate(into_board, ball_pose[0] - board_pose[0])
         xp = array_namespace(offset)
-        off = (
-            (xp.abs(offset[:, 0]) > WIDTH / 2)
-            | (xp.abs(offset[:, 1]) > LENGTH / 2)
-            | (offset[:, 2] < THICKNESS / 2)
-        )
+        off = is_off(offset, len(self.agents))
         fell = sim.memory["fell"] = sim.memory["fell"] | off
         return BalanceFacts(
             joints=self.joints(sim),
@@ -266,6 +309,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         )
 
     def observe(self, facts: BalanceFacts) -> dict[str, Blocks]:
+        if self.config.egocentric:
+            return {agent: self._seen_by(agent, facts) for agent in self.agents}
         blocks = {
             **columns("joints", facts.joints),
             "ball": math.pose(*facts.ball),
@@ -274,6 +319,30 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             "board": math.pose(*facts.board),
         }
         return dict.fromkeys(self.agents, blocks)
+
+    def _seen_by(self, agent: str, facts: BalanceFacts) -> Blocks:
+        """Return what an agent sees in the frame of its base.
+
+        The ball's own turn tells nothing, and is left out.
+        """
+        frames, (place, quat) = self._frames, facts.board
+        xp, own = array_namespace(place), self._handles[agent][0]
+        rows = []
+        for mate in mates_of(self.agents, agent):
+            apart = xp.asarray(self._handles[mate][0] - own, dtype=place.dtype)
+            apart = math.rotate(quat, xp.broadcast_to(apart, place.shape))
+            rows.append(frames.direction(agent, apart))
+        spin = xp.asarray(self._spins[agent], dtype=quat.dtype)
+        turned = math.multiply(quat, xp.broadcast_to(spin, quat.shape))
+        linear, angular = facts.ball_velocity
+        return {
+            "joints": alike(facts.joints[agent]),
+            "ball": frames.place(agent, facts.ball[0]),
+            "ball linear velocity": frames.direction(agent, linear),
+            "ball angular velocity": frames.direction(agent, angular),
+            "board": math.pose(*frames.pose(agent, (place, turned))),
+            "mates": mates_block(rows),
+        }
 
     def reward(
         self, facts: BalanceFacts, commands: dict[str, Command]
@@ -296,7 +365,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Place a board in the frame of the tcp that holds its first handle."""
-    handle, body = spec.site(HANDLES[0]), spec.body("board")
+    handle, body = spec.site("handle_1"), spec.body("board")
     inverse = math.conjugate(np.array(handle.quat))
     body.quat = inverse
     body.pos = -math.rotate(inverse, np.array(handle.pos))

@@ -1,11 +1,14 @@
-"""BalancePath: two arms lead a ball along a path in space, on a board that they hold.
+"""BalancePath: arms lead a ball along a path in space, on a board that they hold.
 
 This is Balance with a target that moves. Seen from above, the target runs along a
 figure of eight: in a lap it goes to and fro twice across the board and once along it.
 Meanwhile it rises and sinks once. The ball must be where the target is, so the whole
 board must rise and sink with it. An arm that holds still keeps its end of the board
 where it is. The other arm can tilt the board, but it cannot lift the far end: the board
-is a lever of 1.6 m, and an arm's wrist is weak.
+is a lever of 1.6 m, and an arm's wrist is weak. Teams of three to eight hold a round
+board, as in Balance. Of three Pandas none may idle or be limp, while four carry one
+that is limp, and six one that idles (`benchmarks/teams.py --tasks BalancePath
+--faults idle limp`).
 
 Randomised: what Balance randomises; where the path lies (along every axis), its size
 (0.9 to 1), where on it the target starts, and which way round it runs.
@@ -40,7 +43,12 @@ from collaborative_gym.tasks.balance import (
     BalanceFacts,
 )
 from collaborative_gym.tasks.experts import balance as player
-from collaborative_gym.tasks.registry import get_env, register_env, register_task
+from collaborative_gym.tasks.registry import (
+    EnvSpec,
+    get_env,
+    register_env,
+    register_task,
+)
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks
 from collaborative_gym.timing import CONTROL_DT, SIM_DT
@@ -80,7 +88,7 @@ class BalancePathFacts(BalanceFacts):
 
 
 class BalancePath(Balance):
-    """Lead a ball along a path in space, on a board that two arms hold."""
+    """Lead a ball along a path in space, on a board that all arms hold."""
 
     config_class = BalancePathConfig
     config: BalancePathConfig
@@ -157,9 +165,15 @@ class BalancePath(Balance):
         )
 
     def observe(self, facts: BalancePathFacts) -> dict[str, Blocks]:
-        own = {"target": facts.target, "target velocity": facts.target_velocity}
-        seen = super().observe(facts)
-        return {agent: {**blocks, **own} for agent, blocks in seen.items()}
+        place, velocity = facts.target, facts.target_velocity
+        seen, frames = super().observe(facts), self._frames
+        for agent, blocks in seen.items():
+            if self.config.egocentric:
+                place = frames.place(agent, facts.target)
+                velocity = frames.direction(agent, facts.target_velocity)
+            own = {"target": place, "target velocity": velocity}
+            seen[agent] = {**blocks, **own}
+        return seen
 
     def success(self, facts: BalancePathFacts) -> Array:
         # Times are sums of physics steps, and so are rounded.
@@ -178,3 +192,8 @@ register_task("BalancePath", BalancePath)
 for _arms in ("Sawyers", "JacoSawyer"):
     _spec = get_env(f"BalanceTask{_arms}-v0")
     register_env(replace(_spec, env_id=f"BalancePath{_arms}-v0", task=BalancePath))
+_TEAMS = {f"BalancePathPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)} | {
+    "BalancePathMixed3-v0": ("panda", "sawyer", "jaco"),
+}
+for _id, _team in _TEAMS.items():
+    register_env(EnvSpec(_id, BalancePath, _team))

@@ -198,7 +198,8 @@ def _digest(robot: Robot, changed: int) -> str:
         for each in fields(robot)
         if each.init and getattr(robot, each.name) != each.default
     }
-    del content["model_file"], content["title"]
+    for what_people_read in ("model_file", "title", "look"):
+        content.pop(what_people_read, None)
     # Numbers that were filled in may differ by rounding on another machine.
     rounded = json.loads(json.dumps(content), parse_float=lambda x: f"{float(x):.6g}")
     model = robot.model_file.read_text()

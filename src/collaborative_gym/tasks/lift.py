@@ -96,8 +96,10 @@ from collaborative_gym.tasks.task import (
 from collaborative_gym.tasks.teams import (
     MOST_MATES,
     Frames,
+    add_stand,
     add_team_camera,
     alike,
+    around,
     mates_block,
     mates_of,
     seat_turns,
@@ -109,7 +111,6 @@ _LEAST_MISS, _FARTHEST_MISS = 1.25, 0.1  # of the distance of a grip; m
 _NEAREST, _FARTHEST = 0.36, 0.85  # from an arm to its handle, as shares of its reach
 _BEYOND = 0.03  # m by which an arm reaches farther than its handle, if pots are moved
 _HEIGHT = 0.45  # m from the lowest base up to the target
-_STAND = 0.13  # m, radius of what an arm of a team stands on
 
 _SUCCESS = {2: (0.15, float(np.radians(15.0)))}
 """Radius in m and tilt in rad within which a pot is there and level, by arms."""
@@ -222,15 +223,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
             robot.base_height if robot.stand == "pedestal" else _TABLE_HEIGHT
             for robot in self.robots.values()
         )
-        count = len(heights)
-        directions, radius = handle_directions(count), grip_radius(count)
-        placements = []
-        for i, far in enumerate(self._distances(heights)):
-            x, y = ((far + radius) * directions[i, :2]).tolist()
-            angle = 2.0 * np.pi * i / count - np.pi / 2
-            yaw = angle - np.pi if angle > 0.0 else angle + np.pi
-            placements.append(Placement((x, y, heights[i]), yaw))
-        return tuple(placements)
+        radius = grip_radius(len(heights))
+        return around([far + radius for far in self._distances(heights)], heights)
 
     def _distances(self, heights: tuple[float, ...]) -> tuple[float, ...]:
         """Return how far the arms stand from their handles, in m."""
@@ -281,8 +275,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             if own:
                 continue
             if len(self.agents) > 2:
-                stand = round_table(_STAND, height=z)
-                scene.add(f"{agent}_stand", stand, position=(x, y, 0.0))
+                add_stand(scene, agent, placement)
             elif abs(y) > 0.55:
                 # Push the arm's table back to the pot's table, which it would overlap.
                 place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)

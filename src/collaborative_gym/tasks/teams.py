@@ -6,6 +6,8 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.objects.pot import handle_directions
+from collaborative_gym.objects.table import round_table
 from collaborative_gym.scene import Placement, Scene
 
 MOST_MATES = 7
@@ -14,6 +16,8 @@ MOST_MATES = 7
 
 MOST_JOINTS = 7
 """Numbers of a block of joint angles that arms of all kinds share."""
+
+_STAND = 0.13  # m, radius of what an arm of a team stands on
 
 
 def alike(joints: Array) -> Array:
@@ -48,6 +52,29 @@ def mates_block(rows: Sequence[Array]) -> Array:
     seen[:, : len(rows), 0] = 1.0
     seen[:, : len(rows), 1:] = xp.stack(list(rows), axis=1)
     return seen
+
+
+def around(
+    distances: Sequence[float], heights: Sequence[float]
+) -> tuple[Placement, ...]:
+    """Return bases evenly around the origin that face it, the first at -y.
+
+    The others follow counterclockwise, at these distances and heights, in m.
+    """
+    placements, count = [], len(distances)
+    for i, direction in enumerate(handle_directions(count)):
+        x, y = (distances[i] * direction[:2]).tolist()
+        angle = 2.0 * np.pi * i / count - np.pi / 2
+        yaw = angle - np.pi if angle > 0.0 else angle + np.pi
+        placements.append(Placement((x, y, heights[i]), yaw))
+    return tuple(placements)
+
+
+def add_stand(scene: Scene, agent: str, placement: Placement) -> None:
+    """Put a round table under an arm, slim enough to stand beside many others."""
+    x, y, height = placement.position
+    stand = round_table(_STAND, height=height)
+    scene.add(f"{agent}_stand", stand, position=(x, y, 0.0))
 
 
 class Frames:
