@@ -4,6 +4,9 @@
     ... change the code ...
     python benchmarks/bits.py --compare before.json
 
+`--starts default lost late` takes other starts than the default ones: presets, and
+"late", where all actions come a control step late.
+
 Every observation, reward, end and metric of the first 100 episodes of seed 0 counts,
 for each environment and for random actions, the expert and the baseline, if it has one.
 Hashes of different processors or library versions may differ; compare within one
@@ -30,10 +33,12 @@ def main() -> None:
     parser.add_argument("--compare", type=Path, help="file to compare them with")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--envs", nargs="*", default=cg.list_envs())
+    parser.add_argument("--starts", nargs="*", default=["default"])
     options = parser.parse_args()
     hashes = {
-        f"{env_id} {policy}": digest(env_id, policy, options.episodes)
+        f"{env_id} {policy} {start}": digest(env_id, policy, options.episodes, start)
         for env_id in options.envs
+        for start in options.starts
         for policy in POLICIES
         if policy != "baseline" or is_shipped(policy, env_id)
     }
@@ -48,9 +53,10 @@ def main() -> None:
         raise SystemExit(bool(changed))
 
 
-def digest(env_id: str, policy_name: str, episodes: int) -> str:
-    """Return the hash of the episodes of one environment and policy."""
-    env = cg.make_vec(env_id, episodes, seed=0)
+def digest(env_id: str, policy_name: str, episodes: int, start: str = "default") -> str:
+    """Return the hash of the episodes of one environment, policy and start."""
+    how = cg.Randomization(delay=1) if start == "late" else start
+    env = cg.make_vec(env_id, episodes, seed=0, randomization=how)
     policy = cg.load_policy(policy_name, env)
     total = hashlib.sha256()
     observations, _ = env.reset()

@@ -340,8 +340,13 @@ class Scene:
         angles = np.clip(angles, *arm.joint_range)
         sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(angles)
 
-    def holds(self, sim: Sim, agent: str) -> Array:
+    def holds(self, sim: Sim, agent: str, site: str | None = None) -> Array:
         """Return in which worlds a grip of the agent holds, (num_envs,) booleans.
+
+        Args:
+          sim: the worlds.
+          agent: whose grip.
+          site: what it holds; None for anything.
 
         Raises:
           ValueError: if the agent has no grip.
@@ -350,7 +355,9 @@ class Scene:
             raise ValueError(
                 f"{agent} has no grip; give it one by add_grip when the world is built"
             )
-        return reduce(or_, (sim.eq_active[:, i] > 0 for i in self._grip_ids[agent]))
+        ids = self._grip_ids[agent]
+        held = ids.values() if site is None else [ids[site]]
+        return reduce(or_, (sim.eq_active[:, i] > 0 for i in held))
 
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""
@@ -362,10 +369,10 @@ class Scene:
             agent: find_arm(model, agent, robot) for agent, robot in self.robots.items()
         }
         self.postures = {a: np.array(robot.home) for a, robot in self.robots.items()}
-        self._grip_ids: dict[str, list[int]] = {}
+        self._grip_ids: dict[str, dict[str, int]] = {}
         for grip in self.grips:
-            ids = self._grip_ids.setdefault(grip.agent, [])
-            ids.append(int(model.equality(grip.name).id))
+            ids = self._grip_ids.setdefault(grip.agent, {})
+            ids[grip.site] = int(model.equality(grip.name).id)
         self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
         self._free = find_free(model, self._objects)
 

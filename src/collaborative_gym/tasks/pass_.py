@@ -38,7 +38,7 @@ Jaco.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -47,6 +47,7 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.errors import check_flag
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import Chains, hold, quickest_way
 from collaborative_gym.objects.cube import cube
@@ -68,8 +69,14 @@ from collaborative_gym.tasks.task import (
     columns,
     presets,
 )
+from collaborative_gym.tasks.teams import (
+    MOST_MATES,
+    Frames,
+    alike,
+    mates_block,
+    mates_of,
+)
 
-_CUBE = "cube/centre"
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
@@ -80,10 +87,24 @@ _AT_EASE = 1.05  # times as far away an arm must reach; at the very end it is sl
 _LIFTED = 0.1  # m, how high the hand is free above a cube that it picks up
 _SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_1 room
 _OUT = np.array([1.0, 0.0, 0.0])
-# Orientations (w x y z) of a hand. The hands meet head on, one closing along x and the
-# other along z, so that their fingers pass one another.
-_GIVING = np.array([-0.5, 0.5, 0.5, 0.5])
-_TAKING = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0])
+# Orientations (w x y z) of the hands of arms in turn. Hands meet head on, one closing
+# along x and the other along z, so that their fingers pass one another. An arm's hand
+# keeps what it closes along from one meeting to the next.
+_GIVING = np.array([[-0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 0.5**0.5, 0.5**0.5]])
+_TAKING = np.array([[-0.5, -0.5, 0.5, -0.5], [0.5**0.5, 0.5**0.5, 0.0, 0.0]])
+
+_ARMS_FOR_TWO = 4
+"""Arms of a relay from which on two cubes are under way."""
+
+_APART = 0.3  # m between two cubes, so that a hand has room beside the other one
+_CLEAR = 0.15  # m, of a lost cube from where another one may lie
+_HOVER = 0.15  # m above the targets, to where the last arm swings
+_STEPS_PER_ARM = 60  # control steps; a Jaco turns with a cube in about 40
+_AT_REST = 0.05  # m/s, of a cube that lies still
+
+_WAITING = -3.0
+"""Reward for each cube beside its own that an arm has yet to pass on: less than its
+other terms, so that an arm gains by passing one on."""
 
 
 @dataclass(frozen=True)
@@ -91,58 +112,112 @@ class PassConfig(TaskConfig):
     """Settings of Pass.
 
     Attributes:
-      success_radius: distance of the cube to the target that counts as there, in m.
-      picking_threshold: greatest distance at which robot_1 can grip the cube, in m.
-      handover_threshold: greatest distance at which robot_2 can grip the cube, in m.
+      max_episode_steps: control steps of an episode; None for 200, or 60 for each arm
+        of a relay and each further cube, if that is more.
+      success_radius: distance of a cube to its target that counts as there, in m; None
+        for 0.12, or 0.06 in a relay.
+      picking_threshold: greatest distance at which robot_1 can grip a cube, in m.
+      handover_threshold: greatest distance at which the others can, in m.
+      relay: whether the rules of a relay hold; None for False with two arms and True
+        with more.
     """
 
-    success_radius: float = bounded(0.12, 0.001, 10.0)
+    max_episode_steps: int = field(default=None)
+    success_radius: float = bounded(None, 0.001, 10.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
     handover_threshold: float = bounded(0.05, 0.0, 1.0)
+    relay: bool | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.relay is not None:
+            check_flag("relay", self.relay)
 
 
 @dataclass(frozen=True)
 class PassFacts:
-    """What Pass looks at, (num_envs, ...) each; poses as in `Sim`."""
+    """What Pass looks at, (num_envs, ...) each; poses as in `Sim`.
+
+    An arm's own cube is the one in its hand, or else the first that it has not passed
+    on, or else the last.
+    """
 
     joints: dict[str, Array]  # angles by agent, in rad
     tcp: dict[str, tuple[Array, Array]]  # pose of each agent's tcp
-    holds: dict[str, Array]  # by agent, whether its grip holds the cube
-    to_cube: dict[str, Array]  # distance from its tcp to the cube's centre, in m
-    cube: tuple[Array, Array]  # its pose
-    target: Array  # its position
-    to_target: Array  # distance from the cube's centre to the target, in m
+    holds: dict[str, Array]  # by agent, whether its grip holds a cube
+    grips: dict[str, Array]  # by agent, which cubes its grip holds, (num_envs, cubes)
+    own: dict[str, Array]  # by agent, the index of its own cube
+    gone: dict[str, Array]  # by agent, whether that is farther than the next arm
+    to_cube: dict[str, Array]  # distance from its tcp to its cube's centre, in m
+    to_next: dict[str, Array]  # from the next agent's tcp to its cube's centre, in m
+    cubes: tuple[Array, Array]  # poses, (num_envs, cubes, 3) and (num_envs, cubes, 4)
+    targets: Array  # their positions, (num_envs, cubes, 3)
+    to_target: Array  # from the last agent's cube to its target, in m
+    handed: Array  # how many arms have had each cube in order, (num_envs, cubes)
+    put: Array  # which cubes lie at their targets after that, (num_envs, cubes)
+    stage: Array  # mean of `handed`
 
 
 class Pass(Task[PassConfig, PassFacts]):
-    """Hand a cube over, from one arm to the other, and take it to a target.
+    """Hand a cube on, from arm to arm, and take it to a target.
 
     Attributes:
-      cube_start: nominal place of the cube, (3,).
-      meeting: where to hand over: on the cube's way, at ease for both arms, (3,).
-      angles: by agent, joint angles above the cube and at the meeting; of robot_2 aside
-        of the meeting, there and at the target, (poses, joints), in rad.
+      cube_start: nominal place of the first cube, (3,).
+      targets: nominal places of the targets, (cubes, 3).
+      meetings: where each arm but the last hands over: on the cube's way, at ease for
+        both arms, (3,).
+      angles: by agent, joint angles, (poses, joints), in rad: of robot_1 above the
+        cube, of others aside of where they take it and there; then of all where they
+        hand it over, or of the last at the target.
       hands: by agent, the quaternion of its hand at each of these, (1, 4).
     """
 
+    robot_counts = range(2, MOST_MATES + 2)
     gripping = True
     randomizations = presets(Randomization(joint_noise=0.1))
     config_class = PassConfig
-    units: ClassVar[Mapping[str, str]] = {"to_cube": "m", "to_target": "m"}
+    units: ClassVar[Mapping[str, str]] = {
+        "to_cube": "m",
+        "to_next": "m",
+        "to_target": "m",
+        "stage": "arms",
+    }
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         "end effector": POSE,
+        "tcp": POSE,
         "cube": POSE,
         "target": "m",
+        "goal": "m",
     }
     styles = player.STYLES
     expert, styled = player.expert, player.styled
 
+    def _take(self, config: PassConfig) -> None:
+        """Take settings, with those that are None set by the number of arms."""
+        count = len(self.agents)
+        relay = count > 2 if config.relay is None else config.relay
+        cubes = 2 if relay and count >= _ARMS_FOR_TWO else 1
+        steps = max(200, _STEPS_PER_ARM * (count + cubes - 1) if relay else 0)
+        usual = {
+            "relay": relay,
+            "max_episode_steps": steps,
+            "success_radius": 0.06 if relay else 0.12,
+        }
+        missing = {n: x for n, x in usual.items() if getattr(config, n) is None}
+        super()._take(replace(config, **missing))
+        self.cubes = ("cube", "cube_2")[:cubes]
+        self._goals = ("target", "target_2")[:cubes]
+
     def mounts(self) -> tuple[Placement, ...]:
-        """Return places that are farther apart, the longer the reach is."""
-        placements = []
-        for side, robot in zip((-1, 1), self.robots.values(), strict=True):
-            y = side * min(0.7, 0.71 * robot.reach)
+        """Return a row whose places are farther apart, the longer the reach is."""
+        robots = list(self.robots.values())
+        halves = [min(0.7, 0.71 * robot.reach) for robot in robots]
+        middle, placements = len(halves) // 2, []
+        for i, (robot, half) in enumerate(zip(robots, halves, strict=True)):
+            left = i < middle
+            between = sum(halves[i + 1 : middle] if left else halves[middle:i])
+            y = (-1 if left else 1) * (half + 2 * between)
             if robot.stand == "pedestal":
                 placements.append(Placement((0.8 - 0.635 * robot.reach, y, 1.0)))
             else:
@@ -150,68 +225,114 @@ class Pass(Task[PassConfig, PassFacts]):
         return tuple(placements)
 
     def build(self, scene: Scene) -> None:
-        giver, taker = self.agents
-        bases = {agent: place.position for agent, place in self.placements.items()}
-        width = bases[taker][1] - bases[giver][1] - 0.2
-        heights, self._tops = {}, {}
-        for agent, (x, y, z) in bases.items():
-            before = self.robots[agent].stand == "pedestal"
-            near, heights[agent] = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
-            place = self.placements[agent]
-            scene.add_robot(agent, self.robots[agent], placement=place, stand=before)
-            top = table(_TABLE_END - near, width, height=heights[agent])
+        self._add_arms(scene)
+        config, (first, last) = self.config, (self.agents[0], self.agents[-1])
+        self.cube_start = self._before(first, 0.1)
+        y = self.placements[last].position[1]
+        self.targets = np.array([[1.2, y, 1.3]])
+        if config.relay:
+            aside = [_APART * i for i in reversed(range(len(self.cubes)))]
+            self.targets = np.array([self._before(last, each - 0.1) for each in aside])
+        for i, name in enumerate(self.cubes):
+            place = self.cube_start - _APART * i * ACROSS
+            scene.add(name, cube(_CUBE_SIZE), position=place)
+            scene.add_target(self._goals[i], config.success_radius)
+            if config.relay:
+                scene.add_velocity_sensor(name, f"{name}/centre")
+        for agent in self.agents:
+            is_first = agent == first
+            most = config.picking_threshold if is_first else config.handover_threshold
+            for name in self.cubes:
+                site = f"{name}/centre"
+                scene.add_grip(agent, site, threshold=most, width=_GRIP_WIDTH)
+        across = [place.position[1] for place in self.placements.values()]
+        more = max(0.0, across[-1] - across[0] - 1.4)
+        eye = 2.45 + 0.66 * more, (across[0] + across[-1]) / 2, 1.68 + 0.24 * more
+        scene.add_camera(eye, (0, 1, 0, -0.34, 0, 0.94))
+
+    def _add_arms(self, scene: Scene) -> None:
+        """Add the arms with their tables, and find where a cube rests on each."""
+        places = self.placements
+        gaps = np.diff([place.position[1] for place in places.values()])
+        widths = np.minimum([*gaps, np.inf], [np.inf, *gaps]) - 0.2
+        self._tops, self._rests = {}, {}
+        for (agent, place), width in zip(places.items(), widths, strict=True):
+            (x, y, z), robot = place.position, self.robots[agent]
+            before = robot.stand == "pedestal"
+            near, height = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
+            scene.add_robot(agent, robot, placement=place, stand=before)
+            top = table(_TABLE_END - near, width, height=height)
             scene.add(f"{agent}_table", top, position=((_TABLE_END + near) / 2, y, 0.0))
             corner = np.array([_TABLE_END - near, width]) / 2 - _CUBE_SIZE
             middle = np.array([(_TABLE_END + near) / 2, y])
             self._tops[agent] = middle - corner, middle + corner
-        x = min(bases[giver][0] + 0.635 * self.robots[giver].reach, _TABLE_END - 0.1)
-        self._rests = {a: height + _CUBE_SIZE / 2 for a, height in heights.items()}
-        y = bases[giver][1] + 0.1
-        self.cube_start = np.array([x, y, self._rests[giver]])
-        self._target = np.array([1.2, bases[taker][1], 1.3])
-        scene.add("cube", cube(_CUBE_SIZE), position=self.cube_start)
-        scene.add_target("target", self.config.success_radius)
-        picks, hands = self.config.picking_threshold, self.config.handover_threshold
-        for agent, threshold in ((giver, picks), (taker, hands)):
-            scene.add_grip(agent, _CUBE, threshold=threshold, width=_GRIP_WIDTH)
-        scene.add_camera((2.45, 0, 1.68), (0, 1, 0, -0.34, 0, 0.94))
+            self._rests[agent] = height + _CUBE_SIZE / 2
+
+    def _before(self, agent: str, aside: float) -> np.ndarray:
+        """Return where a cube rests at ease before an arm, so far to its side."""
+        x, y, _ = self.placements[agent].position
+        x = min(x + 0.635 * self.robots[agent].reach, _TABLE_END - 0.1)
+        return np.array([x, y + aside, self._rests[agent]])
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        giver, taker = self.agents
-        self.meeting = meeting = self._find_meeting()
-        above = self.cube_start - 0.25 * DOWN
-        aside = meeting + 0.3 * ACROSS - 0.1 * DOWN
-        radial = self._target - np.array(self.placements[taker].position) - SHOULDER
-        ends = [_OUT, radial / math.norm(radial), -ACROSS]
-        ways = {giver: [], taker: []}
-        # A hand grips as well if it is turned by half a turn about its approach.
-        for turn in np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]):
-            hands = PICKING, _GIVING, _TAKING
-            pick, give, take = (math.multiply(hand, turn) for hand in hands)
-            ways[giver].append([(above, pick), (meeting, give)])
-            before = [(aside, take), (meeting, take)]
-            ways[taker] += [[*before, (self._target, end)] for end in ends]
+        self._frames = Frames(self.placements)
+        self.meetings = self._find_meetings()
         self.angles, self.hands = {}, {}
-        for taking, (agent, arm) in enumerate(scene.arms.items()):
-            i, self.angles[agent] = quickest_way(sim.model, arm, ways=ways[agent])
-            self.hands[agent] = [hand[None] for _, hand in ways[agent][i]]
-            scene.postures[agent] = self.angles[agent][taking]
+        for i, (agent, arm) in enumerate(scene.arms.items()):
+            places, comes = self._entry(i)
+            ways = [
+                [*((place, hand) for place in places), end]
+                for hand in _either_way(comes)
+                for end in self._ends(i)
+            ]
+            chosen, self.angles[agent] = quickest_way(sim.model, arm, ways=ways)
+            self.hands[agent] = [hand[None] for _, hand in ways[chosen]]
+            scene.postures[agent] = self.angles[agent][min(i, 1)]
+
+    def _entry(self, i: int) -> tuple[list[np.ndarray], np.ndarray]:
+        """Return on which way an arm comes to its cube, and its hand's quaternion."""
+        if i == 0:
+            return [self.cube_start - 0.25 * DOWN], PICKING
+        meeting = self.meetings[i - 1]
+        return [meeting + 0.3 * ACROSS - 0.1 * DOWN, meeting], _TAKING[i % 2]
+
+    def _ends(self, i: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return poses of the hand of which an arm may bring its cube to one."""
+        if i < len(self.meetings):
+            return [(self.meetings[i], hand) for hand in _either_way(_GIVING[i % 2])]
+        if self.config.relay:
+            over = self.targets.mean(axis=0) - _HOVER * DOWN
+            return [(over, hand) for hand in _either_way(PICKING)]
+        [target], base = self.targets, self.placements[self.agents[i]].position
+        radial = target - np.array(base) - SHOULDER
+        ends = _OUT, radial / math.norm(radial), -ACROSS
+        return [(target, end) for end in ends]
 
     @cached_property
-    def _in_reach(self) -> np.ndarray:
-        """Places on both tables from which an arm can pick up the cube, (n, 3) in m."""
-        found = []
-        for agent, arm in self.scene.arms.items():
+    def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places on tables from which arms can pick up the cube, and whose they are.
+
+        They are (n, 3) in m, and indices of agents (n,).
+        """
+        found, owners = [], []
+        waiting = [
+            (self.cube_start - _APART * i * ACROSS)[:2]
+            for i in range(1, len(self.cubes))
+        ]
+        for i, (agent, arm) in enumerate(self.scene.arms.items()):
             (x, y), (far, left) = self._tops[agent]
-            if agent != self.agents[0]:
-                # What lies nearer to robot_1 is for that arm to pick up.
-                y = max(y, self.meeting[1] + BEYOND)
+            if i > 0:
+                # What lies nearer to the arm before is for that arm to pick up.
+                y = max(y, self.meetings[i - 1][1] + BEYOND)
             steps = np.mgrid[x : far : _GRID * 1j, y : left : _GRID * 1j]
             base = np.array(self.placements[agent].position[:2])
             ahead, aside = away = steps.reshape(2, -1) - base[:, None]
             # Straight ways to what lies beside a base lead into it.
-            away = away.T[np.abs(aside) < _BEFORE * ahead]
+            is_clear = np.abs(aside) < _BEFORE * ahead
+            for other in waiting:
+                is_clear &= np.hypot(*(away + (base - other)[:, None])) > _CLEAR
+            away = away.T[is_clear]
             near = np.tile(self.angles[agent][0], (len(away), 1))
             chains, reached = Chains(self.model, [arm]), np.ones(len(away), bool)
             for above, share in ((_LIFTED, 1.0), (0.0, _AT_EASE)):
@@ -221,107 +342,231 @@ class Pass(Task[PassConfig, PassFacts]):
                 reached &= there
             places = np.insert(base + away, 2, self._rests[agent], axis=1)
             found.append(places[reached])
-        return np.concatenate(found)
+            owners.append(np.full(len(found[-1]), i))
+        return np.concatenate(found), np.concatenate(owners)
 
-    def _find_meeting(self) -> np.ndarray:
-        place = (self.cube_start + self._target) / 2
-        for _ in range(50):
-            for agent, placement in self.placements.items():
-                shoulder = np.array(placement.position) + SHOULDER
-                arm = place - shoulder
-                easy = 0.8 * self.robots[agent].reach
-                place = shoulder + arm * min(1.0, easy / math.norm(arm))
-        return place
+    def _find_meetings(self) -> list[np.ndarray]:
+        bases = [np.array(place.position) for place in self.placements.values()]
+        spots = [self.cube_start, *([1.2, base[1], 1.3] for base in bases[1:])]
+        reaches, found = [robot.reach for robot in self.robots.values()], []
+        for i in range(len(spots) - 1):
+            place = (spots[i] + np.array(spots[i + 1])) / 2
+            for _ in range(50):
+                for base, far in zip(bases[i : i + 2], reaches[i : i + 2], strict=True):
+                    shoulder = base + SHOULDER
+                    arm = place - shoulder
+                    easy = 0.8 * far
+                    place = shoulder + arm * min(1.0, easy / math.norm(arm))
+            found.append(place)
+        return found
+
+    def remember(self, num_envs: int) -> dict[str, Array]:
+        # How many arms have had each cube in order.
+        shape = num_envs, len(self.cubes)
+        return {"handed": self.xp.zeros(shape, dtype=self.xp.float64)}
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         spread = self.config.randomization
         starts = {agent: angles[0] for agent, angles in self.angles.items()}
         self.start_arms(sim, env_ids, rng=rng, angles=starts)
-        place = self.cube_start + rng.within(spread.object_position * LEVEL, 3)
-        quat = math.from_yaw(rng.within(spread.object_yaw))
-        self.scene.place(sim, env_ids, name="cube", position=place, quat=quat)
-        place = self._target + rng.within(spread.target_position, 3)
-        self.scene.place(sim, env_ids, name="target", position=place)
+        for i, name in enumerate(self.cubes):
+            place = self.cube_start - _APART * i * ACROSS
+            place = place + rng.within(spread.object_position * LEVEL, 3)
+            quat = math.from_yaw(rng.within(spread.object_yaw))
+            self.scene.place(sim, env_ids, name=name, position=place, quat=quat)
+        # In a relay they lie on the table.
+        axes = LEVEL if self.config.relay else np.ones(3)
+        for name, nominal in zip(self._goals, self.targets, strict=True):
+            place = nominal + rng.within(spread.target_position * axes, 3)
+            self.scene.place(sim, env_ids, name=name, position=place)
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
         """The hands are open on their ways, and the cube lies before one of the arms.
 
-        No arm can bring back what fell on the floor, so it never lies there.
+        No arm can bring back what fell on the floor, so it never lies there. The arm
+        counts as the last that had it in its hand.
         """
         angles = {}
-        for agent, most in zip(self.agents, (1.0, _SHORT_OF_MEETING), strict=True):
+        for i, agent in enumerate(self.agents):
             before, meeting = self.angles[agent][:2]
+            most = 1.0 if i == 0 else _SHORT_OF_MEETING
             angles[agent] = before + rng.uniform(0.0, most, 1) * (meeting - before)
         self.start_arms(sim, env_ids, rng=rng, angles=angles)
-        place = self._in_reach[rng.uniform(0, len(self._in_reach)).astype(int)]
+        places, owners = self._in_reach
+        drawn = rng.uniform(0, len(places)).astype(int)
         quat = math.from_yaw(rng.within(np.pi))
-        self.scene.place(sim, env_ids, name="cube", position=place, quat=quat)
+        self.scene.place(sim, env_ids, name="cube", position=places[drawn], quat=quat)
+        sim.memory["handed"][env_ids, 0] = sim.xp.asarray(owners[drawn] + 1.0)
 
     def measure(self, sim: Sim) -> PassFacts:
-        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
-        cube_pose, target = sim.pose(_CUBE), sim.pose("target")[0]
+        xp, relay, agents = sim.xp, self.config.relay, self.agents
+        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
+        sites = [f"{name}/centre" for name in self.cubes]
+        poses = [sim.pose(site) for site in sites]
+        places, quats = (xp.stack(list(x), axis=1) for x in zip(*poses, strict=True))
+        targets = xp.stack([sim.pose(name)[0] for name in self._goals], axis=1)
+        grips = {
+            a: xp.stack([self.scene.holds(sim, a, site) for site in sites], axis=1)
+            for a in agents
+        }
+        sim.memory["handed"] = handed = self._pass_on(sim.memory["handed"], grips)
+        to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
+        put = xp.zeros_like(is_held)
+        if relay:
+            speeds = [math.norm(sim.velocity(name)[0]) for name in self.cubes]
+            slow = xp.stack(speeds, axis=1) < _AT_REST
+            near = to_targets < self.config.success_radius
+            put = near & slow & ~is_held & (handed == len(agents))
+        own, gone, to_cube, to_next = {}, {}, {}, {}
+        for i, agent in enumerate(agents):
+            follows = handed > i + 1 if i + 1 < len(agents) else put
+            own[agent] = which = _own(grips[agent], follows)
+            gone[agent] = of((handed > i + 2) | put, which)
+            place = of(places, which)
+            to_cube[agent] = math.distance(tcp[agent][0], place)
+            if i + 1 < len(agents):
+                to_next[agent] = math.distance(tcp[agents[i + 1]][0], place)
         return PassFacts(
             joints=self.joints(sim),
             tcp=tcp,
-            holds={agent: self.scene.holds(sim, agent) for agent in self.agents},
-            to_cube={a: math.distance(tcp[a][0], cube_pose[0]) for a in self.agents},
-            cube=cube_pose,
-            target=target,
-            to_target=math.distance(cube_pose[0], target),
+            holds={agent: xp.any(held, axis=1) for agent, held in grips.items()},
+            grips=grips,
+            own=own,
+            gone=gone,
+            to_cube=to_cube,
+            to_next=to_next,
+            cubes=(places, quats),
+            targets=targets,
+            to_target=of(to_targets, own[agents[-1]]),
+            handed=handed,
+            put=put,
+            stage=xp.mean(handed, axis=1),
         )
 
+    def _pass_on(self, handed: Array, grips: dict[str, Array]) -> Array:
+        """Return how many arms have now had each cube, each from the one before."""
+        xp, before = array_namespace(handed), None
+        for i, held in enumerate(grips.values()):
+            takes = held if before is None else held & before
+            handed = xp.where((handed == i) & takes, i + 1.0, handed)
+            before = held
+        return handed
+
     def observe(self, facts: PassFacts) -> dict[str, Blocks]:
-        xp, kind = array_namespace(facts.target), facts.target.dtype
-        hands = {agent: math.pose(*pose) for agent, pose in facts.tcp.items()}
+        xp, kind = array_namespace(facts.targets), facts.targets.dtype
         grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
+        if self.config.relay:
+            return {a: self._seen_by(a, facts, grips) for a in self.agents}
+        hands = {agent: math.pose(*pose) for agent, pose in facts.tcp.items()}
+        places, quats = facts.cubes
         shared = {
             **columns("end effector", hands),
             **columns("gripping", grips),
-            "cube": math.pose(*facts.cube),
-            "target": facts.target,
+            "cube": math.pose(places[:, 0], quats[:, 0]),
+            "target": facts.targets[:, 0],
         }
         return {a: {"joints": facts.joints[a], **shared} for a in self.agents}
+
+    def _seen_by(self, agent: str, facts: PassFacts, grips: dict[str, Array]) -> Blocks:
+        """Return what an arm of a relay sees in the frame of its base."""
+        xp, frames, kind = array_namespace(facts.targets), self._frames, facts.targets
+        agents, which, tcp = self.agents, facts.own[agent], facts.tcp[agent]
+        i, own = agents.index(agent), tuple(of(part, which) for part in facts.cubes)
+        goal = of(facts.targets, which)
+        if i < len(self.meetings):
+            goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=kind.dtype)
+        rows = []
+        for mate in mates_of(agents, agent):
+            apart = frames.direction(agent, facts.tcp[mate][0] - tcp[0])
+            gap = math.distance(facts.tcp[mate][0], own[0])[:, None]
+            seats = (agents.index(mate) - i) / MOST_MATES
+            rows.append(xp.concat([gap * 0.0 + seats, grips[mate], apart, gap], axis=1))
+        return {
+            "joints": alike(facts.joints[agent]),
+            "gripping": grips[agent],
+            "tcp": math.pose(*frames.pose(agent, tcp)),
+            "cube": math.pose(*frames.pose(agent, own)),
+            "goal": frames.place(agent, goal),
+            "cubes left": self._left(i, facts)[:, None] / len(self.cubes),
+            "mates": mates_block(rows),
+        }
 
     def reward(
         self, facts: PassFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
-        xp = array_namespace(facts.target)
-        giver, taker = self.agents
-        zero = xp.zeros_like(facts.to_target)
-        picking = facts.to_cube[giver] < self.config.picking_threshold
-        handing = facts.to_cube[taker] < self.config.handover_threshold
-        grip, shared = {}, {}
-        for agent, command in commands.items():
-            effort = -0.01 * math.norm(command.moves)
-            arrived = xp.where(self.success(facts), zero + 1.0, zero)
-            shared[agent] = {"effort": effort, "success": arrived}
-            grip[agent] = xp.where(command.grips, zero + 0.1, zero)
-        incentive = xp.where(picking, grip[giver], zero)
-        return {
-            giver: {
-                # Near robot_2's hand, letting go never costs robot_1 anything.
-                "reach": xp.where(handing, zero + 0.2, -facts.to_cube[giver]),
-                "handover": -facts.to_cube[taker],
-                "grip": xp.where(handing, -grip[giver], incentive),
-                **shared[giver],
-            },
-            taker: {
-                "reach": -facts.to_cube[taker],
-                "carry": -facts.to_target,
-                "grip": xp.where(handing, grip[taker], zero),
-                **shared[taker],
-            },
-        }
+        xp, config = array_namespace(facts.to_target), self.config
+        zero, terms = xp.zeros_like(facts.to_target), {}
+        arrived = xp.where(self.success(facts), zero + 1.0, zero)
+        for i, (agent, command) in enumerate(commands.items()):
+            near, gone = facts.to_cube[agent], facts.gone[agent]
+            most = config.handover_threshold if i else config.picking_threshold
+            # How far the next arm, or the target, is.
+            is_last = i == len(self.meetings)
+            far = facts.to_target if is_last else facts.to_next[agent]
+            handing = gone if is_last else gone | (far < config.handover_threshold)
+            grip = xp.where(command.grips, zero + 0.1, zero)
+            incentive = xp.where(near < most, grip, zero)
+            terms[agent] = {
+                # Near the next hand, letting go never costs an arm anything.
+                "reach": xp.where(handing, zero + 0.2, -near),
+                "carry" if is_last else "handover": xp.where(gone, zero, -far),
+                "grip": xp.where(handing, -grip, incentive),
+                "effort": -0.01 * math.norm(command.moves),
+                "success": arrived,
+            }
+            if len(self.cubes) > 1:
+                waiting = self._left(i, facts) - 1.0
+                terms[agent]["waiting"] = xp.where(
+                    waiting > 0.0, _WAITING * waiting, zero
+                )
+        return terms
+
+    def _left(self, i: int, facts: PassFacts) -> Array:
+        """Return how many cubes an arm has still to pass on, (num_envs,)."""
+        xp = array_namespace(facts.targets)
+        is_last = i == len(self.meetings)
+        left = ~facts.put if is_last else facts.handed < i + 2
+        return xp.sum(xp.astype(left, facts.targets.dtype), axis=1)
 
     def success(self, facts: PassFacts) -> Array:
+        if self.config.relay:
+            return array_namespace(facts.put).all(facts.put, axis=1)
         near = facts.to_target < self.config.success_radius
-        return near & facts.holds[self.agents[1]]
+        return near & facts.holds[self.agents[-1]]
 
     def shortfall(self, facts: PassFacts) -> Array:
-        xp = array_namespace(facts.to_target)
-        taker = self.agents[1]
-        missing = xp.where(facts.holds[taker], 0.0, facts.to_cube[taker])
+        xp, last = array_namespace(facts.to_target), self.agents[-1]
+        if self.config.relay:
+            places, length = facts.cubes[0], 2.0 * len(self.agents)
+            far = math.distance(places, facts.targets) / length
+            missing = 1.0 - facts.handed / len(self.agents) + far
+            return xp.mean(xp.where(facts.put, 0.0, missing), axis=1)
+        missing = xp.where(facts.holds[last], 0.0, facts.to_cube[last])
         return xp.where(self.success(facts), 0.0, facts.to_target + missing)
+
+
+def of(rows: Array, which: Array) -> Array:
+    """Return of each row (num_envs, cubes, ...) what belongs to one cube."""
+    return rows[array_namespace(rows).arange(len(rows)), which]
+
+
+def _either_way(hand: np.ndarray) -> list[np.ndarray]:
+    """Return a hand, and turned half about its approach: it grips as well so."""
+    turns = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    return [math.multiply(hand, turn) for turn in turns]
+
+
+def _own(held: Array, follows: Array) -> Array:
+    """Return which cube is an arm's own, (num_envs,): see `PassFacts`.
+
+    Args:
+      held: which cubes it holds, (num_envs, cubes).
+      follows: which it has passed on, likewise.
+    """
+    xp = array_namespace(held)
+    order, count = xp.arange(held.shape[1]), held.shape[1]
+    rank = xp.where(follows, 2 * count - order, order)
+    return xp.argmin(xp.where(held, -1, rank), axis=1)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))
@@ -330,6 +575,11 @@ _WITH_JACO = {
     "placements": (_GIVER, Placement((0.55, 0.7, 0.62))),
     "handover_threshold": 0.045,
 }
+_TEAMS = {f"PassPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)} | {
+    "PassMixed3-v0": ("panda", "sawyer", "jaco"),
+}
 register_task("Pass", Pass)
 register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))
+for env_id, robots in _TEAMS.items():
+    register_env(EnvSpec(env_id, Pass, robots))

@@ -158,7 +158,8 @@ class TaskConfig:
         check_settings(self)
         check_kind("action", self.action, str, "the name of an action mode")
         get_mode(self.action)
-        check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
+        if self.max_episode_steps is not None:  # Where a task has a rule of its own.
+            check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
         how, placements = self.randomization, self.placements
         check_kind("randomization", how, Randomization, "a Randomization")
         if placements is not None:

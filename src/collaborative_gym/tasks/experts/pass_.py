@@ -1,6 +1,10 @@
-"""How Pass's expert plays, and how it hands over elsewhere in its styles."""
+"""How Pass's expert plays, and how it hands over elsewhere in its styles.
 
-from typing import TYPE_CHECKING
+Each arm first comes to its cube: the first arm picks it up, and others take it. Then it
+brings it on: the last arm to the target, and others to the next hand.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,9 +30,15 @@ _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 # A hand that goes back by more does not grip: with late actions, it would let go of the
 # cube as it gets it.
 _BACK = 0.01  # m
-_ARRIVED = 0.05  # m from the meeting at which robot_2 follows the cube
+_ARRIVED = 0.05  # m from the meeting at which the next arm follows the cube
 _NEAR_MEETING = 0.3  # m
-BEYOND = 0.05  # m from the meeting across, from which on robot_2 picks up the cube
+_APART = 0.08  # m between two hands, from which on the one with the cube turns away
+BEYOND = 0.05  # m from the meeting across, from which on the next arm picks up the cube
+_NEAR_END = 0.3  # m from the target, within which the last arm goes straight
+_PUT = 0.02  # m from the target, within which the last arm's hand opens
+_LEAVING = 0.13  # m from what it has let go, within which a hand goes straight away
+_AWAY = 0.15  # m, how far it goes
+_FAR = 0.5  # m from where its next cube comes, from which on an arm swings there
 _POINT = (0.0, 0.0, 0.0)
 # Where styles hand over, in m from the meeting, about as far away as learners chose to:
 # middle and half axes of an ellipsoid in which each episode draws a place.
@@ -59,88 +69,150 @@ def styled(
     return _hand_over(self, sim, facts, middle + np.multiply(spread, inside))
 
 
+class _Aim(NamedTuple):
+    """Where an arm goes, (num_envs or 1, ...) each."""
+
+    place: Array  # of its tcp, in m
+    hand: Array  # its quaternion there
+    angles: Array  # joint angles to prefer, or where it swings, to go to, in rad
+    swings: Array  # (num_envs, 1), where it goes to the angles, and not straight
+
+
+def _choose(where: Array, one: _Aim, other: _Aim) -> _Aim:
+    """Return an aim in the worlds `where`, (num_envs, 1), and the other elsewhere."""
+    return _Aim(*(np.where(where, *pair) for pair in zip(one, other, strict=True)))
+
+
+class _View:
+    """What one arm looks at, (num_envs, ...) each."""
+
+    def __init__(self, task: "Pass", facts: "PassFacts", i: int, shift: Array):
+        self.task, self.facts, self.i, self.agent = task, facts, i, task.agents[i]
+        self.is_last, self.shift = i == len(task.meetings), shift
+        self.which = facts.own[self.agent]
+        self.tcp, self.quat = facts.tcp[self.agent]
+        self.cube, self.target = self.own(facts.cubes[0]), self.own(facts.targets)
+        self.holds = facts.holds[self.agent][:, None]
+        self.angles, self.hands = task.angles[self.agent], task.hands[self.agent]
+
+    def own(self, rows: Array, behind: int = 0) -> Array:
+        """Return of rows (num_envs, cubes, ...) what is of its cube, or one before."""
+        return rows[np.arange(len(rows)), np.maximum(self.which - behind, 0)]
+
+    def held_by(self, i: int) -> Array:
+        """Return where another arm holds its cube, (num_envs, 1)."""
+        return self.own(self.facts.grips[self.task.agents[i]])[:, None]
+
+    def is_beyond(self, i: int) -> Array:
+        """Return where arm i has lost its cube on the side of the next."""
+        across = math.dot(self.cube - self.task.meetings[i], ACROSS)
+        return (across > BEYOND)[:, None] & ~self.held_by(i)
+
+    def grips(self, comes: Array | bool = True) -> Array:
+        """Return where it holds a cube, or comes close enough to grip its own."""
+        config = self.task.config
+        most = config.handover_threshold if self.i else config.picking_threshold
+        near = self.facts.to_cube[self.agent] < _CLOSE * most
+        return self.facts.holds[self.agent] | (near & comes)
+
+
 def _hand_over(
     task: "Pass", sim: Sim, facts: "PassFacts", shift: np.ndarray
 ) -> dict[str, Motion]:
-    """Return motions for a hand-over so far from the usual meeting."""
-    meeting = task.meeting + shift
-    return {
-        "robot_1": _give(task, sim, facts, meeting),
-        "robot_2": _take(task, sim, facts, meeting),
-    }
+    """Return motions for hand-overs so far from the usual meetings."""
+    motions = {}
+    for i, (agent, arm) in enumerate(task.scene.arms.items()):
+        view = _View(task, facts, i, shift)
+        aim, has, grips = _take(view) if i else _pick(view)
+        aim = _come_back(view, aim)
+        end, brings, lets_go = _bring(view, has) if view.is_last else _give(view, has)
+        aim = _choose(brings, end, aim)
+        goal = aim.place, aim.hand
+        straight = reach(sim, arm, tcp=facts.tcp[agent], goal=goal, posture=aim.angles)
+        swing = settling(sim, arm, change=aim.angles - facts.joints[agent])
+        change = np.where(aim.swings, swing, straight)
+        motions[agent] = Motion(change, grips & ~lets_go[:, 0])
+    return motions
 
 
-def _give(task: "Pass", sim: Sim, facts: "PassFacts", meeting: np.ndarray) -> Motion:
-    """Return robot_1's motion: pick from above, bring to the meeting, let go."""
-    giver, taker = task.agents
-    position, place = facts.tcp[giver][0], facts.cube[0]
-    holds = facts.holds[giver][:, None]
-    taken = facts.holds[taker][:, None] | _is_beyond(task, facts)
-    above = standoff(position - place, DOWN, **_ABOVE)
-    gap = np.where(holds, 0.1, above)
-    lifted = position[:, 2:] > task.cube_start[2] + 0.03
-    # Elsewhere it goes straight, once it is near the posture of the usual meeting.
-    is_usual = (meeting == task.meeting).all()
-    near = math.distance(place, task.meeting) < _NEAR_MEETING
-    straight = holds & lifted & ~is_usual & near[:, None]
-    goal = np.where(straight, meeting, place - gap * DOWN)
-    goal = np.where(taken, meeting - 0.15 * ACROSS, goal)
-    hand = np.where(taken | straight, task.hands[giver][1], task.hands[giver][0])
-    angles = np.where(holds, task.angles[giver][1], task.angles[giver][0])
-    swings = holds & lifted & ~taken & ~straight
-    change = _move(task, sim, facts, giver, (goal, hand), angles, swings)
-    draws_back = (above - _BACK)[:, 0] > math.dot(place - position, DOWN)
-    grips = _grips(facts, giver, task.config.picking_threshold, ~draws_back)
-    return Motion(change, grips & ~facts.holds[taker])
+def _pick(view: _View) -> tuple[_Aim, Array, Array]:
+    """Pick up the cube from above.
+
+    Returns the aim, where the cube is lifted (num_envs, 1), and the grips (num_envs,).
+    """
+    tcp, cube, holds = view.tcp, view.cube, view.holds
+    above = standoff(tcp - cube, DOWN, **_ABOVE)
+    lifted = tcp[:, 2:] > view.task.cube_start[2] + 0.03
+    place = cube - np.where(holds, 0.1, above) * DOWN
+    angles = np.where(holds, view.angles[-1], view.angles[0])
+    draws_back = (above - _BACK)[:, 0] > math.dot(cube - tcp, DOWN)
+    aim = _Aim(place, view.hands[0], angles, np.zeros_like(holds))
+    return aim, holds & lifted, view.grips(~draws_back)
 
 
-def _take(task: "Pass", sim: Sim, facts: "PassFacts", meeting: np.ndarray) -> Motion:
-    """Return robot_2's motion: wait at the meeting, grip, carry to the target."""
-    giver, taker = task.agents
-    (position, quat), holds = facts.tcp[taker], facts.holds[taker][:, None]
-    cube, (_, before, end) = facts.cube[0], task.angles[taker]
+def _take(view: _View) -> tuple[_Aim, Array, Array]:
+    """Wait at the meeting and take the cube there; the results are those of `_pick`."""
+    tcp, cube, holds, i = view.tcp, view.cube, view.holds, view.i
+    giver = view.facts.tcp[view.task.agents[i - 1]][0]
+    meeting = view.task.meetings[i - 1] + view.shift
     is_there = math.distance(cube, meeting) < _ARRIVED
-    offered = (facts.holds[giver] & is_there)[:, None]
-    gap = standoff(position - cube, -ACROSS, **_ASIDE)
-    carries = holds & (math.distance(position, facts.tcp[giver][0]) > 0.08)[:, None]
-    goal = np.where(offered, cube, meeting) + np.where(holds, 0.15, gap) * ACROSS
-    goal = np.where(carries, facts.target, goal)
-    picks = ~holds & _is_beyond(task, facts)
-    above = standoff(position - cube, DOWN, **_ABOVE)
-    goal = np.where(picks, cube - above * DOWN, goal)
-    hand = np.where(picks, PICKING, task.hands[taker][1])
-    hand = np.where(carries, quat, hand)
-    angles = np.where(carries, end, before)
-    swings = carries & (math.distance(position, facts.target) > 0.3)[:, None]
-    change = _move(task, sim, facts, taker, (goal, hand), angles, swings)
-    return Motion(change, _grips(facts, taker, task.config.handover_threshold, True))
+    offered = view.held_by(i - 1) & is_there[:, None]
+    gap = standoff(tcp - cube, -ACROSS, **_ASIDE)
+    place = np.where(offered, cube, meeting) + np.where(holds, 0.15, gap) * ACROSS
+    picks = ~holds & view.is_beyond(i - 1)
+    above = standoff(tcp - cube, DOWN, **_ABOVE)
+    place = np.where(picks, cube - above * DOWN, place)
+    hand = np.where(picks, PICKING, view.hands[1])
+    aim = _Aim(place, hand, view.angles[1], np.zeros_like(holds))
+    has = holds & (math.distance(tcp, giver) > _APART)[:, None]
+    return aim, has, view.grips()
 
 
-def _is_beyond(task: "Pass", facts: "PassFacts") -> np.ndarray:
-    """Return where robot_1 has lost the cube on robot_2's side, (num_envs, 1)."""
-    across = math.dot(facts.cube[0] - task.meeting, ACROSS)
-    return ((across > BEYOND) & ~facts.holds[task.agents[0]])[:, None]
+def _come_back(view: _View, aim: _Aim) -> _Aim:
+    """Return the aim of an arm that comes for its next cube: away, and back first."""
+    free = ~view.holds & (view.which > 0)[:, None]
+    # Straight away from the cube that it has just let go.
+    last = view.own(view.facts.cubes[0], behind=1)
+    leaves = free & (math.distance(view.tcp, last) < _LEAVING)[:, None]
+    back = view.tcp - _AWAY * (DOWN if view.is_last else ACROSS)
+    away = _Aim(back, view.quat, view.angles[-1], np.zeros_like(free))
+    start = view.task.meetings[view.i - 1] if view.i else view.cube
+    is_far = free & (math.distance(view.tcp, start) > _FAR)[:, None]
+    swing = _Aim(view.tcp, view.quat, view.angles[0], np.ones_like(free))
+    return _choose(leaves, away, _choose(is_far, swing, aim))
 
 
-def _move(
-    task: "Pass",
-    sim: Sim,
-    facts: "PassFacts",
-    agent: str,
-    goal: tuple[Array, Array],
-    angles: Array,
-    swings: Array,
-) -> np.ndarray:
-    """Return joint changes straight to a pose, or to the angles where `swings`."""
-    arm = task.scene.arms[agent]
-    straight = reach(sim, arm, tcp=facts.tcp[agent], goal=goal, posture=angles)
-    swing = settling(sim, arm, change=angles - facts.joints[agent])
-    return np.where(swings, swing, straight)
+def _give(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
+    """Bring the cube to the meeting, and let go once the next arm has it.
+
+    Returns the aim, and where it is that and where the hand opens, (num_envs, 1).
+    """
+    usual, taken = view.task.meetings[view.i], view.held_by(view.i + 1)
+    meeting, passed = usual + view.shift, taken | view.is_beyond(view.i)
+    # Elsewhere it goes straight, once it is near the posture of the usual meeting.
+    is_usual = (meeting == usual).all()
+    near = math.distance(view.cube, usual) < _NEAR_MEETING
+    straight = has & ~is_usual & near[:, None]
+    place = np.where(passed, meeting - _AWAY * ACROSS, meeting)
+    angles = np.where(view.holds, view.angles[-1], view.angles[0])
+    aim = _Aim(place, view.hands[-1], angles, ~passed & ~straight)
+    return aim, has | passed, taken
 
 
-def _grips(
-    facts: "PassFacts", agent: str, threshold: float, comes: Array | bool
-) -> Array:
-    """Return where a hand holds the cube, or comes close enough to grip it."""
-    near = facts.to_cube[agent] < _CLOSE * threshold
-    return facts.holds[agent] | (near & comes)
+def _bring(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
+    """Bring the cube to its target; in a relay, put it down there.
+
+    The results are those of `_give`.
+    """
+    task, tcp, target = view.task, view.tcp, view.target
+    swings = (math.distance(tcp, target) > _NEAR_END)[:, None]
+    if not task.config.relay:
+        aim = _Aim(target, view.quat, view.angles[-1], swings)
+        return aim, has, np.zeros_like(has)
+    near = math.distance(view.cube, target) < task.config.success_radius
+    lies = ~view.holds & near[:, None]
+    above = standoff(tcp - target, DOWN, **_ABOVE)
+    place = target - np.where(lies, _AWAY, above) * DOWN
+    is_there = (math.distance(tcp, target) < _PUT)[:, None]
+    aim = _Aim(place, view.hands[-1], view.angles[-1], swings & ~lies)
+    return aim, has | lies, lies | (has & is_there)
