@@ -7,6 +7,7 @@ from collaborative_gym.motion.poses import (
     hold,
     hold_moved,
     quickest_way,
+    safest_way,
     solve_pose,
     turn_fingers,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "quickest_way",
     "reach",
     "rotation_error",
+    "safest_way",
     "settling",
     "shortened",
     "solve_pose",
