@@ -1,6 +1,6 @@
 """How the experts of teams do, and what a team does with one arm that does not help.
 
-    python benchmarks/teams.py [TEAM ...] [--tasks Lift] [--random N] [--seed N]
+    python benchmarks/teams.py [TEAM ...] [--tasks Lift Pass] [--random N] [--seed N]
         [--episodes N] [--faults]
 
 A team is an environment's id, or names of arms with commas; the default are all ids of
@@ -38,7 +38,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--arms", type=int, default=8, help="try so many arms in turn")
-    parser.add_argument("--steps", type=int, default=200, help="of an episode")
+    parser.add_argument("--steps", type=int, help="of an episode; the task's own")
     parser.add_argument("--faults", nargs="*", default=None, choices=FAULTS)
     options = parser.parse_args()
     faults = FAULTS if options.faults == [] else options.faults or ()
@@ -75,7 +75,8 @@ def row(
     short = team if team in cg.list_envs() else "".join(each[0] for each in names)
 
     def worlds(**changes):
-        task = make_task(name, names, max_episode_steps=options.steps, **changes)
+        own = {"max_episode_steps": options.steps} if options.steps else {}
+        task = make_task(name, names, **own, **changes)
         return cg.VectorEnv(task, options.episodes, num_threads=0, auto_reset=False)
 
     begun = time.perf_counter()
@@ -116,7 +117,7 @@ def play(env: cg.VectorEnv, agent: str = "", fault: str = "") -> tuple[float, fl
     """Return completion and mean time to success of the expert, in s.
 
     An agent with a fault is `idle`; or `gripping` what comes near while it holds still;
-    or `frozen`, still as soon as it holds its handle.
+    or `frozen`, still as soon as it holds something.
     """
     env.reset(seed=0)
     gripping, is_over = gripping_policy(env), False

@@ -275,28 +275,29 @@ def safest_way(
     bounds = np.maximum(low, -np.pi), np.minimum(high, np.pi)
     drawn = rng.uniform(*bounds, (_WAYS_DRAWN, arm.num_joints))
     found: list[tuple[float, int, np.ndarray]] = []
-    # Ways may begin alike; each beginning is solved once.
-    solved: dict[bytes, tuple[list[np.ndarray], np.ndarray]] = {}
+    # Ways may begin alike; each beginning is solved once. Rows are (n, poses, joints).
+    solved: dict[bytes, np.ndarray] = {}
     for i, way in enumerate(ways):
-        near, fits, key, path = drawn, np.ones(len(drawn), bool), b"", []
+        rows, key = drawn[:, None], b""
         for pose in way:
             key += np.concatenate(pose).tobytes()
-            if key not in solved:
-                place, turn = (np.tile(part, (len(drawn), 1)) for part in pose)
-                solved[key] = hold(chains, [(place, turn)], near=[near])
-            [near], reached = solved[key]
-            fits &= reached
-            path.append(near)
-        poses = np.stack(path, axis=1)
-        fits &= (np.minimum(poses - low, high - poses) > _ROOM).all(axis=(1, 2))
-        steps = (np.abs(np.diff(poses, axis=1)) / arm.stride).max(axis=2).sum(axis=1)
-        found += [(steps[row], i, poses[row]) for row in np.flatnonzero(fits)]
+            if key not in solved and len(rows):
+                place, turn = (np.tile(part, (len(rows), 1)) for part in pose)
+                [there], fits = hold(chains, [(place, turn)], near=[rows[:, -1]])
+                fits &= (np.minimum(there - low, high - there) > _ROOM).all(axis=1)
+                solved[key] = np.concatenate([rows, there[:, None]], axis=1)[fits]
+            rows = solved.get(key, rows)
+        rows = rows[:, 1:]
+        steps = (np.abs(np.diff(rows, axis=1)) / arm.stride).max(axis=2).sum(axis=1)
+        found += [(step, i, row) for step, row in zip(steps, rows, strict=True)]
     shares = np.linspace(0.0, 1.0, _ON_THE_WAY)[:, None, None]
     for _, i, poses in sorted(found, key=lambda each: each[0]):
         between = poses[:-1] + shares * np.diff(poses, axis=0)
         if not _touches(model, arm, between.reshape(-1, arm.num_joints)).any():
             return i, poses
-    first, last = (np.round(ways[0][end][0], 3).tolist() for end in (0, -1))
+    first, last = (
+        np.round(np.asarray(ways[0][end][0], float), 3).tolist() for end in (0, -1)
+    )
     raise ValueError(
         f"{arm.robot.name} finds no way from {first} to {last} on which it touches"
         " nothing and stays away from its joints' limits; mount it nearer or choose"

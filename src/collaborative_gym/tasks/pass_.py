@@ -38,9 +38,9 @@ Jaco.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -49,14 +49,23 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.errors import check_flag
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import Chains, hold, quickest_way, safest_way
+from collaborative_gym.motion import quickest_way, safest_way
 from collaborative_gym.objects.cube import cube
-from collaborative_gym.objects.table import table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import pass_ as player
-from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN, PICKING
+from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
+from collaborative_gym.tasks.handing import (
+    GIVING,
+    PICKING,
+    TAKING,
+    Row,
+    either_way,
+    of,
+    own_thing,
+    stand_in_row,
+)
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
@@ -79,32 +88,19 @@ from collaborative_gym.tasks.teams import (
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
-_TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
-_TABLE_END = 1.1  # m, x of the tables' far ends
-_GRID = 25  # places along either side of a table where the cube may lie
-_BEFORE = 1.7  # tangent of 60 degrees to either side
-_AT_EASE = 1.05  # times as far away an arm must reach; at the very end it is slow
-_LIFTED = 0.1  # m, how high the hand is free above a cube that it picks up
 _SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_1 room
 _OUT = np.array([1.0, 0.0, 0.0])
-# Orientations (w x y z) of the hands of arms in turn. Hands meet head on, one closing
-# along x and the other along z, so that their fingers pass one another. An arm's hand
-# keeps what it closes along from one meeting to the next.
-_GIVING = np.array([[-0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 0.5**0.5, 0.5**0.5]])
-_TAKING = np.array([[-0.5, -0.5, 0.5, -0.5], [0.5**0.5, 0.5**0.5, 0.0, 0.0]])
-
-_ARMS_FOR_TWO = 4
-"""Arms of a relay from which on two cubes are under way."""
-
+_ARMS_FOR_TWO = 4  # arms of a relay from which on two cubes are under way
 _APART = 0.3  # m between two cubes, so that a hand has room beside the other one
 _CLEAR = 0.15  # m, of a lost cube from where another one may lie
 _HOVER = 0.15  # m above the targets, to where the last arm swings
 _STEPS_PER_ARM = 60  # control steps; a Jaco turns with a cube in about 40
 _AT_REST = 0.05  # m/s, of a cube that lies still
+_BY_RULE: Any = None  # of a setting that the number of arms sets
 
-_WAITING = -3.0
-"""Reward for each cube beside its own that an arm has yet to pass on: less than its
-other terms, so that an arm gains by passing one on."""
+_FARTHEST, _WAITING = 1.0, 3.0
+"""Distance beyond which a relay's rewards fall no more, in m, and what each cube costs
+an arm that waits behind its own. So an arm gains by passing one on."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +118,7 @@ class PassConfig(TaskConfig):
         with more.
     """
 
-    max_episode_steps: int = field(default=None)
+    max_episode_steps: int = _BY_RULE
     success_radius: float = bounded(None, 0.001, 10.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
     handover_threshold: float = bounded(0.05, 0.0, 1.0)
@@ -146,8 +142,7 @@ class PassFacts:
     tcp: dict[str, tuple[Array, Array]]  # pose of each agent's tcp
     holds: dict[str, Array]  # by agent, whether its grip holds a cube
     grips: dict[str, Array]  # by agent, which cubes its grip holds, (num_envs, cubes)
-    own: dict[str, Array]  # by agent, the index of its own cube
-    gone: dict[str, Array]  # by agent, whether that is farther than the next arm
+    own: Array  # the index of each agent's own cube, (num_envs, agents)
     to_cube: dict[str, Array]  # distance from its tcp to its cube's centre, in m
     to_next: dict[str, Array]  # from the next agent's tcp to its cube's centre, in m
     cubes: tuple[Array, Array]  # poses, (num_envs, cubes, 3) and (num_envs, cubes, 4)
@@ -170,6 +165,7 @@ class Pass(Task[PassConfig, PassFacts]):
         cube, of others aside of where they take it and there; then of all where they
         hand it over, or of the last at the target.
       hands: by agent, the quaternion of its hand at each of these, (1, 4).
+      thresholds: by agent, the greatest distance at which it can grip a cube, in m.
     """
 
     robot_counts = range(2, MOST_MATES + 2)
@@ -210,38 +206,28 @@ class Pass(Task[PassConfig, PassFacts]):
         self._goals = ("target", "target_2")[:cubes]
 
     def mounts(self) -> tuple[Placement, ...]:
-        """Return a row whose places are farther apart, the longer the reach is."""
-        robots = list(self.robots.values())
-        halves = [min(0.7, 0.71 * robot.reach) for robot in robots]
-        middle, placements = len(halves) // 2, []
-        for i, (robot, half) in enumerate(zip(robots, halves, strict=True)):
-            left = i < middle
-            between = sum(halves[i + 1 : middle] if left else halves[middle:i])
-            y = (-1 if left else 1) * (half + 2 * between)
-            if robot.stand == "pedestal":
-                placements.append(Placement((0.8 - 0.635 * robot.reach, y, 1.0)))
-            else:
-                placements.append(Placement((0.55, y, 0.62)))
-        return tuple(placements)
+        return stand_in_row(list(self.robots.values()))
 
     def build(self, scene: Scene) -> None:
-        self._add_arms(scene)
+        self._row = row = Row(self.robots, self.placements, _CUBE_SIZE)
+        row.add_to(scene)
         config, (first, last) = self.config, (self.agents[0], self.agents[-1])
-        self.cube_start = self._before(first, 0.1)
+        self.cube_start = row.before(first, 0.1)
         y = self.placements[last].position[1]
         self.targets = np.array([[1.2, y, 1.3]])
         if config.relay:
             aside = [_APART * i for i in reversed(range(len(self.cubes)))]
-            self.targets = np.array([self._before(last, each - 0.1) for each in aside])
+            self.targets = np.array([row.before(last, each - 0.1) for each in aside])
+        steps = np.arange(len(self.cubes))[:, None]
+        self._starts = self.cube_start - _APART * steps * ACROSS
         for i, name in enumerate(self.cubes):
-            place = self.cube_start - _APART * i * ACROSS
-            scene.add(name, cube(_CUBE_SIZE), position=place)
+            scene.add(name, cube(_CUBE_SIZE), position=self._starts[i])
             scene.add_target(self._goals[i], config.success_radius)
             if config.relay:
                 scene.add_velocity_sensor(name, f"{name}/centre")
-        for agent in self.agents:
-            is_first = agent == first
-            most = config.picking_threshold if is_first else config.handover_threshold
+        self.thresholds = dict.fromkeys(self.agents, config.handover_threshold)
+        self.thresholds[first] = config.picking_threshold
+        for agent, most in self.thresholds.items():
             for name in self.cubes:
                 site = f"{name}/centre"
                 scene.add_grip(agent, site, threshold=most, width=_GRIP_WIDTH)
@@ -250,34 +236,12 @@ class Pass(Task[PassConfig, PassFacts]):
         eye = 2.45 + 0.66 * more, (across[0] + across[-1]) / 2, 1.68 + 0.24 * more
         scene.add_camera(eye, (0, 1, 0, -0.34, 0, 0.94))
 
-    def _add_arms(self, scene: Scene) -> None:
-        """Add the arms with their tables, and find where a cube rests on each."""
-        places = self.placements
-        gaps = np.diff([place.position[1] for place in places.values()])
-        widths = np.minimum([*gaps, np.inf], [np.inf, *gaps]) - 0.2
-        self._tops, self._rests = {}, {}
-        for (agent, place), width in zip(places.items(), widths, strict=True):
-            (x, y, z), robot = place.position, self.robots[agent]
-            before = robot.stand == "pedestal"
-            near, height = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
-            scene.add_robot(agent, robot, placement=place, stand=before)
-            top = table(_TABLE_END - near, width, height=height)
-            scene.add(f"{agent}_table", top, position=((_TABLE_END + near) / 2, y, 0.0))
-            corner = np.array([_TABLE_END - near, width]) / 2 - _CUBE_SIZE
-            middle = np.array([(_TABLE_END + near) / 2, y])
-            self._tops[agent] = middle - corner, middle + corner
-            self._rests[agent] = height + _CUBE_SIZE / 2
-
-    def _before(self, agent: str, aside: float) -> np.ndarray:
-        """Return where a cube rests at ease before an arm, so far to its side."""
-        x, y, _ = self.placements[agent].position
-        x = min(x + 0.635 * self.robots[agent].reach, _TABLE_END - 0.1)
-        return np.array([x, y + aside, self._rests[agent]])
-
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         self._frames = Frames(self.placements)
-        self.meetings = self._find_meetings()
+        across = [place.position[1] for place in self.placements.values()]
+        spots = [self.cube_start, *(np.array([1.2, y, 1.3]) for y in across[1:])]
+        self.meetings = self._row.meetings(spots)
         self.angles, self.hands = {}, {}
         # Two arms play as they ever did, to the bit.
         find_way = safest_way if self.config.relay else quickest_way
@@ -285,7 +249,7 @@ class Pass(Task[PassConfig, PassFacts]):
             places, comes = self._entry(i)
             ways = [
                 [*((place, hand) for place in places), end]
-                for hand in _either_way(comes)
+                for hand in either_way(comes)
                 for end in self._ends(i)
             ]
             chosen, self.angles[agent] = find_way(sim.model, arm, ways=ways)
@@ -297,15 +261,15 @@ class Pass(Task[PassConfig, PassFacts]):
         if i == 0:
             return [self.cube_start - 0.25 * DOWN], PICKING
         meeting = self.meetings[i - 1]
-        return [meeting + 0.3 * ACROSS - 0.1 * DOWN, meeting], _TAKING[i % 2]
+        return [meeting + 0.3 * ACROSS - 0.1 * DOWN, meeting], TAKING[i % 2]
 
     def _ends(self, i: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return poses of the hand of which an arm may bring its cube to one."""
         if i < len(self.meetings):
-            return [(self.meetings[i], hand) for hand in _either_way(_GIVING[i % 2])]
+            return [(self.meetings[i], hand) for hand in either_way(GIVING[i % 2])]
         if self.config.relay:
             over = self.targets.mean(axis=0) - _HOVER * DOWN
-            return [(over, hand) for hand in _either_way(PICKING)]
+            return [(over, hand) for hand in either_way(PICKING)]
         [target], base = self.targets, self.placements[self.agents[i]].position
         radial = target - np.array(base) - SHOULDER
         ends = _OUT, radial / math.norm(radial), -ACROSS
@@ -318,49 +282,17 @@ class Pass(Task[PassConfig, PassFacts]):
         They are (n, 3) in m, and indices of agents (n,).
         """
         found, owners = [], []
-        waiting = [
-            (self.cube_start - _APART * i * ACROSS)[:2]
-            for i in range(1, len(self.cubes))
-        ]
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
-            (x, y), (far, left) = self._tops[agent]
-            if i > 0:
-                # What lies nearer to the arm before is for that arm to pick up.
-                y = max(y, self.meetings[i - 1][1] + BEYOND)
-            steps = np.mgrid[x : far : _GRID * 1j, y : left : _GRID * 1j]
-            base = np.array(self.placements[agent].position[:2])
-            ahead, aside = away = steps.reshape(2, -1) - base[:, None]
-            # Straight ways to what lies beside a base lead into it.
-            is_clear = np.abs(aside) < _BEFORE * ahead
-            for other in waiting:
-                is_clear &= np.hypot(*(away + (base - other)[:, None])) > _CLEAR
-            away = away.T[is_clear]
-            near = np.tile(self.angles[agent][0], (len(away), 1))
-            chains, reached = Chains(self.model, [arm]), np.ones(len(away), bool)
-            for above, share in ((_LIFTED, 1.0), (0.0, _AT_EASE)):
-                z = self._rests[agent] + above
-                goals = [(np.insert(base + share * away, 2, z, axis=1), PICKING)]
-                [near], there = hold(chains, goals, near=[near])
-                reached &= there
-            places = np.insert(base + away, 2, self._rests[agent], axis=1)
-            found.append(places[reached])
-            owners.append(np.full(len(found[-1]), i))
+            # What lies nearer to the arm before is for that arm to pick up.
+            right = self.meetings[i - 1][1] + BEYOND if i else -np.inf
+            places = self._row.in_reach(
+                self.model, arm, agent=agent, right=right, near=self.angles[agent][0]
+            )
+            for other in self._starts[1:]:
+                places = places[math.distance(places, other) > _CLEAR]
+            found.append(places)
+            owners.append(np.full(len(places), i))
         return np.concatenate(found), np.concatenate(owners)
-
-    def _find_meetings(self) -> list[np.ndarray]:
-        bases = [np.array(place.position) for place in self.placements.values()]
-        spots = [self.cube_start, *([1.2, base[1], 1.3] for base in bases[1:])]
-        reaches, found = [robot.reach for robot in self.robots.values()], []
-        for i in range(len(spots) - 1):
-            place = (spots[i] + np.array(spots[i + 1])) / 2
-            for _ in range(50):
-                for base, far in zip(bases[i : i + 2], reaches[i : i + 2], strict=True):
-                    shoulder = base + SHOULDER
-                    arm = place - shoulder
-                    easy = 0.8 * far
-                    place = shoulder + arm * min(1.0, easy / math.norm(arm))
-            found.append(place)
-        return found
 
     def remember(self, num_envs: int) -> dict[str, Array]:
         # How many arms have had each cube in order.
@@ -371,9 +303,8 @@ class Pass(Task[PassConfig, PassFacts]):
         spread = self.config.randomization
         starts = {agent: angles[0] for agent, angles in self.angles.items()}
         self.start_arms(sim, env_ids, rng=rng, angles=starts)
-        for i, name in enumerate(self.cubes):
-            place = self.cube_start - _APART * i * ACROSS
-            place = place + rng.within(spread.object_position * LEVEL, 3)
+        for name, nominal in zip(self.cubes, self._starts, strict=True):
+            place = nominal + rng.within(spread.object_position * LEVEL, 3)
             quat = math.from_yaw(rng.within(spread.object_yaw))
             self.scene.place(sim, env_ids, name=name, position=place, quat=quat)
         # In a relay they lie on the table.
@@ -411,7 +342,12 @@ class Pass(Task[PassConfig, PassFacts]):
             a: xp.stack([self.scene.holds(sim, a, site) for site in sites], axis=1)
             for a in agents
         }
-        sim.memory["handed"] = handed = self._pass_on(sim.memory["handed"], grips)
+        handed = sim.memory["handed"]
+        for i, held in enumerate(grips.values()):
+            # From hand to hand: for a moment the arm before holds it, too.
+            takes = held & grips[agents[i - 1]] if i else held
+            handed = xp.where((handed == i) & takes, i + 1.0, handed)
+        sim.memory["handed"] = handed
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
         put = xp.zeros_like(is_held)
         if relay:
@@ -419,12 +355,11 @@ class Pass(Task[PassConfig, PassFacts]):
             slow = xp.stack(speeds, axis=1) < _AT_REST
             near = to_targets < self.config.success_radius
             put = near & slow & ~is_held & (handed == len(agents))
-        own, gone, to_cube, to_next = {}, {}, {}, {}
+        own, to_cube, to_next = [], {}, {}
         for i, agent in enumerate(agents):
             follows = handed > i + 1 if i + 1 < len(agents) else put
-            own[agent] = which = _own(grips[agent], follows)
-            gone[agent] = of((handed > i + 2) | put, which)
-            place = of(places, which)
+            own.append(own_thing(grips[agent], follows))
+            place = of(places, own[i])
             to_cube[agent] = math.distance(tcp[agent][0], place)
             if i + 1 < len(agents):
                 to_next[agent] = math.distance(tcp[agents[i + 1]][0], place)
@@ -433,26 +368,16 @@ class Pass(Task[PassConfig, PassFacts]):
             tcp=tcp,
             holds={agent: xp.any(held, axis=1) for agent, held in grips.items()},
             grips=grips,
-            own=own,
-            gone=gone,
+            own=xp.stack(own, axis=1),
             to_cube=to_cube,
             to_next=to_next,
             cubes=(places, quats),
             targets=targets,
-            to_target=of(to_targets, own[agents[-1]]),
+            to_target=of(to_targets, own[-1]),
             handed=handed,
             put=put,
             stage=xp.mean(handed, axis=1),
         )
-
-    def _pass_on(self, handed: Array, grips: dict[str, Array]) -> Array:
-        """Return how many arms have now had each cube, each from the one before."""
-        xp, before = array_namespace(handed), None
-        for i, held in enumerate(grips.values()):
-            takes = held if before is None else held & before
-            handed = xp.where((handed == i) & takes, i + 1.0, handed)
-            before = held
-        return handed
 
     def observe(self, facts: PassFacts) -> dict[str, Blocks]:
         xp, kind = array_namespace(facts.targets), facts.targets.dtype
@@ -471,23 +396,24 @@ class Pass(Task[PassConfig, PassFacts]):
 
     def _seen_by(self, agent: str, facts: PassFacts, grips: dict[str, Array]) -> Blocks:
         """Return what an arm of a relay sees in the frame of its base."""
-        xp, frames, kind = array_namespace(facts.targets), self._frames, facts.targets
-        agents, which, tcp = self.agents, facts.own[agent], facts.tcp[agent]
-        i, own = agents.index(agent), tuple(of(part, which) for part in facts.cubes)
-        goal = of(facts.targets, which)
+        xp, turned = array_namespace(facts.targets), self._frames.direction
+        i, tcp = self.agents.index(agent), facts.tcp[agent]
+        which, frames = facts.own[:, i], self._frames
+        own, goal = [of(x, which) for x in facts.cubes], of(facts.targets, which)
         if i < len(self.meetings):
-            goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=kind.dtype)
+            goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
         rows = []
-        for mate in mates_of(agents, agent):
-            apart = frames.direction(agent, facts.tcp[mate][0] - tcp[0])
-            gap = math.distance(facts.tcp[mate][0], own[0])[:, None]
-            seats = (agents.index(mate) - i) / MOST_MATES
-            rows.append(xp.concat([gap * 0.0 + seats, grips[mate], apart, gap], axis=1))
+        for mate in mates_of(self.agents, agent):
+            place = facts.tcp[mate][0]
+            gap = math.distance(place, own[0])[:, None]
+            seats = gap * 0.0 + (self.agents.index(mate) - i) / MOST_MATES
+            apart = turned(agent, place - tcp[0])
+            rows.append(xp.concat([seats, grips[mate], apart, gap], axis=1))
         return {
             "joints": alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, tcp)),
-            "cube": math.pose(*frames.pose(agent, own)),
+            "cube": math.pose(*frames.pose(agent, (own[0], own[1]))),
             "goal": frames.place(agent, goal),
             "cubes left": self._left(i, facts)[:, None] / len(self.cubes),
             "mates": mates_block(rows),
@@ -498,16 +424,18 @@ class Pass(Task[PassConfig, PassFacts]):
     ) -> dict[str, Terms]:
         xp, config = array_namespace(facts.to_target), self.config
         zero, terms = xp.zeros_like(facts.to_target), {}
+        farthest = zero + (_FARTHEST if config.relay else np.inf)
         arrived = xp.where(self.success(facts), zero + 1.0, zero)
         for i, (agent, command) in enumerate(commands.items()):
-            near, gone = facts.to_cube[agent], facts.gone[agent]
-            most = config.handover_threshold if i else config.picking_threshold
+            near = xp.minimum(facts.to_cube[agent], farthest)
+            gone = of((facts.handed > i + 2) | facts.put, facts.own[:, i])
             # How far the next arm, or the target, is.
             is_last = i == len(self.meetings)
             far = facts.to_target if is_last else facts.to_next[agent]
+            far = xp.minimum(far, farthest)
             handing = gone if is_last else gone | (far < config.handover_threshold)
             grip = xp.where(command.grips, zero + 0.1, zero)
-            incentive = xp.where(near < most, grip, zero)
+            incentive = xp.where(near < self.thresholds[agent], grip, zero)
             terms[agent] = {
                 # Near the next hand, letting go never costs an arm anything.
                 "reach": xp.where(handing, zero + 0.2, -near),
@@ -517,10 +445,8 @@ class Pass(Task[PassConfig, PassFacts]):
                 "success": arrived,
             }
             if len(self.cubes) > 1:
-                waiting = self._left(i, facts) - 1.0
-                terms[agent]["waiting"] = xp.where(
-                    waiting > 0.0, _WAITING * waiting, zero
-                )
+                others = xp.maximum(self._left(i, facts) - 1.0, zero)
+                terms[agent]["waiting"] = -_WAITING * others
         return terms
 
     def _left(self, i: int, facts: PassFacts) -> Array:
@@ -545,30 +471,6 @@ class Pass(Task[PassConfig, PassFacts]):
             return xp.mean(xp.where(facts.put, 0.0, missing), axis=1)
         missing = xp.where(facts.holds[last], 0.0, facts.to_cube[last])
         return xp.where(self.success(facts), 0.0, facts.to_target + missing)
-
-
-def of(rows: Array, which: Array) -> Array:
-    """Return of each row (num_envs, cubes, ...) what belongs to one cube."""
-    return rows[array_namespace(rows).arange(len(rows)), which]
-
-
-def _either_way(hand: np.ndarray) -> list[np.ndarray]:
-    """Return a hand, and turned half about its approach: it grips as well so."""
-    turns = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    return [math.multiply(hand, turn) for turn in turns]
-
-
-def _own(held: Array, follows: Array) -> Array:
-    """Return which cube is an arm's own, (num_envs,): see `PassFacts`.
-
-    Args:
-      held: which cubes it holds, (num_envs, cubes).
-      follows: which it has passed on, likewise.
-    """
-    xp = array_namespace(held)
-    order, count = xp.arange(held.shape[1]), held.shape[1]
-    rank = xp.where(follows, 2 * count - order, order)
-    return xp.argmin(xp.where(held, -1, rank), axis=1)
 
 
 _GIVER = Placement((0.0, -0.7, 1.0))

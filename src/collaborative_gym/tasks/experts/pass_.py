@@ -13,14 +13,12 @@ from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion import reach, settling, standoff
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.handing import PICKING, of
 
 if TYPE_CHECKING:
     from collaborative_gym.tasks.pass_ import Pass, PassFacts
 
 DOWN, ACROSS = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
-
-PICKING = np.array([0.0, 0.5**0.5, 0.5**0.5, 0.0])
-"""Orientation (w x y z) of a hand that picks from above."""
 
 _CLOSE = 0.8  # share of the greatest distance of a grip at which a hand grips
 # How a hand comes before the cube, in m. One that takes it 6 mm aside passes the
@@ -89,7 +87,7 @@ class _View:
     def __init__(self, task: "Pass", facts: "PassFacts", i: int, shift: Array):
         self.task, self.facts, self.i, self.agent = task, facts, i, task.agents[i]
         self.is_last, self.shift = i == len(task.meetings), shift
-        self.which = facts.own[self.agent]
+        self.which = facts.own[:, i]
         self.tcp, self.quat = facts.tcp[self.agent]
         self.cube, self.target = self.own(facts.cubes[0]), self.own(facts.targets)
         self.holds = facts.holds[self.agent][:, None]
@@ -97,7 +95,7 @@ class _View:
 
     def own(self, rows: Array, behind: int = 0) -> Array:
         """Return of rows (num_envs, cubes, ...) what is of its cube, or one before."""
-        return rows[np.arange(len(rows)), np.maximum(self.which - behind, 0)]
+        return of(rows, np.maximum(self.which - behind, 0))
 
     def held_by(self, i: int) -> Array:
         """Return where another arm holds its cube, (num_envs, 1)."""
@@ -110,8 +108,7 @@ class _View:
 
     def grips(self, comes: Array | bool = True) -> Array:
         """Return where it holds a cube, or comes close enough to grip its own."""
-        config = self.task.config
-        most = config.handover_threshold if self.i else config.picking_threshold
+        most = self.task.thresholds[self.agent]
         near = self.facts.to_cube[self.agent] < _CLOSE * most
         return self.facts.holds[self.agent] | (near & comes)
 

@@ -1,0 +1,165 @@
+"""How arms in a row stand and meet, pick things up, and which thing is whose."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.motion import Chains, hold
+from collaborative_gym.objects.table import table
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import SHOULDER, Arm, Placement, Scene
+
+PICKING = np.array([0.0, 0.5**0.5, 0.5**0.5, 0.0])
+"""Orientation (w x y z) of a hand that picks from above."""
+
+GIVING = np.array([[-0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 0.5**0.5, 0.5**0.5]])
+TAKING = np.array([[-0.5, -0.5, 0.5, -0.5], [0.5**0.5, 0.5**0.5, 0.0, 0.0]])
+"""Those of the hands of arms in turn that give and take. Hands meet head on, one
+closing along x and the other along z, so that their fingers pass one another. A hand
+closes along the same axis wherever its arm meets others."""
+
+TABLE_END = 1.1
+"""x of the tables' far ends, in m."""
+
+_TABLE_HEIGHT = 0.64  # m, of a table that no arm stands on
+_GRID = 25  # places along either side of a table
+_BEFORE = 1.7  # tangent of 60 degrees to either side
+_AT_EASE = 1.05  # times as far away an arm must reach; at the very end it is slow
+_LIFTED = 0.1  # m, how high the hand is free above what it picks up
+
+
+def either_way(hand: np.ndarray) -> list[np.ndarray]:
+    """Return a hand, and turned half about its approach: it grips as well so."""
+    turns = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    return [math.multiply(hand, turn) for turn in turns]
+
+
+def stand_in_row(robots: Sequence[Robot]) -> tuple[Placement, ...]:
+    """Return a row of bases that face +x, farther apart, the longer the reach is.
+
+    So neighbours reach a place between them, and others do not reach each other.
+    """
+    halves = [min(0.7, 0.71 * robot.reach) for robot in robots]
+    middle, placements = len(halves) // 2, []
+    for i, (robot, half) in enumerate(zip(robots, halves, strict=True)):
+        is_left = i < middle
+        between = sum(halves[i + 1 : middle] if is_left else halves[middle:i])
+        y = (-1 if is_left else 1) * (half + 2 * between)
+        if robot.stand == "pedestal":
+            placements.append(Placement((0.8 - 0.635 * robot.reach, y, 1.0)))
+        else:
+            placements.append(Placement((0.55, y, 0.62)))
+    return tuple(placements)
+
+
+class Row:
+    """Arms in a row, each with a table, that pick up one kind of thing.
+
+    Args:
+      robots: the arms by agent.
+      placements: where their bases are.
+      size: of a thing that lies on a table, in m.
+    """
+
+    def __init__(
+        self,
+        robots: Mapping[str, Robot],
+        placements: Mapping[str, Placement],
+        size: float,
+    ):
+        self._robots, self._placements = robots, placements
+        across = [place.position[1] for place in placements.values()]
+        gaps = np.diff(across)
+        widths = np.minimum([*gaps, np.inf], [np.inf, *gaps]) - 0.2
+        self._tables, self._tops, self._heights = {}, {}, {}
+        for (agent, place), width in zip(placements.items(), widths, strict=True):
+            x, y, z = place.position
+            before = robots[agent].stand == "pedestal"
+            near, height = (0.5, _TABLE_HEIGHT) if before else (x - 0.2, z)
+            area, middle = (TABLE_END - near, width), ((TABLE_END + near) / 2, y)
+            self._tables[agent] = area, height, (*middle, 0.0)
+            corner = np.array(area) / 2 - size
+            self._tops[agent] = middle - corner, middle + corner
+            self._heights[agent] = height + size / 2
+
+    def add_to(self, scene: Scene) -> None:
+        """Add the arms, with the table of each."""
+        for agent, robot in self._robots.items():
+            own, place = robot.stand == "pedestal", self._placements[agent]
+            scene.add_robot(agent, robot, placement=place, stand=own)
+            area, height, position = self._tables[agent]
+            top = table(*area, height=height)
+            scene.add(f"{agent}_table", top, position=position)
+
+    def before(self, agent: str, aside: float) -> np.ndarray:
+        """Return where a thing lies at ease before an arm, so far to its left, (3,)."""
+        x, y, _ = self._placements[agent].position
+        x = min(x + 0.635 * self._robots[agent].reach, TABLE_END - 0.1)
+        return np.array([x, y + aside, self._heights[agent]])
+
+    def meetings(self, spots: Sequence[Array]) -> list[np.ndarray]:
+        """Return where neighbours meet, at ease for both, (3,) each, in m.
+
+        Args:
+          spots: where each arm would have a thing by itself; they meet half-way.
+        """
+        pairs = zip(self._robots.values(), self._placements.values(), strict=True)
+        arms = [(0.8 * r.reach, np.array(p.position) + SHOULDER) for r, p in pairs]
+        meetings = []
+        for i in range(len(arms) - 1):
+            place = (np.array(spots[i]) + spots[i + 1]) / 2
+            for easy, shoulder in 50 * arms[i : i + 2]:
+                arm = place - shoulder
+                place = shoulder + arm * min(1.0, easy / math.norm(arm))
+            meetings.append(place)
+        return meetings
+
+    def in_reach(
+        self, model: mujoco.MjModel, arm: Arm, *, agent: str, right: float, near: Array
+    ) -> np.ndarray:
+        """Return places on an arm's table from which it picks things up, (n, 3).
+
+        Args:
+          model: the compiled world.
+          arm: the agent's.
+          agent: who.
+          right: least y of the places, in m.
+          near: joint angles with which its hand is above the table, (joints,), in rad.
+        """
+        (x, y), (far, left) = self._tops[agent]
+        y, height = max(y, right), self._heights[agent]
+        base = np.array(self._placements[agent].position[:2])
+        steps = np.mgrid[x : far : _GRID * 1j, y : left : _GRID * 1j]
+        ahead, aside = away = steps.reshape(2, -1) - base[:, None]
+        # Straight ways to what lies beside a base lead into it.
+        away = away.T[np.abs(aside) < _BEFORE * ahead]
+        angles = np.tile(near, (len(away), 1))
+        chains, reached = Chains(model, [arm]), np.ones(len(away), bool)
+        for above, share in ((_LIFTED, 1.0), (0.0, _AT_EASE)):
+            place = np.insert(base + share * away, 2, height + above, axis=1)
+            [angles], there = hold(chains, [(place, PICKING)], near=[angles])
+            reached &= there
+        return np.insert(base + away, 2, height, axis=1)[reached]
+
+
+def own_thing(held: Array, passed: Array) -> Array:
+    """Return the index of an arm's own thing, (num_envs,).
+
+    It is what it holds, or the first that it has not passed on, or the last.
+
+    Args:
+      held: which things it holds, (num_envs, things) booleans.
+      passed: which it has passed on, likewise.
+    """
+    xp, count = array_namespace(held), held.shape[1]
+    order = xp.arange(count)
+    rank = xp.where(passed, 2 * count - order, order)
+    return xp.argmin(xp.where(held, -1, rank), axis=1)
+
+
+def of(rows: Array, which: Array) -> Array:
+    """Return of each row (num_envs, things, ...) what is of one thing, (num_envs,)."""
+    return rows[array_namespace(rows).arange(len(rows)), which]
