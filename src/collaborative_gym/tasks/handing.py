@@ -118,7 +118,13 @@ class Row:
         return meetings
 
     def in_reach(
-        self, model: mujoco.MjModel, arm: Arm, *, agent: str, right: float, near: Array
+        self,
+        model: mujoco.MjModel,
+        arm: Arm,
+        *,
+        agent: str,
+        right: float,
+        start: tuple[Array, Array],
     ) -> np.ndarray:
         """Return places on an arm's table from which it picks things up, (n, 3).
 
@@ -127,7 +133,8 @@ class Row:
           arm: the agent's.
           agent: who.
           right: least y of the places, in m.
-          near: joint angles with which its hand is above the table, (joints,), in rad.
+          start: the hand that picks things up, and joint angles, (joints,) in rad, with
+            which it is above the table.
         """
         (x, y), (far, left) = self._tops[agent]
         y, height = max(y, right), self._heights[agent]
@@ -136,11 +143,11 @@ class Row:
         ahead, aside = away = steps.reshape(2, -1) - base[:, None]
         # Straight ways to what lies beside a base lead into it.
         away = away.T[np.abs(aside) < _BEFORE * ahead]
-        angles = np.tile(near, (len(away), 1))
+        hand, angles = start[0], np.tile(start[1], (len(away), 1))
         chains, reached = Chains(model, [arm]), np.ones(len(away), bool)
         for above, share in ((_LIFTED, 1.0), (0.0, _AT_EASE)):
             place = np.insert(base + share * away, 2, height + above, axis=1)
-            [angles], there = hold(chains, [(place, PICKING)], near=[angles])
+            [angles], there = hold(chains, [(place, hand)], near=[angles])
             reached &= there
         return np.insert(base + away, 2, height, axis=1)[reached]
 

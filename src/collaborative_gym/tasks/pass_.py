@@ -1,40 +1,57 @@
-"""Pass: one robot picks a cube and hands it over to another, who brings it to a target.
+"""Pass: arms hand a cube on, from one to the next, and the last brings it to a target.
 
-Two robots stand side by side. Each has a table: an arm that stands on a pedestal has
-the table in front of it, any other arm stands on its near end. The cube (0.04 m, 0.05
-kg) lies on robot_1's table. The target hangs in the air in front of robot_2. A grip
-holds the cube's centre at the tool centre point and lets the cube turn. For a moment
-both robots may hold it. Then robot_1 must let go: if robot_2 tears the cube out of its
-hand, robot_2 loses it, too.
+Two to eight arms stand side by side. Each has a table: an arm that stands on a pedestal
+has the table in front of it, any other arm stands on its near end. The cube (0.04 m,
+0.05 kg) lies on robot_1's table. A grip holds the cube's centre at the tool centre
+point and lets the cube turn. For a moment both robots may hold it. Then the one that
+gives must let go: if the other tears the cube out of its hand, both lose it.
 
-Agents: `robot_1` picks and hands over, `robot_2` takes over and carries.
+With two arms the target hangs in the air in front of robot_2. Three arms and more are a
+relay. The cube goes through all hands to its target on the last arm's table. From four
+arms on a second cube follows, with a target of its own. Neighbours alone reach each
+other, at one place between them. Each arm sees in the frame of its own base: its own
+cube, which is the one in its hand, or the first that it has not passed on; the goal,
+where it is to hand that over or put it down; and how many cubes are left. The block
+`mates` has of each other arm: 1, how many seats away it is (as a share of 7), whether
+it grips, from the own tool centre point to that arm's, and how far that is from the
+own cube. So all seats, and relays of any length, observe alike.
 
-Randomised: the joints of both arms, the cube's place on the table (x and y) and its
-turn about the vertical, the target's place along each axis.
+Agents: `robot_1` picks and hands over, the last takes over and carries; any between
+them take over and hand over.
 
-Reward of each agent: robot_2 is "near" while its tool centre point is within
-`handover_threshold` (0.05 m) of the cube's centre.
+Randomised: the joints of the arms, the cubes' places on the table (x and y) and their
+turns about the vertical, the targets' places along each axis, in a relay on the table.
 
-- `reach` of robot_1: minus the distance from its tool centre point to the cube, in m;
-  0.2 while robot_2 is near.
-- `handover` of robot_1: minus the distance from robot_2's tool centre point to the
-  cube.
-- `grip` of robot_1: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of
-  the cube; while robot_2 is near, -0.1 if it asks for a grip; else 0.
-- `reach` of robot_2: minus the distance from its tool centre point to the cube, in m.
-- `carry` of robot_2: minus the distance from the cube to the target, in m.
-- `grip` of robot_2: 0.1 while it is near and asks for a grip, else 0.
-- `effort` of both: minus 0.01 times the Euclidean norm of the joints' part of the
-  action; in another action mode, of the joint changes that the action comes to.
-- `success` of both: 1 while the goal is reached, else 0.
+Reward of each agent: the next arm is "near" while its tool centre point is within
+`handover_threshold` (0.05 m) of the cube's centre. In a relay "the cube" is the agent's
+own, distances count up to 1 m, and a cube that is farther than in the next hand counts
+as near, at no distance.
 
-Success: the cube is within `success_radius` of the target and robot_2 holds it. The
-thesis asks only for the distance. The second condition rules out that robot_1 throws
-the cube through the target; a search found that its arm can do that. robot_1 cannot
-carry the cube to the target: it stays 0.27 m or more outside the radius. robot_2 cannot
-pick the cube up from robot_1's table: it is 0.18 m or more too far away. This holds for
-all starts that the default randomisation draws, for every pair of Sawyer, Panda and
-Jaco.
+- `reach`: minus the distance from its tool centre point to the cube, in m; 0.2 while
+  the next arm is near.
+- `handover` of all but the last: minus the distance from the next arm's tool centre
+  point to the cube.
+- `carry` of the last: minus the distance from the cube to the target, in m.
+- `grip`: 0.1 while it asks for a grip within `handover_threshold` of the cube (robot_1:
+  `picking_threshold`, 0.03 m); while the next arm is near, -0.1 if it asks for a grip;
+  else 0.
+- `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
+  another action mode, of the joint changes that the action comes to.
+- `success`: 1 while the goal is reached, else 0.
+- `waiting`, where there are two cubes: -3 for each that waits behind the own one.
+
+Success: with two arms, the cube is within `success_radius` of the target and robot_2
+holds it. The thesis asks only for the distance. The second condition rules out that
+robot_1 throws the cube through the target; a search found that its arm can do that.
+robot_1 cannot carry the cube to the target: it stays 0.27 m or more outside the radius.
+robot_2 cannot pick the cube up from robot_1's table: it is 0.18 m or more too far away.
+This holds for all starts that the default randomisation draws, for every pair of
+Sawyer, Panda and Jaco.
+
+In a relay each cube lies still within 0.06 m of its target, in no hand, after every arm
+has had it in order. An arm has had it once it held it together with the one before, at
+the end of a control step: a cube that is thrown, or left on a table for the next arm,
+does not count.
 """
 
 from collections.abc import Mapping
@@ -49,10 +66,10 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.errors import check_flag
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import quickest_way, safest_way
+from collaborative_gym.motion import Chains, hold, quickest_way, safest_way
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.scene import SHOULDER, Placement, Scene
+from collaborative_gym.scene import SHOULDER, Arm, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
@@ -165,6 +182,7 @@ class Pass(Task[PassConfig, PassFacts]):
         cube, of others aside of where they take it and there; then of all where they
         hand it over, or of the last at the target.
       hands: by agent, the quaternion of its hand at each of these, (1, 4).
+      picks: by agent, a hand that picks from its table, and joint angles with it there.
       thresholds: by agent, the greatest distance at which it can grip a cube, in m.
     """
 
@@ -242,7 +260,7 @@ class Pass(Task[PassConfig, PassFacts]):
         across = [place.position[1] for place in self.placements.values()]
         spots = [self.cube_start, *(np.array([1.2, y, 1.3]) for y in across[1:])]
         self.meetings = self._row.meetings(spots)
-        self.angles, self.hands = {}, {}
+        self.angles, self.hands, self.picks = {}, {}, {}
         # Two arms play as they ever did, to the bit.
         find_way = safest_way if self.config.relay else quickest_way
         for i, (agent, arm) in enumerate(scene.arms.items()):
@@ -255,6 +273,7 @@ class Pass(Task[PassConfig, PassFacts]):
             chosen, self.angles[agent] = find_way(sim.model, arm, ways=ways)
             self.hands[agent] = [hand[None] for _, hand in ways[chosen]]
             scene.postures[agent] = self.angles[agent][min(i, 1)]
+            self.picks[agent] = self._picking(i, arm)
 
     def _entry(self, i: int) -> tuple[list[np.ndarray], np.ndarray]:
         """Return on which way an arm comes to its cube, and its hand's quaternion."""
@@ -275,6 +294,20 @@ class Pass(Task[PassConfig, PassFacts]):
         ends = _OUT, radial / math.norm(radial), -ACROSS
         return [(target, end) for end in ends]
 
+    def _picking(self, i: int, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
+        """Return a hand that picks from an arm's table, and the angles it has then."""
+        agent = self.agents[i]
+        if not self.config.relay:
+            return PICKING, self.angles[agent][0]
+        place, (low, high) = self._row.before(agent, 0.0) - 0.1 * DOWN, arm.joint_range
+        chains, near = Chains(self.model, [arm]), [self.angles[agent][:1]]
+        hands = either_way(PICKING)
+        found = [hold(chains, [(place[None], h[None])], near=near) for h in hands]
+        angles = [each[0][0][0] for each in found]
+        rooms = [np.minimum(each - low, high - each).min() for each in angles]
+        best = int(np.argmax(rooms))
+        return hands[best], angles[best]
+
     @cached_property
     def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:
         """Places on tables from which arms can pick up the cube, and whose they are.
@@ -286,7 +319,7 @@ class Pass(Task[PassConfig, PassFacts]):
             # What lies nearer to the arm before is for that arm to pick up.
             right = self.meetings[i - 1][1] + BEYOND if i else -np.inf
             places = self._row.in_reach(
-                self.model, arm, agent=agent, right=right, near=self.angles[agent][0]
+                self.model, arm, agent=agent, right=right, start=self.picks[agent]
             )
             for other in self._starts[1:]:
                 places = places[math.distance(places, other) > _CLEAR]

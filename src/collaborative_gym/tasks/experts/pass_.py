@@ -13,7 +13,7 @@ from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
 from collaborative_gym.motion import reach, settling, standoff
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.handing import PICKING, of
+from collaborative_gym.tasks.handing import of
 
 if TYPE_CHECKING:
     from collaborative_gym.tasks.pass_ import Pass, PassFacts
@@ -29,6 +29,7 @@ _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 # cube as it gets it.
 _BACK = 0.01  # m
 _ARRIVED = 0.05  # m from the meeting at which the next arm follows the cube
+_SETTLED = 0.02  # m, in a relay, whose hands come faster
 _NEAR_MEETING = 0.3  # m
 _APART = 0.08  # m between two hands, from which on the one with the cube turns away
 BEYOND = 0.05  # m from the meeting across, from which on the next arm picks up the cube
@@ -152,14 +153,15 @@ def _take(view: _View) -> tuple[_Aim, Array, Array]:
     tcp, cube, holds, i = view.tcp, view.cube, view.holds, view.i
     giver = view.facts.tcp[view.task.agents[i - 1]][0]
     meeting = view.task.meetings[i - 1] + view.shift
-    is_there = math.distance(cube, meeting) < _ARRIVED
+    near = _SETTLED if view.task.config.relay else _ARRIVED
+    is_there = math.distance(cube, meeting) < near
     offered = view.held_by(i - 1) & is_there[:, None]
     gap = standoff(tcp - cube, -ACROSS, **_ASIDE)
     place = np.where(offered, cube, meeting) + np.where(holds, 0.15, gap) * ACROSS
     picks = ~holds & view.is_beyond(i - 1)
     above = standoff(tcp - cube, DOWN, **_ABOVE)
     place = np.where(picks, cube - above * DOWN, place)
-    hand = np.where(picks, PICKING, view.hands[1])
+    hand = np.where(picks, view.task.picks[view.agent][0], view.hands[1])
     aim = _Aim(place, hand, view.angles[1], np.zeros_like(holds))
     has = holds & (math.distance(tcp, giver) > _APART)[:, None]
     return aim, has, view.grips()
