@@ -263,7 +263,7 @@ def safest_way(
 
     Many postures are drawn, and the poses of each way are solved from there one after
     the other. Among the results that stay 0.1 rad away from the joints' limits, it is
-    the quickest on which the arm touches neither itself nor what is mounted.
+    the quickest from home on which the arm touches neither itself nor what is mounted.
 
     Arguments and results are those of `quickest_way`, in much less time.
 
@@ -287,8 +287,9 @@ def safest_way(
                 fits &= (np.minimum(there - low, high - there) > _ROOM).all(axis=1)
                 solved[key] = np.concatenate([rows, there[:, None]], axis=1)[fits]
             rows = solved.get(key, rows)
-        rows = rows[:, 1:]
+        rows[:, 0] = arm.robot.home
         steps = (np.abs(np.diff(rows, axis=1)) / arm.stride).max(axis=2).sum(axis=1)
+        rows = rows[:, 1:]
         found += [(step, i, row) for step, row in zip(steps, rows, strict=True)]
     shares = np.linspace(0.0, 1.0, _ON_THE_WAY)[:, None, None]
     for _, i, poses in sorted(found, key=lambda each: each[0]):

@@ -66,7 +66,7 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.errors import check_flag
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import Chains, hold, quickest_way, safest_way
+from collaborative_gym.motion import quickest_way, safest_way
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Arm, Placement, Scene
@@ -299,14 +299,10 @@ class Pass(Task[PassConfig, PassFacts]):
         agent = self.agents[i]
         if not self.config.relay:
             return PICKING, self.angles[agent][0]
-        place, (low, high) = self._row.before(agent, 0.0) - 0.1 * DOWN, arm.joint_range
-        chains, near = Chains(self.model, [arm]), [self.angles[agent][:1]]
-        hands = either_way(PICKING)
-        found = [hold(chains, [(place[None], h[None])], near=near) for h in hands]
-        angles = [each[0][0][0] for each in found]
-        rooms = [np.minimum(each - low, high - each).min() for each in angles]
-        best = int(np.argmax(rooms))
-        return hands[best], angles[best]
+        place = self._row.before(agent, 0.0) - 0.1 * DOWN
+        ways = [[(place, hand)] for hand in either_way(PICKING)]
+        chosen, [angles] = safest_way(self.model, arm, ways=ways)
+        return ways[chosen][0][1], angles
 
     @cached_property
     def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:

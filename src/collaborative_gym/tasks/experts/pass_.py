@@ -30,6 +30,7 @@ _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 _BACK = 0.01  # m
 _ARRIVED = 0.05  # m from the meeting at which the next arm follows the cube
 _SETTLED = 0.02  # m, in a relay, whose hands come faster
+_TURNED = np.cos(0.4)  # of half the angle by which a hand does not yet point downwards
 _NEAR_MEETING = 0.3  # m
 _APART = 0.08  # m between two hands, from which on the one with the cube turns away
 BEYOND = 0.05  # m from the meeting across, from which on the next arm picks up the cube
@@ -153,16 +154,20 @@ def _take(view: _View) -> tuple[_Aim, Array, Array]:
     tcp, cube, holds, i = view.tcp, view.cube, view.holds, view.i
     giver = view.facts.tcp[view.task.agents[i - 1]][0]
     meeting = view.task.meetings[i - 1] + view.shift
-    near = _SETTLED if view.task.config.relay else _ARRIVED
-    is_there = math.distance(cube, meeting) < near
+    relay = bool(view.task.config.relay)
+    is_there = math.distance(cube, meeting) < (_SETTLED if relay else _ARRIVED)
     offered = view.held_by(i - 1) & is_there[:, None]
     gap = standoff(tcp - cube, -ACROSS, **_ASIDE)
     place = np.where(offered, cube, meeting) + np.where(holds, 0.15, gap) * ACROSS
     picks = ~holds & view.is_beyond(i - 1)
     above = standoff(tcp - cube, DOWN, **_ABOVE)
     place = np.where(picks, cube - above * DOWN, place)
-    hand = np.where(picks, view.task.picks[view.agent][0], view.hands[1])
-    aim = _Aim(place, hand, view.angles[1], np.zeros_like(holds))
+    (downwards, above_table), taking = view.task.picks[view.agent], view.angles[1]
+    hand = np.where(picks, downwards, view.hands[1])
+    angles = np.where(picks, above_table, taking) if relay else taking
+    # Wrists that take have no straight way to all that lies on the table.
+    is_turned = np.abs(math.dot(view.quat, downwards)) < _TURNED
+    aim = _Aim(place, hand, angles, relay & picks & is_turned[:, None])
     has = holds & (math.distance(tcp, giver) > _APART)[:, None]
     return aim, has, view.grips()
 
