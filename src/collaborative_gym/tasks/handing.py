@@ -7,7 +7,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import Chains, hold
+from collaborative_gym.motion import Chains, hold, safest_way
 from collaborative_gym.objects.table import table
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import SHOULDER, Arm, Placement, Scene
@@ -116,6 +116,15 @@ class Row:
                 place = shoulder + arm * min(1.0, easy / math.norm(arm))
             meetings.append(place)
         return meetings
+
+    def picking(
+        self, model: mujoco.MjModel, arm: Arm, *, agent: str
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a hand above the middle of an arm's table, and joint angles there."""
+        place = self.before(agent, 0.0) + np.array([0.0, 0.0, 0.1])
+        ways = [[(place, hand)] for hand in either_way(PICKING)]
+        chosen, [angles] = safest_way(model, arm, ways=ways)
+        return ways[chosen][0][1], angles
 
     def in_reach(
         self,

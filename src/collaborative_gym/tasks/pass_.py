@@ -7,20 +7,19 @@ point and lets the cube turn. For a moment both robots may hold it. Then the one
 gives must let go: if the other tears the cube out of its hand, both lose it.
 
 With two arms the target hangs in the air in front of robot_2. Three arms and more are a
-relay. The cube goes through all hands to its target on the last arm's table. From four
+relay: the cube goes through all hands to its target on the last arm's table. From four
 arms on a second cube follows, with a target of its own. Neighbours alone reach each
 other, at one place between them. Each arm sees in the frame of its own base: its own
 cube, which is the one in its hand, or the first that it has not passed on; the goal,
-where it is to hand that over or put it down; and how many cubes are left. The block
-`mates` has of each other arm: 1, how many seats away it is (as a share of 7), whether
-it grips, from the own tool centre point to that arm's, and how far that is from the
-own cube. So all seats, and relays of any length, observe alike.
+where it hands that over or puts it down; the share of cubes left. Of each mate it sees,
+in the block `mates`: whether there is one, how many seats away (over 7), whether it
+grips, from its own tool centre point to the mate's, and how far that is from its cube.
+So all seats, and relays of any length, observe alike.
 
-Agents: `robot_1` picks and hands over, the last takes over and carries; any between
-them take over and hand over.
+Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 
 Randomised: the joints of the arms, the cubes' places on the table (x and y) and their
-turns about the vertical, the targets' places along each axis, in a relay on the table.
+turns about the vertical, the targets' places (in a relay, x and y).
 
 Reward of each agent: the next arm is "near" while its tool centre point is within
 `handover_threshold` (0.05 m) of the cube's centre. In a relay "the cube" is the agent's
@@ -69,7 +68,7 @@ from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import quickest_way, safest_way
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.scene import SHOULDER, Arm, Placement, Scene
+from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
@@ -176,11 +175,9 @@ class Pass(Task[PassConfig, PassFacts]):
     Attributes:
       cube_start: nominal place of the first cube, (3,).
       targets: nominal places of the targets, (cubes, 3).
-      meetings: where each arm but the last hands over: on the cube's way, at ease for
-        both arms, (3,).
-      angles: by agent, joint angles, (poses, joints), in rad: of robot_1 above the
-        cube, of others aside of where they take it and there; then of all where they
-        hand it over, or of the last at the target.
+      meetings: where each arm but the last hands over, at ease for both, (3,).
+      angles: by agent, joint angles, (poses, joints), in rad: above the cube, or of all
+        but robot_1 aside of where they take it and there; and where they bring it.
       hands: by agent, the quaternion of its hand at each of these, (1, 4).
       picks: by agent, a hand that picks from its table, and joint angles with it there.
       thresholds: by agent, the greatest distance at which it can grip a cube, in m.
@@ -213,12 +210,13 @@ class Pass(Task[PassConfig, PassFacts]):
         relay = count > 2 if config.relay is None else config.relay
         cubes = 2 if relay and count >= _ARMS_FOR_TWO else 1
         steps = max(200, _STEPS_PER_ARM * (count + cubes - 1) if relay else 0)
-        usual = {
-            "relay": relay,
-            "max_episode_steps": steps,
-            "success_radius": 0.06 if relay else 0.12,
-        }
-        missing = {n: x for n, x in usual.items() if getattr(config, n) is None}
+        radius = 0.06 if relay else 0.12
+        usual = (
+            ("relay", relay),
+            ("max_episode_steps", steps),
+            ("success_radius", radius),
+        )
+        missing = {name: each for name, each in usual if getattr(config, name) is None}
         super()._take(replace(config, **missing))
         self.cubes = ("cube", "cube_2")[:cubes]
         self._goals = ("target", "target_2")[:cubes]
@@ -261,8 +259,9 @@ class Pass(Task[PassConfig, PassFacts]):
         spots = [self.cube_start, *(np.array([1.2, y, 1.3]) for y in across[1:])]
         self.meetings = self._row.meetings(spots)
         self.angles, self.hands, self.picks = {}, {}, {}
+        relay = self.config.relay
         # Two arms play as they ever did, to the bit.
-        find_way = safest_way if self.config.relay else quickest_way
+        find_way = safest_way if relay else quickest_way
         for i, (agent, arm) in enumerate(scene.arms.items()):
             places, comes = self._entry(i)
             ways = [
@@ -273,10 +272,12 @@ class Pass(Task[PassConfig, PassFacts]):
             chosen, self.angles[agent] = find_way(sim.model, arm, ways=ways)
             self.hands[agent] = [hand[None] for _, hand in ways[chosen]]
             scene.postures[agent] = self.angles[agent][min(i, 1)]
-            self.picks[agent] = self._picking(i, arm)
+            self.picks[agent] = PICKING, self.angles[agent][0]
+            if relay:
+                self.picks[agent] = self._row.picking(sim.model, arm, agent=agent)
 
     def _entry(self, i: int) -> tuple[list[np.ndarray], np.ndarray]:
-        """Return on which way an arm comes to its cube, and its hand's quaternion."""
+        """Return where an arm's hand comes to its cube, and its quaternion."""
         if i == 0:
             return [self.cube_start - 0.25 * DOWN], PICKING
         meeting = self.meetings[i - 1]
@@ -293,16 +294,6 @@ class Pass(Task[PassConfig, PassFacts]):
         radial = target - np.array(base) - SHOULDER
         ends = _OUT, radial / math.norm(radial), -ACROSS
         return [(target, end) for end in ends]
-
-    def _picking(self, i: int, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-        """Return a hand that picks from an arm's table, and the angles it has then."""
-        agent = self.agents[i]
-        if not self.config.relay:
-            return PICKING, self.angles[agent][0]
-        place = self._row.before(agent, 0.0) - 0.1 * DOWN
-        ways = [[(place, hand)] for hand in either_way(PICKING)]
-        chosen, [angles] = safest_way(self.model, arm, ways=ways)
-        return ways[chosen][0][1], angles
 
     @cached_property
     def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:
@@ -336,7 +327,6 @@ class Pass(Task[PassConfig, PassFacts]):
             place = nominal + rng.within(spread.object_position * LEVEL, 3)
             quat = math.from_yaw(rng.within(spread.object_yaw))
             self.scene.place(sim, env_ids, name=name, position=place, quat=quat)
-        # In a relay they lie on the table.
         axes = LEVEL if self.config.relay else np.ones(3)
         for name, nominal in zip(self._goals, self.targets, strict=True):
             place = nominal + rng.within(spread.target_position * axes, 3)
@@ -425,9 +415,9 @@ class Pass(Task[PassConfig, PassFacts]):
 
     def _seen_by(self, agent: str, facts: PassFacts, grips: dict[str, Array]) -> Blocks:
         """Return what an arm of a relay sees in the frame of its base."""
-        xp, turned = array_namespace(facts.targets), self._frames.direction
+        xp, frames = array_namespace(facts.targets), self._frames
         i, tcp = self.agents.index(agent), facts.tcp[agent]
-        which, frames = facts.own[:, i], self._frames
+        which = facts.own[:, i]
         own, goal = [of(x, which) for x in facts.cubes], of(facts.targets, which)
         if i < len(self.meetings):
             goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
@@ -436,7 +426,7 @@ class Pass(Task[PassConfig, PassFacts]):
             place = facts.tcp[mate][0]
             gap = math.distance(place, own[0])[:, None]
             seats = gap * 0.0 + (self.agents.index(mate) - i) / MOST_MATES
-            apart = turned(agent, place - tcp[0])
+            apart = frames.direction(agent, place - tcp[0])
             rows.append(xp.concat([seats, grips[mate], apart, gap], axis=1))
         return {
             "joints": alike(facts.joints[agent]),
@@ -481,8 +471,7 @@ class Pass(Task[PassConfig, PassFacts]):
     def _left(self, i: int, facts: PassFacts) -> Array:
         """Return how many cubes an arm has still to pass on, (num_envs,)."""
         xp = array_namespace(facts.targets)
-        is_last = i == len(self.meetings)
-        left = ~facts.put if is_last else facts.handed < i + 2
+        left = ~facts.put if i == len(self.meetings) else facts.handed < i + 2
         return xp.sum(xp.astype(left, facts.targets.dtype), axis=1)
 
     def success(self, facts: PassFacts) -> Array:
@@ -508,9 +497,8 @@ _WITH_JACO = {
     "placements": (_GIVER, Placement((0.55, 0.7, 0.62))),
     "handover_threshold": 0.045,
 }
-_TEAMS = {f"PassPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)} | {
-    "PassMixed3-v0": ("panda", "sawyer", "jaco"),
-}
+_TEAMS = {f"PassPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)}
+_TEAMS["PassMixed3-v0"] = "panda", "sawyer", "jaco"
 register_task("Pass", Pass)
 register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))
