@@ -84,17 +84,17 @@ def _lift(facts):
     return facts.gripping, facts.to_handle
 
 
-@pytest.mark.parametrize("env_id", [n for n in IDS if n.startswith("Pass")])
+@pytest.mark.parametrize("env_id", [n for n in IDS if n.startswith("PassTask")])
 def test_the_cube_lies_on_either_table(env_id):
     env = lost(env_id, 128)
     facts, giver, start = env.facts, env.task.agents[0], env.task.cube_start
     assert not any(held.any() for held in facts.holds.values())
-    across = facts.cube[0][:, 1]
-    on_first = across < env.task.meeting[1]
+    across = facts.cubes[0][:, 0, 1]
+    on_first = across < env.task.meetings[0][1]
     assert 0.2 < on_first.mean() < 0.8
     # Far from where the default draws it, and turned to any side.
-    assert np.abs(facts.cube[0][on_first] - start)[:, :2].max() > 0.3
-    yaw = 2.0 * np.arctan2(facts.cube[1][:, 3], facts.cube[1][:, 0])
+    assert np.abs(facts.cubes[0][on_first, 0] - start)[:, :2].max() > 0.3
+    yaw = 2.0 * np.arctan2(facts.cubes[1][:, 0, 3], facts.cubes[1][:, 0, 0])
     assert np.ptp(yaw) > 5.0
     assert np.ptp(facts.joints[giver], axis=0).max() > 0.5
 

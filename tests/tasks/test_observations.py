@@ -56,7 +56,7 @@ def expected(model, data, block, agent):
     if block.endswith("gripping"):
         equalities = [model.equality(i) for i in range(model.neq)]
         own = [e.id for e in equalities if e.name.startswith(f"{owner} grips")]
-        return data.eq_active[own]
+        return [data.eq_active[own].any()]
     if block == "target":
         return data.mocap_pos[model.body("target").mocapid[0]]
     if block == "ball linear velocity":
@@ -147,6 +147,26 @@ def seen_in_balance(env, data, block, agent):
     return np.concatenate([place, quat[1:], quat[:1]])
 
 
+def seen_in_pass(env, data, block, agent):
+    """Return what a robot of a relay sees of the world in the frame of its base."""
+    agents, base = env.agents, np.array(env.task.placements[agent].position)
+    i, cube = agents.index(agent), data.site("cube/centre").xpos
+    tcp = data.site(f"{agent}/tcp").xpos
+    if block == "mates":
+        rows = np.zeros((7, 7))
+        for row, j in enumerate([*range(i + 1, len(agents)), *range(i)]):
+            place = data.site(f"{agents[j]}/tcp").xpos
+            grips = expected(env.model, data, f"{agents[j]} gripping", agent)
+            far = np.linalg.norm(place - cube)
+            rows[row] = 1.0, (j - i) / 7, *grips, *(place - tcp), far
+        return rows.ravel()
+    if block == "goal":
+        target = data.mocap_pos[env.model.body("target").mocapid[0]]
+        return (target if i == len(agents) - 1 else env.task.meetings[i]) - base
+    site = f"{agent}/tcp" if block == "tcp" else "cube/centre"
+    return pose(env.model, data, site) - [*base, 0.0, 0.0, 0.0, 0.0]
+
+
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_block_is_what_mujoco_says(env_id):
     env = cg.make_vec(env_id, num_envs=2, num_threads=1)
@@ -167,11 +187,12 @@ def check(env, observations):
             ends = np.cumsum(list(sizes.values()))[:-1]
             parts = np.split(observations[agent][i], ends)
             for block, part in zip(sizes, parts, strict=True):
-                if block in ("target velocity", "goals left"):
-                    # MuJoCo has neither; see test_balance_path.py.
+                if block in ("target velocity", "goals left", "cubes left"):
+                    # MuJoCo has none; see test_balance_path.py, test_pass_teams.py.
                     continue
                 if "mates" in sizes and block not in ("joints", "gripping"):
-                    ways = {"goal": seen_in_reach, "board": seen_in_balance}
+                    ways = {"cube": seen_in_pass, "goal": seen_in_reach}
+                    ways |= {"board": seen_in_balance}
                     look = next((ways[n] for n in ways if n in sizes), seen_from_base)
                     wanted = look(env, data, block, agent)
                 else:

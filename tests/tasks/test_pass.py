@@ -47,6 +47,7 @@ def situation(facts, to_cube=(0.5, 0.5), to_target=1.0, holds=(False, False)):
     return replace(
         facts,
         to_cube={a: np.array([d]) for a, d in zip(AGENTS, to_cube, strict=True)},
+        to_next={"robot_1": np.array([to_cube[1]])},
         to_target=np.array([to_target]),
         holds={a: np.array([h]) for a, h in zip(AGENTS, holds, strict=True)},
     )
@@ -86,8 +87,8 @@ def least_distance(model, arm, point, tries=5):
 
 def test_paper_starts_as_in_the_thesis(sawyers):
     sawyers.reset(seed=0)
-    assert sawyers.facts.cube[0][0] == pytest.approx((0.8, -0.6, 0.66), abs=1e-3)
-    assert sawyers.facts.target[0] == pytest.approx((1.2, 0.7, 1.3), abs=1e-9)
+    assert sawyers.facts.cubes[0][0, 0] == pytest.approx((0.8, -0.6, 0.66), abs=1e-3)
+    assert sawyers.facts.targets[0, 0] == pytest.approx((1.2, 0.7, 1.3), abs=1e-9)
 
 
 def test_observation_is_as_in_the_thesis(sawyers):
@@ -173,7 +174,7 @@ def test_expert_picks_up_a_cube_that_it_lost_over_either_table(variant):
         actions["robot_1"][now, -1] = -1.0
         lost |= now
         reached |= variant.step(actions)[4]["success"]
-        place = variant.facts.cube[0]
+        place = variant.facts.cubes[0][:, 0]
         fell_beyond |= (place[:, 1] > 0.1) & (place[:, 2] < 0.7)
     assert lost.all() and reached.all() and fell_beyond.any()
 

@@ -15,7 +15,7 @@ def test_shortfall_falls_to_zero_where_the_goal_is_met(env_id):
     env = cg.VectorEnv(make_task(env_id), 4, seed=5, num_threads=1, auto_reset=False)
     env.reset()
     told = [env.task.shortfall(env.facts)]
-    for step in range(200):
+    for step in range(env.task.config.max_episode_steps):
         if step >= 40 and not told[-1].all():
             break
         env.step(env.expert())

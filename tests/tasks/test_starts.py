@@ -43,7 +43,12 @@ def drawn(env_id, facts, nominal):
         goals = [facts.goals[agent] - nominal.goals[agent] for agent in facts.goals]
         found = {"target_position": np.hstack(goals)}
     else:
-        found = moved(facts.cube, nominal.cube, axes=2)
+        first, own = ([x[:, 0] for x in each.cubes] for each in (facts, nominal))
+        found = moved(first, own, axes=2)
+        # In a relay they lie on a table.
+        axes = 3 if len(facts.tcp) == 2 else 2
+        targets = (facts.targets - nominal.targets)[..., :axes]
+        found["target_position"] = targets.reshape(STARTS, -1)
     if hasattr(facts, "target"):
         found["target_position"] = facts.target - nominal.target
     own = [facts.joints[a] - nominal.joints[a] for a in facts.joints]

@@ -1,6 +1,6 @@
 """How arms in a row stand and meet, pick things up, and which thing is whose."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -37,11 +37,12 @@ def either_way(hand: np.ndarray) -> list[np.ndarray]:
     return [math.multiply(hand, turn) for turn in turns]
 
 
-def stand_in_row(robots: Sequence[Robot]) -> tuple[Placement, ...]:
+def stand_in_row(robots: Iterable[Robot]) -> tuple[Placement, ...]:
     """Return a row of bases that face +x, farther apart, the longer the reach is.
 
     So neighbours reach a place between them, and others do not reach each other.
     """
+    robots = list(robots)
     halves = [min(0.7, 0.71 * robot.reach) for robot in robots]
     middle, placements = len(halves) // 2, []
     for i, (robot, half) in enumerate(zip(robots, halves, strict=True)):

@@ -3,8 +3,8 @@
 Two to eight arms stand side by side. Each has a table: an arm that stands on a pedestal
 has the table in front of it, any other arm stands on its near end. The cube (0.04 m,
 0.05 kg) lies on robot_1's table. A grip holds the cube's centre at the tool centre
-point and lets the cube turn. For a moment both robots may hold it. Then the one that
-gives must let go: if the other tears the cube out of its hand, both lose it.
+point and lets it turn. For a moment both robots may hold it. Then the one that gives
+must let go: if the other tears the cube out of its hand, both lose it.
 
 With two arms the target hangs in the air in front of robot_2. Three arms and more are a
 relay: the cube goes through all hands to its target on the last arm's table. From four
@@ -41,16 +41,14 @@ as near, at no distance.
 
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
 holds it. The thesis asks only for the distance. The second condition rules out that
-robot_1 throws the cube through the target; a search found that its arm can do that.
-robot_1 cannot carry the cube to the target: it stays 0.27 m or more outside the radius.
-robot_2 cannot pick the cube up from robot_1's table: it is 0.18 m or more too far away.
-This holds for all starts that the default randomisation draws, for every pair of
-Sawyer, Panda and Jaco.
+robot_1 throws the cube through the target, which a search found. Nor can it carry the
+cube there: it stays 0.27 m or more outside the radius. robot_2 cannot pick the cube up
+from robot_1's table: it is 0.18 m or more too far away. This holds for all starts that
+the default randomisation draws, for every pair of Sawyer, Panda and Jaco.
 
 In a relay each cube lies still within 0.06 m of its target, in no hand, after every arm
-has had it in order. An arm has had it once it held it together with the one before, at
-the end of a control step: a cube that is thrown, or left on a table for the next arm,
-does not count.
+has had it in order: has held it together with the arm before, at the end of a control
+step. So a cube that is thrown, or left on a table for the next arm, does not count.
 """
 
 from collections.abc import Mapping
@@ -105,13 +103,12 @@ from collaborative_gym.tasks.teams import (
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_1 room
-_OUT = np.array([1.0, 0.0, 0.0])
 _ARMS_FOR_TWO = 4  # arms of a relay from which on two cubes are under way
 _APART = 0.3  # m between two cubes, so that a hand has room beside the other one
 _CLEAR = 0.15  # m, of a lost cube from where another one may lie
 _HOVER = 0.15  # m above the targets, to where the last arm swings
 _STEPS_PER_ARM = 60  # control steps; a Jaco turns with a cube in about 40
-_AT_REST = 0.05  # m/s, of a cube that lies still
+_AT_REST, _ON_TABLE = 0.05, 0.005  # m/s and m above it, of a cube that lies there
 _BY_RULE: Any = None  # of a setting that the number of arms sets
 
 _FARTHEST, _WAITING = 1.0, 3.0
@@ -150,8 +147,7 @@ class PassConfig(TaskConfig):
 class PassFacts:
     """What Pass looks at, (num_envs, ...) each; poses as in `Sim`.
 
-    An arm's own cube is the one in its hand, or else the first that it has not passed
-    on, or else the last.
+    An arm's own cube is the one that `own_thing` says.
     """
 
     joints: dict[str, Array]  # angles by agent, in rad
@@ -174,7 +170,7 @@ class Pass(Task[PassConfig, PassFacts]):
 
     Attributes:
       cube_start: nominal place of the first cube, (3,).
-      targets: nominal places of the targets, (cubes, 3).
+      targets: nominal places of the targets, (3,) each.
       meetings: where each arm but the last hands over, at ease for both, (3,).
       angles: by agent, joint angles, (poses, joints), in rad: above the cube, or of all
         but robot_1 aside of where they take it and there; and where they bring it.
@@ -222,20 +218,18 @@ class Pass(Task[PassConfig, PassFacts]):
         self._goals = ("target", "target_2")[:cubes]
 
     def mounts(self) -> tuple[Placement, ...]:
-        return stand_in_row(list(self.robots.values()))
+        return stand_in_row(self.robots.values())
 
     def build(self, scene: Scene) -> None:
         self._row = row = Row(self.robots, self.placements, _CUBE_SIZE)
         row.add_to(scene)
-        config, (first, last) = self.config, (self.agents[0], self.agents[-1])
-        self.cube_start = row.before(first, 0.1)
-        y = self.placements[last].position[1]
-        self.targets = np.array([[1.2, y, 1.3]])
+        config, first, last = self.config, self.agents[0], self.agents[-1]
+        aside = [_APART * i for i in range(len(self.cubes))]
+        self._starts = [row.before(first, 0.1 - each) for each in aside]
+        self.cube_start = self._starts[0]
+        self.targets = [np.array([1.2, self.placements[last].position[1], 1.3])]
         if config.relay:
-            aside = [_APART * i for i in reversed(range(len(self.cubes)))]
-            self.targets = np.array([row.before(last, each - 0.1) for each in aside])
-        steps = np.arange(len(self.cubes))[:, None]
-        self._starts = self.cube_start - _APART * steps * ACROSS
+            self.targets = [row.before(last, each - 0.1) for each in reversed(aside)]
         for i, name in enumerate(self.cubes):
             scene.add(name, cube(_CUBE_SIZE), position=self._starts[i])
             scene.add_target(self._goals[i], config.success_radius)
@@ -260,8 +254,9 @@ class Pass(Task[PassConfig, PassFacts]):
         self.meetings = self._row.meetings(spots)
         self.angles, self.hands, self.picks = {}, {}, {}
         relay = self.config.relay
-        # Two arms play as they ever did, to the bit.
-        find_way = safest_way if relay else quickest_way
+        find_way = (
+            safest_way if relay else quickest_way
+        )  # Two arms: as ever, to the bit
         for i, (agent, arm) in enumerate(scene.arms.items()):
             places, comes = self._entry(i)
             ways = [
@@ -288,11 +283,11 @@ class Pass(Task[PassConfig, PassFacts]):
         if i < len(self.meetings):
             return [(self.meetings[i], hand) for hand in either_way(GIVING[i % 2])]
         if self.config.relay:
-            over = self.targets.mean(axis=0) - _HOVER * DOWN
+            over = np.mean(self.targets, axis=0) - _HOVER * DOWN
             return [(over, hand) for hand in either_way(PICKING)]
         [target], base = self.targets, self.placements[self.agents[i]].position
         radial = target - np.array(base) - SHOULDER
-        ends = _OUT, radial / math.norm(radial), -ACROSS
+        ends = np.eye(3)[0], radial / math.norm(radial), -ACROSS
         return [(target, end) for end in ends]
 
     @cached_property
@@ -372,7 +367,8 @@ class Pass(Task[PassConfig, PassFacts]):
         if relay:
             speeds = [math.norm(sim.velocity(name)[0]) for name in self.cubes]
             slow = xp.stack(speeds, axis=1) < _AT_REST
-            near = to_targets < self.config.success_radius
+            low = places[..., 2] - targets[..., 2] < _ON_TABLE
+            near = low & (to_targets < self.config.success_radius)
             put = near & slow & ~is_held & (handed == len(agents))
         own, to_cube, to_next = [], {}, {}
         for i, agent in enumerate(agents):
@@ -448,10 +444,9 @@ class Pass(Task[PassConfig, PassFacts]):
         for i, (agent, command) in enumerate(commands.items()):
             near = xp.minimum(facts.to_cube[agent], farthest)
             gone = of((facts.handed > i + 2) | facts.put, facts.own[:, i])
-            # How far the next arm, or the target, is.
             is_last = i == len(self.meetings)
-            far = facts.to_target if is_last else facts.to_next[agent]
-            far = xp.minimum(far, farthest)
+            onwards = facts.to_target if is_last else facts.to_next[agent]
+            far = xp.minimum(onwards, farthest)
             handing = gone if is_last else gone | (far < config.handover_threshold)
             grip = xp.where(command.grips, zero + 0.1, zero)
             incentive = xp.where(near < self.thresholds[agent], grip, zero)
@@ -483,9 +478,9 @@ class Pass(Task[PassConfig, PassFacts]):
     def shortfall(self, facts: PassFacts) -> Array:
         xp, last = array_namespace(facts.to_target), self.agents[-1]
         if self.config.relay:
-            places, length = facts.cubes[0], 2.0 * len(self.agents)
-            far = math.distance(places, facts.targets) / length
-            missing = 1.0 - facts.handed / len(self.agents) + far
+            count = len(self.agents)
+            far = math.distance(facts.cubes[0], facts.targets) / (2.0 * count)
+            missing = 1.0 - facts.handed / count + far
             return xp.mean(xp.where(facts.put, 0.0, missing), axis=1)
         missing = xp.where(facts.holds[last], 0.0, facts.to_cube[last])
         return xp.where(self.success(facts), 0.0, facts.to_target + missing)
@@ -497,10 +492,9 @@ _WITH_JACO = {
     "placements": (_GIVER, Placement((0.55, 0.7, 0.62))),
     "handover_threshold": 0.045,
 }
-_TEAMS = {f"PassPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)}
-_TEAMS["PassMixed3-v0"] = "panda", "sawyer", "jaco"
 register_task("Pass", Pass)
 register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))
-for env_id, robots in _TEAMS.items():
-    register_env(EnvSpec(env_id, Pass, robots))
+for n in (3, 4, 6):
+    register_env(EnvSpec(f"PassPandas{n}-v0", Pass, ("panda",) * n))
+register_env(EnvSpec("PassMixed3-v0", Pass, ("panda", "sawyer", "jaco")))
