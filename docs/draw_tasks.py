@@ -70,6 +70,7 @@ PICTURES = {
         World("LiftMixed3-v0", 20),
         World("ReachPandas8-v0", 30),
     ),
+    "relay": (World("PassMixed3-v0", 19), World("PassPandas4-v0", 52)),
     "teamwork": (
         World("BalanceTaskSawyers-v0", 20, policy=beside("idle")),
         World("BalancePathSawyers-v0", 60, policy=beside("idle")),

@@ -261,11 +261,9 @@ def safest_way(
 ) -> tuple[int, np.ndarray]:
     """Return a way on which an arm touches nothing, from the first pose to the last.
 
-    Many postures are drawn, and the poses of each way are solved from there one after
-    the other. Among the results that stay 0.1 rad away from the joints' limits, it is
-    the quickest from home on which the arm touches neither itself nor what is mounted.
-
-    Arguments and results are those of `quickest_way`, in much less time.
+    It is the quickest from home that stays 0.1 rad away from the joints' limits, of
+    those that begin with one of many drawn postures. The arm touches neither itself nor
+    what is mounted. Arguments and results are those of `quickest_way`.
 
     Raises:
       ValueError: if no such way is found.
@@ -300,9 +298,8 @@ def safest_way(
         np.round(np.asarray(ways[0][end][0], float), 3).tolist() for end in (0, -1)
     )
     raise ValueError(
-        f"{arm.robot.name} finds no way from {first} to {last} on which it touches"
-        " nothing and stays away from its joints' limits; mount it nearer or choose"
-        " another arm"
+        f"{arm.robot.name} finds no way from {first} to {last} that is free and within"
+        " its joints' limits; mount it nearer or choose another arm"
     )
 
 

@@ -57,13 +57,7 @@ def stand_in_row(robots: Iterable[Robot]) -> tuple[Placement, ...]:
 
 
 class Row:
-    """Arms in a row, each with a table, that pick up one kind of thing.
-
-    Args:
-      robots: the arms by agent.
-      placements: where their bases are.
-      size: of a thing that lies on a table, in m.
-    """
+    """Arms in a row, by agent, each with a table, and things of this size (m) there."""
 
     def __init__(
         self,
@@ -72,8 +66,7 @@ class Row:
         size: float,
     ):
         self._robots, self._placements = robots, placements
-        across = [place.position[1] for place in placements.values()]
-        gaps = np.diff(across)
+        gaps = np.diff([place.position[1] for place in placements.values()])
         widths = np.minimum([*gaps, np.inf], [np.inf, *gaps]) - 0.2
         self._tables, self._tops, self._heights = {}, {}, {}
         for (agent, place), width in zip(placements.items(), widths, strict=True):
@@ -104,8 +97,7 @@ class Row:
     def meetings(self, spots: Sequence[Array]) -> list[np.ndarray]:
         """Return where neighbours meet, at ease for both, (3,) each, in m.
 
-        Args:
-          spots: where each arm would have a thing by itself; they meet half-way.
+        That is half-way between the spots where they have a thing by themselves.
         """
         pairs = zip(self._robots.values(), self._placements.values(), strict=True)
         arms = [(0.8 * r.reach, np.array(p.position) + SHOULDER) for r, p in pairs]
@@ -136,15 +128,10 @@ class Row:
         right: float,
         start: tuple[Array, Array],
     ) -> np.ndarray:
-        """Return places on an arm's table from which it picks things up, (n, 3).
+        """Return places on an agent's table from which it picks things up, (n, 3).
 
-        Args:
-          model: the compiled world.
-          arm: the agent's.
-          agent: who.
-          right: least y of the places, in m.
-          start: the hand that picks things up, and joint angles, (joints,) in rad, with
-            which it is above the table.
+        Their y is at least `right`. It picks with the hand of `start`, and begins with
+        the joint angles there, (joints,), in rad.
         """
         (x, y), (far, left) = self._tops[agent]
         y, height = max(y, right), self._heights[agent]
@@ -162,14 +149,24 @@ class Row:
         return np.insert(base + away, 2, height, axis=1)[reached]
 
 
+def handed_on(handed: Array, grips: Sequence[Array]) -> Array:
+    """Return how many arms have now had each thing, from hand to hand.
+
+    It takes how many had it before, (num_envs, things), and which things each arm of
+    the row holds, likewise. For a moment two hold what one takes from the other.
+    """
+    xp = array_namespace(handed)
+    for i, held in enumerate(grips):
+        takes = held & grips[i - 1] if i else held
+        handed = xp.where((handed == i) & takes, i + 1.0, handed)
+    return handed
+
+
 def own_thing(held: Array, passed: Array) -> Array:
-    """Return the index of an arm's own thing, (num_envs,).
+    """Return which thing is an arm's own, (num_envs,).
 
-    It is what it holds, or the first that it has not passed on, or the last.
-
-    Args:
-      held: which things it holds, (num_envs, things) booleans.
-      passed: which it has passed on, likewise.
+    It is what it holds, or the first that it has not passed on, or the last; both are
+    given as (num_envs, things) booleans.
     """
     xp, count = array_namespace(held), held.shape[1]
     order = xp.arange(count)

@@ -76,6 +76,7 @@ from collaborative_gym.tasks.handing import (
     TAKING,
     Row,
     either_way,
+    handed_on,
     of,
     own_thing,
     stand_in_row,
@@ -346,7 +347,7 @@ class Pass(Task[PassConfig, PassFacts]):
         sim.memory["handed"][env_ids, 0] = sim.xp.asarray(owners[drawn] + 1.0)
 
     def measure(self, sim: Sim) -> PassFacts:
-        xp, relay, agents = sim.xp, self.config.relay, self.agents
+        xp, agents = sim.xp, self.agents
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
         sites = [f"{name}/centre" for name in self.cubes]
         poses = [sim.pose(site) for site in sites]
@@ -356,20 +357,11 @@ class Pass(Task[PassConfig, PassFacts]):
             a: xp.stack([self.scene.holds(sim, a, site) for site in sites], axis=1)
             for a in agents
         }
-        handed = sim.memory["handed"]
-        for i, held in enumerate(grips.values()):
-            # From hand to hand: for a moment the arm before holds it, too.
-            takes = held & grips[agents[i - 1]] if i else held
-            handed = xp.where((handed == i) & takes, i + 1.0, handed)
+        handed = handed_on(sim.memory["handed"], list(grips.values()))
         sim.memory["handed"] = handed
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
-        put = xp.zeros_like(is_held)
-        if relay:
-            speeds = [math.norm(sim.velocity(name)[0]) for name in self.cubes]
-            slow = xp.stack(speeds, axis=1) < _AT_REST
-            low = places[..., 2] - targets[..., 2] < _ON_TABLE
-            near = low & (to_targets < self.config.success_radius)
-            put = near & slow & ~is_held & (handed == len(agents))
+        near = ~is_held & (to_targets < self.config.success_radius)
+        put = near & (handed == len(agents)) & self._lies(sim, places, targets)
         own, to_cube, to_next = [], {}, {}
         for i, agent in enumerate(agents):
             follows = handed > i + 1 if i + 1 < len(agents) else put
@@ -393,6 +385,14 @@ class Pass(Task[PassConfig, PassFacts]):
             put=put,
             stage=xp.mean(handed, axis=1),
         )
+
+    def _lies(self, sim: Sim, places: Array, targets: Array) -> Array:
+        """Return which cubes lie on the table of a relay's targets."""
+        above = places[..., 2] - targets[..., 2]
+        if not self.config.relay:
+            return above < -np.inf
+        speeds = [math.norm(sim.velocity(name)[0]) for name in self.cubes]
+        return (sim.xp.stack(speeds, axis=1) < _AT_REST) & (above < _ON_TABLE)
 
     def observe(self, facts: PassFacts) -> dict[str, Blocks]:
         xp, kind = array_namespace(facts.targets), facts.targets.dtype

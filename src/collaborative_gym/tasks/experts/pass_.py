@@ -135,10 +135,7 @@ def _hand_over(
 
 
 def _pick(view: _View) -> tuple[_Aim, Array, Array]:
-    """Pick up the cube from above.
-
-    Returns the aim, where the cube is lifted (num_envs, 1), and the grips (num_envs,).
-    """
+    """Pick the cube up: return the aim, where it is lifted (num_envs, 1), and grips."""
     tcp, cube, holds = view.tcp, view.cube, view.holds
     above = standoff(tcp - cube, DOWN, **_ABOVE)
     lifted = tcp[:, 2:] > view.task.cube_start[2] + 0.03
@@ -187,10 +184,7 @@ def _come_back(view: _View, aim: _Aim) -> _Aim:
 
 
 def _give(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
-    """Bring the cube to the meeting, and let go once the next arm has it.
-
-    Returns the aim, and where it is that and where the hand opens, (num_envs, 1).
-    """
+    """Bring the cube to the meeting: return the aim, where it is that, and let go."""
     usual, taken = view.task.meetings[view.i], view.held_by(view.i + 1)
     meeting, passed = usual + view.shift, taken | view.is_beyond(view.i)
     # Elsewhere it goes straight, once it is near the posture of the usual meeting.
@@ -204,10 +198,7 @@ def _give(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
 
 
 def _bring(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
-    """Bring the cube to its target; in a relay, put it down there.
-
-    The results are those of `_give`.
-    """
+    """Bring the cube to its target, and in a relay put it down; results as `_give`."""
     task, tcp, target = view.task, view.tcp, view.target
     swings = (math.distance(tcp, target) > _NEAR_END)[:, None]
     if not task.config.relay:
