@@ -106,7 +106,7 @@ _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
 _SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_1 room
 _ARMS_FOR_TWO = 4  # arms of a relay from which on two cubes are under way
 _APART = 0.3  # m between two cubes, so that a hand has room beside the other one
-_CLEAR = 0.15  # m, of a lost cube from where another one may lie
+_CLEAR = 0.4, 0.15  # m, of a lost cube from an arm's base, and from another cube
 _HOVER = 0.15  # m above the targets, to where the last arm swings
 _STEPS_PER_ARM = 60  # control steps; a Jaco turns with a cube in about 40
 _AT_REST, _ON_TABLE = 0.05, 0.005  # m/s and m above it, of a cube that lies there
@@ -215,8 +215,8 @@ class Pass(Task[PassConfig, PassFacts]):
         )
         missing = {name: each for name, each in usual if getattr(config, name) is None}
         super()._take(replace(config, **missing))
-        self.cubes = ("cube", "cube_2")[:cubes]
-        self._goals = ("target", "target_2")[:cubes]
+        names = ("cube", "target"), ("cube_2", "target_2")
+        self.cubes, self._goals = zip(*names[:cubes], strict=True)
 
     def mounts(self) -> tuple[Placement, ...]:
         return stand_in_row(self.robots.values())
@@ -268,8 +268,9 @@ class Pass(Task[PassConfig, PassFacts]):
             chosen, self.angles[agent] = find_way(sim.model, arm, ways=ways)
             self.hands[agent] = [hand[None] for _, hand in ways[chosen]]
             scene.postures[agent] = self.angles[agent][min(i, 1)]
-            self.picks[agent] = PICKING, self.angles[agent][0]
-            if relay:
+            picking = self.hands[agent][0][0] if relay else PICKING
+            self.picks[agent] = picking, self.angles[agent][0]
+            if relay and i > 0:
                 self.picks[agent] = self._row.picking(sim.model, arm, agent=agent)
 
     def _entry(self, i: int) -> tuple[list[np.ndarray], np.ndarray]:
@@ -293,10 +294,7 @@ class Pass(Task[PassConfig, PassFacts]):
 
     @cached_property
     def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places on tables from which arms can pick up the cube, and whose they are.
-
-        They are (n, 3) in m, and indices of agents (n,).
-        """
+        """Where a lost cube may lie, (n, 3) in m, and the indices of who picks it up."""
         found, owners = [], []
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
             # What lies nearer to the arm before is for that arm to pick up.
@@ -304,8 +302,11 @@ class Pass(Task[PassConfig, PassFacts]):
             places = self._row.in_reach(
                 self.model, arm, agent=agent, right=right, start=self.picks[agent]
             )
+            if self.config.relay:
+                base = np.array(self.placements[agent].position)
+                places = places[math.distance(places, base) > _CLEAR[0]]
             for other in self._starts[1:]:
-                places = places[math.distance(places, other) > _CLEAR]
+                places = places[math.distance(places, other) > _CLEAR[1]]
             found.append(places)
             owners.append(np.full(len(places), i))
         return np.concatenate(found), np.concatenate(owners)
@@ -329,10 +330,9 @@ class Pass(Task[PassConfig, PassFacts]):
             self.scene.place(sim, env_ids, name=name, position=place)
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """The hands are open on their ways, and the cube lies before one of the arms.
+        """The hands are open on their ways, and the cube lies before the arm that lost it.
 
-        No arm can bring back what fell on the floor, so it never lies there. The arm
-        counts as the last that had it in its hand.
+        No arm can bring back what fell on the floor, so it never lies there.
         """
         angles = {}
         for i, agent in enumerate(self.agents):
