@@ -294,7 +294,7 @@ class Pass(Task[PassConfig, PassFacts]):
 
     @cached_property
     def _in_reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where a lost cube may lie, (n, 3) in m, and the indices of who picks it up."""
+        """Where a lost cube may lie, (n, 3) in m, and indices of who picks it up."""
         found, owners = [], []
         for i, (agent, arm) in enumerate(self.scene.arms.items()):
             # What lies nearer to the arm before is for that arm to pick up.
@@ -330,7 +330,7 @@ class Pass(Task[PassConfig, PassFacts]):
             self.scene.place(sim, env_ids, name=name, position=place)
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """The hands are open on their ways, and the cube lies before the arm that lost it.
+        """The hands are open on their ways, and a cube lies before the arm that lost it.
 
         No arm can bring back what fell on the floor, so it never lies there.
         """
