@@ -330,7 +330,7 @@ class Pass(Task[PassConfig, PassFacts]):
             self.scene.place(sim, env_ids, name=name, position=place)
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """The hands are open on their ways, and a cube lies before the arm that lost it.
+        """Hands are open on their ways, and a cube lies before the arm that lost it.
 
         No arm can bring back what fell on the floor, so it never lies there.
         """
