@@ -1,7 +1,7 @@
 """How arms move: the angles of poses, steps towards them, what arms can carry."""
 
 from collaborative_gym.motion.chart import Chart
-from collaborative_gym.motion.loads import greatest_load, strongest_way
+from collaborative_gym.motion.loads import alone, greatest_load, strongest_way
 from collaborative_gym.motion.poses import (
     central_pose,
     hold,
@@ -23,6 +23,7 @@ from collaborative_gym.motion.steering import (
 __all__ = [
     "Chains",
     "Chart",
+    "alone",
     "carry",
     "central_pose",
     "greatest_load",

@@ -136,7 +136,7 @@ def strong_paths(
       The loads (n,) at the weakest point of each path, 0 where the arm misses a point,
       joint angles (n, points, joints), and the tcp's quaternions (n, points, 4).
     """
-    model, arm = _alone(robot)
+    model, arm = alone(robot)
     sim = CpuSim(model, len(positions), num_threads=1)
     low, high = arm.joint_range
     room = np.minimum(_LIMIT_ROOM, (high - low) / 4)
@@ -156,7 +156,7 @@ def strong_paths(
 
 
 @lru_cache(maxsize=16)
-def _alone(robot: Robot) -> tuple[mujoco.MjModel, Arm]:
+def alone(robot: Robot) -> tuple[mujoco.MjModel, Arm]:
     """Return a world of one arm, whose base is at the origin."""
     scene = Scene()
     scene.add_robot("arm", robot, placement=Placement((0.0, 0.0, 0.0)), stand=False)
@@ -271,7 +271,7 @@ def _search_ways(
 
 def _stays_above(robot: Robot, angles: np.ndarray, paths: Array) -> np.ndarray:
     """Return on which ways no elbow is lower than both the load and the arm's table."""
-    model, arm = _alone(robot)
+    model, arm = alone(robot)
     data = mujoco.MjData(model)
     # The first joint that carries another one stays where it is.
     elbows = model.dof_jntid[arm.dof][2:]

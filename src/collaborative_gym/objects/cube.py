@@ -13,7 +13,12 @@ _RGBA = (0.90, 0.45, 0.13, 1.0)
 _DAMPING = 1e-4
 
 
-def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
+def cube(
+    size: float = 0.04,
+    mass: float = 0.05,
+    *,
+    rgba: tuple[float, float, float, float] = _RGBA,
+) -> mujoco.MjSpec:
     """Return a cube that moves freely.
 
     The body `cube` and its site `centre` have their origin in the cube's centre. One
@@ -22,6 +27,7 @@ def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
     Args:
       size: edge length, metres.
       mass: in kg.
+      rgba: its colour.
 
     Raises:
       TypeError: if one is not a number.
@@ -35,7 +41,7 @@ def cube(size: float = 0.04, mass: float = 0.05) -> mujoco.MjSpec:
         name="cube",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[size / 2] * 3,
-        rgba=_RGBA,
+        rgba=rgba,
         mass=mass,
         group=2,
     )

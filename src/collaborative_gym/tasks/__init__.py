@@ -10,5 +10,16 @@ from collaborative_gym.tasks import balance_path
 from collaborative_gym.tasks import hockey
 from collaborative_gym.tasks import tug
 from collaborative_gym.tasks import reach
+from collaborative_gym.tasks import sort
 
-__all__ = ["balance", "balance_path", "hockey", "lift", "pass_", "poke", "reach", "tug"]
+__all__ = [
+    "balance",
+    "balance_path",
+    "hockey",
+    "lift",
+    "pass_",
+    "poke",
+    "reach",
+    "sort",
+    "tug",
+]

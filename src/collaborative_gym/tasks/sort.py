@@ -1,0 +1,429 @@
+"""Sort: a belt brings cubes past two to eight arms, each of which has a tote to fill.
+
+The arms stand along the belt, in turn on either side, `robot_1` first. Each has a tote
+beside it, which no other arm needs to reach, and a colour. One or two cubes of each
+colour lie on the belt: one comes in the lane at the arm's own side. A second one, which
+all arms but `robot_1` have, comes in the lane at the other side, where the arm does not
+reach. The arm before, which stands there, must move it to the middle of the belt, where
+both reach. The belt does not wait: what has gone past its arm is lost.
+
+Randomised: the joints of the arms; the cubes' places along and across the belt, and
+their turns about the vertical; which of the two cubes in a lane comes first.
+
+Each arm observes, in the frame of its own base, three cubes: its `own cube`, the
+`mate's cube`, which it moves to the middle, and the `moved cube`, its second. Of each:
+its place, and 1 while it is still to be dealt with, else zeros. The block `mates` has
+of each other arm: 1, how many seats away it is (as a share of 7), whether it grips, and
+from the own tool centre point to that arm's. So teams of all sizes observe alike.
+
+Reward of each agent: "its cube" is the one in its hand, or else the one that comes next
+of those that it reaches or will reach; distances count up to 1 m.
+
+- `reach`: minus the distance from its tool centre point to its cube, in m.
+- `bring`: minus the distance from its cube to the agent's tote, or of the mate's cube
+  to the middle of the belt, in m.
+- `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its cube.
+- `waiting`: -3 for each of its cubes that it has not dealt with; -4 once it is lost.
+- `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
+  another action mode, of the joint changes that the action comes to.
+
+Success: every cube lies in the tote of its colour, in no hand. `sorted` is the share of
+those that do. A tote can be filled by its own arm alone, so without an arm its cubes,
+and the one that it should move for the next arm, are lost.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.blocks import POSE
+from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.motion import alone, quickest_way
+from collaborative_gym.motion.loads import (
+    Positions,
+    from_base,
+    greatest_loads,
+    rounded,
+)
+from collaborative_gym.objects.belt import TOTE, WALL, belt, tote
+from collaborative_gym.objects.cube import cube
+from collaborative_gym.objects.table import round_table
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.robots import Robot
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import sort as player
+from collaborative_gym.tasks.experts.sort import HEIGHT, MIDDLE, SIZE
+from collaborative_gym.tasks.handing import PICKING, either_way, of
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.teams import (
+    MOST_MATES,
+    Frames,
+    alike,
+    mates_block,
+    mates_of,
+)
+from collaborative_gym.timing import CONTROL_DT
+
+LANE = 0.28  # m from the middle of the belt to a lane
+WINDOW = 0.32  # m along the belt, before and behind an arm, in which it picks up
+
+_EDGE = 0.07  # m from a lane to the edge of the belt
+_SEAT = 0.85  # m along the belt from an arm to the next one
+_SPARE = 0.05  # m that an arm lacks to the lane at the other side
+_ASIDE = 0.58  # of its reach, from an arm along the belt to its tote
+_TOTE_FLOOR = 0.6  # m
+_COMES = np.array([1.5, 8.0])  # s at which cubes of a lane come to an arm's window
+_HOVER = 0.16  # m above what an arm picks up or fills, where it begins
+_WIDE = 0.15  # m along the belt from an arm, where it surely picks up
+_TILTS = 0.0, 0.4, 0.8  # rad, of a hand that picks up far away
+_FARTHEST, _WAITING, _LOST = 1.0, 3.0, 4.0
+_COLOURS = (
+    (0.90, 0.45, 0.13, 1.0),
+    (0.16, 0.47, 0.82, 1.0),
+    (0.24, 0.62, 0.28, 1.0),
+    (0.93, 0.76, 0.14, 1.0),
+    (0.62, 0.28, 0.68, 1.0),
+    (0.85, 0.20, 0.24, 1.0),
+    (0.20, 0.70, 0.70, 1.0),
+    (0.55, 0.38, 0.25, 1.0),
+)
+
+
+@dataclass(frozen=True)
+class SortConfig(TaskConfig):
+    """Settings of Sort.
+
+    Attributes:
+      max_episode_steps: control steps of an episode.
+      belt_speed: in m/s.
+      picking_threshold: greatest distance at which a grip starts, in m.
+    """
+
+    max_episode_steps: int = 250
+    belt_speed: float = bounded(0.1, 0.01, 0.2)
+    picking_threshold: float = bounded(0.03, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SortFacts:
+    """What Sort looks at, (num_envs, ...) each; the cubes are those of `Sort.cubes`."""
+
+    joints: dict[str, Array]  # angles by agent, in rad
+    tcp: dict[str, tuple[Array, Array]]  # pose of each agent's tcp
+    grips: dict[str, Array]  # by agent, which cubes its grip holds, (num_envs, cubes)
+    cubes: Array  # places, (num_envs, cubes, 3), in m
+    put: Array  # which of them lie in their totes, (num_envs, cubes)
+    lost: Array  # which have gone past the arm that must take them next
+    to_do: dict[str, Array]  # by agent, which are still its to take or bring
+    near: dict[str, Array]  # and which of these it could take now
+    own: dict[str, Array]  # the index of the agent's cube, (num_envs,)
+    sorted: Array  # share of `put`, (num_envs,)
+
+
+class Cube(NamedTuple):
+    """A cube on the belt: whose it is, by index, and who must move it before, or -1."""
+
+    owner: int
+    mover: int
+
+
+class Sort(Task[SortConfig, SortFacts]):
+    """Take cubes from a belt and put each into the tote of its colour.
+
+    Attributes:
+      cubes: the cubes, in the order of their lanes.
+      totes: middles of the totes' floors, by agent, (3,).
+      angles: by agent, joint angles, (3, joints), in rad: above its lane, where it
+        picks up from the middle of the belt, and above its tote.
+      hands: by agent, the quaternion of its hand at each of these, (1, 4).
+    """
+
+    robot_counts = range(2, MOST_MATES + 2)
+    gripping = True
+    config_class = SortConfig
+    units: ClassVar[Mapping[str, str]] = {"sorted": ""}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        "tcp": POSE,
+        "tote": "m",
+    }
+    expert = player.expert
+
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return arms along the belt, in turn at -y and at +y, that face it."""
+        robots, placements = list(self.robots.values()), []
+        for i, robot in enumerate(robots):
+            side, x = 2 * (i % 2) - 1, _SEAT * (i - (len(robots) - 1) / 2)
+            height = robot.base_height if robot.stand == "pedestal" else HEIGHT
+            y = side * (_farthest(robot, HEIGHT + SIZE / 2 - height) + _SPARE - LANE)
+            placements.append(Placement((x, y, height), -side * np.pi / 2))
+        return tuple(placements)
+
+    def build(self, scene: Scene) -> None:
+        count, config = len(self.agents), self.config
+        self.cubes = [Cube(i, -1) for i in range(count)]
+        self.cubes += [Cube(i, i - 1) for i in range(1, count)]
+        bases = np.array([each.position for each in self.placements.values()])
+        self._sides, self.seats = np.sign(bases[:, 1]), bases[:, 0]
+        travel = config.belt_speed * CONTROL_DT * config.max_episode_steps
+        length = np.ptp(self.seats) + 2 * travel + 6.0
+        scene.add("belt", belt(length, 2 * (LANE + _EDGE)), position=(0, 0, HEIGHT))
+        self.totes = {}
+        for i, (agent, robot) in enumerate(self.robots.items()):
+            place = self.placements[agent]
+            own = robot.stand == "pedestal" or config.placements is not None
+            scene.add_robot(agent, robot, placement=place, stand=own)
+            spot = bases[i] + np.array([_ASIDE * robot.reach, 0.0, 0.0])
+            self.totes[agent] = spot = np.array([*spot[:2], _TOTE_FLOOR])
+            scene.add(f"{agent}_tote", tote(_COLOURS[i]), position=spot)
+            stand = round_table(TOTE, height=_TOTE_FLOOR - 0.008)
+            scene.add(f"{agent}_tote_stand", stand, position=(*spot[:2], 0.0))
+            if not own:
+                stand = round_table(TOTE, height=bases[i, 2])
+                scene.add(f"{agent}_stand", stand, position=(*bases[i, :2], 0.0))
+        for j, each in enumerate(self.cubes):
+            scene.add(f"cube_{j + 1}", cube(SIZE, rgba=_COLOURS[each.owner]))
+            for i in {each.owner, each.mover} - {-1}:
+                site, most = f"cube_{j + 1}/centre", config.picking_threshold
+                scene.add_grip(self.agents[i], site, threshold=most, width=0.05)
+        wide = np.ptp(self.seats) + 1.5
+        eye = np.array([0.35 * wide + 0.7, -0.42 * wide - 0.7, 0.35 * wide + 1.2])
+        across = np.array([0.77, 0.64, 0.0])
+        away = eye - [0.0, 0.0, 0.6]
+        scene.add_camera(eye, (*across, *np.cross(away, across)))
+
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
+        self._frames = Frames(self.placements)
+        slide = sim.model.joint("belt/slide")
+        self._slide = int(slide.dofadr[0])
+        model = sim.model
+        starts = [
+            model.joint(f"cube_{j + 1}/free").dofadr[0] for j in range(len(self.cubes))
+        ]
+        self._moves = np.array([self._slide, *(int(start) for start in starts)])
+        self.angles, self.hands = {}, {}
+        for i, (agent, place) in enumerate(self.placements.items()):
+            x, (*side, _) = self.seats[i], self.totes[agent]
+            lane, tote = self._sides[i] * LANE, (*side, _TOTE_FLOOR + WALL + _HOVER)
+            low = HEIGHT + SIZE / 2
+            spots = [(x, lane, low + _HOVER), (x + _WIDE, 0.0, low), tote]
+            spots = from_base(place, np.array(spots))
+            self.angles[agent], hands = _stations(self.robots[agent], spots)
+            yaw = math.from_yaw(np.array(place.yaw))
+            self.hands[agent] = [math.multiply(yaw, hand)[None] for hand in hands]
+            scene.postures[agent] = self.angles[agent][0]
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        spread, speed = self.config.randomization, self.config.belt_speed
+        starts = {agent: angles[0] for agent, angles in self.angles.items()}
+        self.start_arms(sim, env_ids, rng=rng, angles=starts)
+        # In each lane, whether the cube for the next arm comes first.
+        swapped = rng.uniform(0.0, 1.0, len(self.agents)) < 0.5
+        for j, each in enumerate(self.cubes):
+            lane = each.owner if each.mover < 0 else each.mover
+            later = swapped[:, lane] ^ (each.mover >= 0)
+            # The last arm has one cube alone.
+            later = later & (lane + 1 < len(self.agents))
+            x = self.seats[lane] - WINDOW - speed * _COMES[later.astype(int)]
+            nominal = np.array([0.0, self._sides[lane] * LANE, HEIGHT + SIZE / 2])
+            bounds = spread.object_position * np.array([1.0, 0.5, 0.0])
+            place = nominal + rng.within(bounds, 3)
+            place[:, 0] += x
+            quat = math.from_yaw(rng.within(spread.object_yaw))
+            self.scene.place(
+                sim, env_ids, name=f"cube_{j + 1}", position=place, quat=quat
+            )
+        rows = np.asarray(env_ids)[:, None]
+        sim.qvel[rows, self._moves] = speed
+
+    def measure(self, sim: Sim) -> SortFacts:
+        xp, count = sim.xp, len(self.cubes)
+        poses = [sim.pose(f"cube_{j + 1}/centre")[0] for j in range(count)]
+        places = xp.stack(poses, axis=1)
+        never = xp.zeros(sim.num_envs, dtype=xp.bool)
+        grips = {}
+        for i, agent in enumerate(self.agents):
+            held = [
+                self.scene.holds(sim, agent, f"cube_{j + 1}/centre")
+                if i in each
+                else never
+                for j, each in enumerate(self.cubes)
+            ]
+            grips[agent] = xp.stack(held, axis=1)
+        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
+        is_held = sum(grips.values()) > 0
+        x, across, height = places[:, :, 0], places[:, :, 1], places[:, :, 2]
+        owners = np.array([each.owner for each in self.cubes])
+        totes = xp.asarray(np.array(list(self.totes.values()))[owners], dtype=x.dtype)
+        apart = xp.abs(places - totes)
+        inside = (apart[:, :, 0] < TOTE) & (apart[:, :, 1] < TOTE)
+        put = inside & (height < _TOTE_FLOOR + WALL) & ~is_held
+        # A cube in its owner's lane, or in the middle, waits for its owner.
+        sides = xp.asarray(self._sides[owners], dtype=x.dtype)
+        comes = across * sides > -MIDDLE
+        takers = xp.asarray(np.array([max(c.mover, 0) for c in self.cubes]))
+        takers = xp.where(comes, xp.asarray(owners), takers)
+        seats = xp.asarray(self.seats, dtype=x.dtype)
+        behind = x - seats[takers]
+        on_belt = (height > HEIGHT) & ~inside & ~is_held
+        fell = (height < HEIGHT) & ~inside & ~is_held
+        lost = (on_belt & (behind > WINDOW)) | fell
+        to_do, near, own = {}, {}, {}
+        for i, agent in enumerate(self.agents):
+            is_own = xp.asarray([each.owner == i for each in self.cubes])
+            is_mates = xp.asarray([each.mover == i for each in self.cubes])
+            moved = comes & ~grips[agent]
+            mine = (is_own & ~put) | (is_mates & ~moved & ~put)
+            to_do[agent] = mine & ~lost
+            lies = on_belt & (takers == i)
+            near[agent] = to_do[agent] & lies & (behind > -WINDOW)
+            order = xp.where(grips[agent], 1e3, xp.where(lies, x, x - 50.0))
+            own[agent] = xp.argmax(xp.where(to_do[agent], order, -1e3), axis=1)
+        return SortFacts(
+            joints=self.joints(sim),
+            tcp=tcp,
+            grips=grips,
+            cubes=places,
+            put=put,
+            lost=lost,
+            to_do=to_do,
+            near=near,
+            own=own,
+            sorted=xp.mean(xp.astype(put, x.dtype), axis=1),
+        )
+
+    def observe(self, facts: SortFacts) -> dict[str, Blocks]:
+        return {agent: self._seen_by(agent, facts) for agent in self.agents}
+
+    def _seen_by(self, agent: str, facts: SortFacts) -> Blocks:
+        """Return what an agent sees in the frame of its base."""
+        xp, frames = array_namespace(facts.cubes), self._frames
+        i, tcp, kind = self.agents.index(agent), facts.tcp[agent], facts.cubes.dtype
+        grips = {
+            a: xp.astype(xp.any(held, axis=1), kind)[:, None]
+            for a, held in facts.grips.items()
+        }
+        nothing, seen = xp.zeros_like(facts.cubes[:, 0, :1]), {}
+        for name, wanted in (
+            ("own cube", Cube(i, -1)),
+            ("mate's cube", Cube(i + 1, i)),
+            ("moved cube", Cube(i, i - 1)),
+        ):
+            seen[name] = xp.concat([nothing] * 4, axis=1)
+            if wanted in self.cubes:
+                j = self.cubes.index(wanted)
+                todo = xp.astype(facts.to_do[agent][:, j], kind)[:, None]
+                place = frames.place(agent, facts.cubes[:, j])
+                seen[name] = xp.concat([place * todo, todo], axis=1)
+        rows = []
+        for mate in mates_of(self.agents, agent):
+            seats = nothing + (self.agents.index(mate) - i) / MOST_MATES
+            apart = frames.direction(agent, facts.tcp[mate][0] - tcp[0])
+            rows.append(xp.concat([seats, grips[mate], apart], axis=1))
+        spot = xp.asarray(self.totes[agent], dtype=kind)
+        return {
+            "joints": alike(facts.joints[agent]),
+            "gripping": grips[agent],
+            "tcp": math.pose(*frames.pose(agent, tcp)),
+            "tote": frames.place(agent, xp.broadcast_to(spot, tcp[0].shape)),
+            **seen,
+            "mates": mates_block(rows),
+        }
+
+    def bring_to(self, agent: str, which: Array, tcp: Array) -> Array:
+        """Return where an agent brings a cube of these indices, (num_envs, 3), in m."""
+        xp, i = array_namespace(tcp), self.agents.index(agent)
+        mates = xp.asarray([each.mover == i for each in self.cubes])[which]
+        spot = xp.asarray(self.totes[agent], dtype=tcp.dtype) + 0.0 * tcp
+        x, zero = tcp[:, 0], 0.0 * tcp[:, 0]
+        middle = xp.stack([x, zero, zero + HEIGHT + SIZE / 2], axis=1)
+        return xp.where(mates[:, None], middle, spot)
+
+    def reward(
+        self, facts: SortFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
+        xp, terms = array_namespace(facts.cubes), {}
+        zero = xp.zeros_like(facts.sorted)
+        for i, (agent, command) in enumerate(commands.items()):
+            own, tcp = facts.own[agent], facts.tcp[agent][0]
+            place, busy = of(facts.cubes, own), xp.any(facts.to_do[agent], axis=1)
+            far = math.distance(tcp, place)
+            way = math.distance(place, self.bring_to(agent, own, place))
+            wants = busy & command.grips & (far < self.config.picking_threshold)
+            mine = xp.asarray([i in each for each in self.cubes])
+            lost = xp.sum(xp.astype(facts.lost & mine, zero.dtype), axis=1)
+            left = xp.sum(xp.astype(facts.to_do[agent], zero.dtype), axis=1)
+            terms[agent] = {
+                "reach": xp.where(busy, -xp.minimum(far, zero + _FARTHEST), zero),
+                "bring": xp.where(busy, -xp.minimum(way, zero + _FARTHEST), zero),
+                "grip": xp.where(wants, zero + 0.1, zero),
+                "waiting": -_WAITING * left - _LOST * lost,
+                "effort": -0.01 * math.norm(command.moves),
+            }
+        return terms
+
+    def success(self, facts: SortFacts) -> Array:
+        return array_namespace(facts.put).all(facts.put, axis=1)
+
+    def shortfall(self, facts: SortFacts) -> Array:
+        xp, owners = array_namespace(facts.cubes), [c.owner for c in self.cubes]
+        totes = np.array(list(self.totes.values()))[owners]
+        far = math.distance(facts.cubes, xp.asarray(totes, dtype=facts.cubes.dtype))
+        missing = 1.0 + xp.minimum(far, 0.0 * far + 5.0) / 5.0
+        return xp.mean(xp.where(facts.put, 0.0 * far, missing), axis=1)
+
+
+def _farthest(robot: Robot, height: float) -> float:
+    """Return how far before its base, at a height over it, an arm reaches, in m."""
+    far = robot.reach * np.arange(0.7, 1.15, 0.02)
+    places = np.stack([far, 0.0 * far, 0.0 * far + height], axis=1)
+    loads = np.array(greatest_loads(robot, rounded(places)))
+    return float(far[loads > 0.0].max(initial=0.0))
+
+
+@lru_cache(maxsize=64)
+def _stations(robot: Robot, spots: Positions) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return how an arm is above its lane, at the middle of the belt, above its tote.
+
+    These are joint angles (3, joints), and quaternions of its hand in its base's frame.
+    The hand points down, or as little away from the base as the arm needs.
+
+    Raises:
+      ValueError: if the arm cannot be there.
+    """
+    model, arm = alone(robot)
+    failure = ValueError("no tilt was given")
+    for tilt in _TILTS:
+        lean = math.from_rotation_vector(np.array([0.0, -tilt, 0.0]))
+        turns = [math.from_yaw(np.array(angle)) for angle in (0.0, np.pi / 2)]
+        downs = either_way(PICKING)
+        ways = []
+        for down, end, turn in product(downs, downs, turns):
+            hand = math.multiply(lean, down)
+            hands = hand, hand, math.multiply(turn, end)
+            ways.append(list(zip(np.array(spots), hands, strict=True)))
+        try:
+            chosen, angles = quickest_way(model, arm, ways=ways)
+        except ValueError as error:
+            failure = error
+        else:
+            return angles, [hand for _, hand in ways[chosen]]
+    raise failure
+
+
+_TEAMS = {f"SortPandas{n}-v0": ("panda",) * n for n in (2, 4, 8)} | {
+    "SortMixed3-v0": ("panda", "sawyer", "jaco"),
+}
+register_task("Sort", Sort)
+for env_id, robots in _TEAMS.items():
+    register_env(EnvSpec(env_id, Sort, robots))
