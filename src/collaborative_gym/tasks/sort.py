@@ -34,8 +34,9 @@ and the one that it should move for the next arm, are lost.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import product
+from operator import or_
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -172,6 +173,11 @@ class Sort(Task[SortConfig, SortFacts]):
         count, config = len(self.agents), self.config
         self.cubes = [Cube(i, -1) for i in range(count)]
         self.cubes += [Cube(i, i - 1) for i in range(1, count)]
+        self._owners = np.array([each.owner for each in self.cubes])
+        # Their owners take what nobody needs to move.
+        self._movers = np.array(
+            [c.owner if c.mover < 0 else c.mover for c in self.cubes]
+        )
         bases = np.array([each.position for each in self.placements.values()])
         self._sides, self.seats = np.sign(bases[:, 1]), bases[:, 0]
         travel = config.belt_speed * CONTROL_DT * config.max_episode_steps
@@ -247,51 +253,29 @@ class Sort(Task[SortConfig, SortFacts]):
         sim.qvel[rows, self._moves] = speed
 
     def measure(self, sim: Sim) -> SortFacts:
-        xp, count = sim.xp, len(self.cubes)
-        poses = [sim.pose(f"cube_{j + 1}/centre")[0] for j in range(count)]
-        places = xp.stack(poses, axis=1)
-        never = xp.zeros(sim.num_envs, dtype=xp.bool)
-        grips = {}
-        for i, agent in enumerate(self.agents):
-            held = [
-                self.scene.holds(sim, agent, f"cube_{j + 1}/centre")
-                if i in each
-                else never
-                for j, each in enumerate(self.cubes)
-            ]
-            grips[agent] = xp.stack(held, axis=1)
-        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
-        is_held = sum(grips.values()) > 0
-        x, across, height = places[:, :, 0], places[:, :, 1], places[:, :, 2]
-        owners = np.array([each.owner for each in self.cubes])
-        totes = xp.asarray(np.array(list(self.totes.values()))[owners], dtype=x.dtype)
-        apart = xp.abs(places - totes)
-        inside = (apart[:, :, 0] < TOTE) & (apart[:, :, 1] < TOTE)
-        put = inside & (height < _TOTE_FLOOR + WALL) & ~is_held
+        xp, grips = sim.xp, self._grips(sim)
+        poses = [sim.pose(f"cube_{j + 1}/centre") for j in range(len(self.cubes))]
+        places = xp.stack([place for place, _ in poses], axis=1)
+        x, across = places[:, :, 0], places[:, :, 1]
+        put, on_belt, fell = self._lie(places, reduce(or_, grips.values()))
         # A cube in its owner's lane, or in the middle, waits for its owner.
-        sides = xp.asarray(self._sides[owners], dtype=x.dtype)
-        comes = across * sides > -MIDDLE
-        takers = xp.asarray(np.array([max(c.mover, 0) for c in self.cubes]))
-        takers = xp.where(comes, xp.asarray(owners), takers)
-        seats = xp.asarray(self.seats, dtype=x.dtype)
-        behind = x - seats[takers]
-        on_belt = (height > HEIGHT) & ~inside & ~is_held
-        fell = (height < HEIGHT) & ~inside & ~is_held
+        owners = xp.asarray(self._owners)
+        comes = across * xp.asarray(self._sides[self._owners]) > -MIDDLE
+        takers = xp.where(comes, owners, xp.asarray(self._movers))
+        behind = x - xp.asarray(self.seats)[takers]
         lost = (on_belt & (behind > WINDOW)) | fell
         to_do, near, own = {}, {}, {}
         for i, agent in enumerate(self.agents):
-            is_own = xp.asarray([each.owner == i for each in self.cubes])
-            is_mates = xp.asarray([each.mover == i for each in self.cubes])
-            moved = comes & ~grips[agent]
-            mine = (is_own & ~put) | (is_mates & ~moved & ~put)
-            to_do[agent] = mine & ~lost
-            lies = on_belt & (takers == i)
-            near[agent] = to_do[agent] & lies & (behind > -WINDOW)
-            order = xp.where(grips[agent], 1e3, xp.where(lies, x, x - 50.0))
+            moves = xp.asarray([each.mover == i for each in self.cubes])
+            mine = (owners == i) | (moves & (~comes | grips[agent]))
+            to_do[agent] = mine & ~put & ~lost
+            waits = on_belt & (takers == i)
+            near[agent] = to_do[agent] & waits & (behind > -WINDOW)
+            order = xp.where(grips[agent], 1e3, xp.where(waits, x, x - 50.0))
             own[agent] = xp.argmax(xp.where(to_do[agent], order, -1e3), axis=1)
         return SortFacts(
             joints=self.joints(sim),
-            tcp=tcp,
+            tcp={agent: sim.pose(f"{agent}/tcp") for agent in self.agents},
             grips=grips,
             cubes=places,
             put=put,
@@ -301,6 +285,30 @@ class Sort(Task[SortConfig, SortFacts]):
             own=own,
             sorted=xp.mean(xp.astype(put, x.dtype), axis=1),
         )
+
+    def _grips(self, sim: Sim) -> dict[str, Array]:
+        """Return by agent which cubes its grip holds, (num_envs, cubes)."""
+        never, grips = sim.xp.zeros(sim.num_envs, dtype=sim.xp.bool), {}
+        for i, agent in enumerate(self.agents):
+            held = [never] * len(self.cubes)
+            for j, each in enumerate(self.cubes):
+                if i in each:
+                    held[j] = self.scene.holds(sim, agent, f"cube_{j + 1}/centre")
+            grips[agent] = sim.xp.stack(held, axis=1)
+        return grips
+
+    def _lie(self, places: Array, is_held: Array) -> tuple[Array, Array, Array]:
+        """Return which cubes lie in their totes, on the belt, and on the floor.
+
+        What falls into its tote is nowhere yet.
+        """
+        xp, height = array_namespace(places), places[:, :, 2]
+        totes = np.array(list(self.totes.values()))[self._owners]
+        apart = xp.abs(places - xp.asarray(totes, dtype=places.dtype))
+        inside = (apart[:, :, 0] < TOTE) & (apart[:, :, 1] < TOTE)
+        put = inside & (height < _TOTE_FLOOR + WALL) & ~is_held
+        loose = ~inside & ~is_held
+        return put, loose & (height > HEIGHT), loose & (height < HEIGHT)
 
     def observe(self, facts: SortFacts) -> dict[str, Blocks]:
         return {agent: self._seen_by(agent, facts) for agent in self.agents}

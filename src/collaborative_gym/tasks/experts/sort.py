@@ -3,16 +3,18 @@
 An arm that has nothing to take waits above its lane.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.control import Motion
+from collaborative_gym.math import Array
 from collaborative_gym.motion import reach, settling, standoff
 from collaborative_gym.objects.belt import WALL
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.handing import of
+from collaborative_gym.tasks.task import LEVEL
 
 if TYPE_CHECKING:
     from collaborative_gym.tasks.sort import Sort, SortFacts
@@ -30,6 +32,8 @@ _LIFT = 0.1  # m above where it was taken, from which on a cube is swung to its 
 _FAR = 0.3  # m across the floor, from which on an arm swings instead of going straight
 _OVER = 0.06  # m from the middle of the tote, within which the hand opens
 _LOW = 0.012  # m above the belt, from which the mate's cube is let go
+_ASIDE = 0.15  # m along the belt from an arm, within which it puts that down
+_BEYOND = 0.02  # m beyond the middle, where it does
 
 
 def expert(self: "Sort", sim: Sim, facts: "SortFacts") -> dict[str, Motion]:
@@ -37,50 +41,70 @@ def expert(self: "Sort", sim: Sim, facts: "SortFacts") -> dict[str, Motion]:
     return {agent: _sort(self, sim, facts, agent) for agent in self.agents}
 
 
+class _Aim(NamedTuple):
+    """Where an arm goes, (num_envs, ...) each."""
+
+    place: Array  # of its tcp, in m
+    station: Array  # index of the posture and the hand that it has there
+    swings: Array  # where it goes to that posture, and not straight to the place
+
+
 def _sort(task: "Sort", sim: Sim, facts: "SortFacts", agent: str) -> Motion:
     """Return the motion of one arm."""
-    arm, angles = task.scene.arms[agent], task.angles[agent]
-    tcp, which = facts.tcp[agent][0], facts.own[agent]
-    place, held = of(facts.cubes, which), of(facts.grips[agent], which)
-    is_mates = np.array([c.mover == task.agents.index(agent) for c in task.cubes])[
-        which
-    ]
-    takes = of(facts.near[agent], which) & ~held
-    side = np.sign(task.placements[agent].position[1])
-    # Take it from above, where it will be.
-    ahead = place + np.array([_LEAD * task.config.belt_speed, 0.0, 0.0])
-    gap = standoff(tcp - place, _DOWN, **_ABOVE)
-    taking = ahead - gap * _DOWN
-    backs = gap[:, 0] - _BACK > math.dot(ahead - tcp, _DOWN)
-    # Bring the mate's cube to the middle, and put it down there.
-    middle = np.abs(tcp[:, 1])
-    low = HEIGHT + SIZE / 2 + np.where(middle > 0.05, 0.05, 0.0)
-    seat = task.seats[task.agents.index(agent)]
-    x = np.clip(tcp[:, 0], seat - 0.15, seat + 0.15)
-    moving = np.stack([x, 0.0 * x - 0.02 * side, low], axis=1)
-    puts = is_mates & (middle < 0.6 * MIDDLE) & (tcp[:, 2] < HEIGHT + SIZE / 2 + _LOW)
-    # Swing its own over the tote, and let it fall.
-    tote = task.totes[agent] + np.array([0.0, 0.0, WALL + 0.05])
-    across = (tote - tcp) * [1.0, 1.0, 0.0]
-    drops = ~is_mates & (math.norm(across) < _OVER)
-    lifted = tcp[:, 2] > HEIGHT + _LIFT
-    own = np.where(lifted[:, None], tote + np.zeros_like(tcp), tcp - 0.1 * _DOWN)
-    goal = np.where(held[:, None], np.where(is_mates[:, None], moving, own), taking)
-    # Where nothing comes, wait above the lane.
-    idle = ~held & ~takes
-    is_middle = np.abs(place[:, 1]) < MIDDLE
-    posture = np.where(
-        (is_middle & takes)[:, None] | (held & is_mates)[:, None], angles[1], angles[0]
+    arm, tcp = task.scene.arms[agent], facts.tcp[agent]
+    held = of(facts.grips[agent], facts.own[agent])
+    taking, closes = _take(task, facts, agent)
+    bringing, opens = _bring(task, facts, agent)
+    both = zip(bringing, taking, strict=True)
+    aim = _Aim(
+        *(np.where(held if b.ndim < 2 else held[:, None], b, t) for b, t in both)
     )
-    posture = np.where((held & ~is_mates & lifted)[:, None], angles[2], posture)
-    hand = np.where(
-        (held & ~is_mates)[:, None], task.hands[agent][2], task.hands[agent][0]
-    )
-    hand = np.where((held & ~is_mates & ~lifted)[:, None], task.hands[agent][0], hand)
-    away = math.norm((goal - tcp) * [1.0, 1.0, 0.0]) > _FAR
-    swings = idle | (away & ~(held & is_mates) & (lifted | ~held))
-    straight = reach(sim, arm, tcp=facts.tcp[agent], goal=(goal, hand), posture=posture)
+    hand = np.concatenate(task.hands[agent])[aim.station]
+    posture, goal = task.angles[agent][aim.station], (aim.place, hand)
+    straight = reach(sim, arm, tcp=tcp, goal=goal, posture=posture)
     swing = settling(sim, arm, change=posture - facts.joints[agent])
-    near = math.distance(tcp, place) < _CLOSE * task.config.picking_threshold
-    grips = (held & ~(puts | drops)) | (takes & near & ~backs)
-    return Motion(np.where(swings[:, None], swing, straight), grips)
+    change = np.where(aim.swings[:, None], swing, straight)
+    return Motion(change, np.where(held, ~opens, closes))
+
+
+def _take(task: "Sort", facts: "SortFacts", agent: str) -> tuple[_Aim, Array]:
+    """Take a cube from above, where it will be; where none comes, wait above the lane.
+
+    Returns the aim, and where the hand closes, (num_envs,).
+    """
+    tcp, which = facts.tcp[agent][0], facts.own[agent]
+    cube, comes = of(facts.cubes, which), of(facts.near[agent], which)
+    ahead = cube + np.array([_LEAD * task.config.belt_speed, 0.0, 0.0])
+    gap = standoff(tcp - cube, _DOWN, **_ABOVE)
+    place = ahead - gap * _DOWN
+    backs = gap[:, 0] - _BACK > math.dot(ahead - tcp, _DOWN)
+    near = math.distance(tcp, cube) < _CLOSE * task.config.picking_threshold
+    station = np.where(comes & (np.abs(cube[:, 1]) < MIDDLE), 1, 0)
+    return _Aim(place, station, ~comes | _is_far(place - tcp)), comes & near & ~backs
+
+
+def _bring(task: "Sort", facts: "SortFacts", agent: str) -> tuple[_Aim, Array]:
+    """Put the mate's cube down on the middle; lift its own and let it fall in the tote.
+
+    Returns the aim, and where the hand opens, (num_envs,).
+    """
+    i, tcp, which = task.agents.index(agent), facts.tcp[agent][0], facts.own[agent]
+    is_mates = np.array([cube.mover == i for cube in task.cubes])[which]
+    across, lies = np.abs(tcp[:, 1]), HEIGHT + SIZE / 2
+    x = np.clip(tcp[:, 0], task.seats[i] - _ASIDE, task.seats[i] + _ASIDE)
+    beyond = np.full_like(x, -_BEYOND * np.sign(task.placements[agent].position[1]))
+    middle = np.stack([x, beyond, lies + np.where(across > 0.05, 0.05, 0.0)], axis=1)
+    is_there = (across < 0.6 * MIDDLE) & (tcp[:, 2] < lies + _LOW)
+    is_lifted = tcp[:, 2] > HEIGHT + _LIFT
+    over = task.totes[agent] + np.array([0.0, 0.0, WALL + 0.05]) + 0.0 * tcp
+    is_over = math.norm((over - tcp) * LEVEL) < _OVER
+    own = np.where(is_lifted[:, None], over, tcp - _LIFT * _DOWN)
+    place = np.where(is_mates[:, None], middle, own)
+    station = np.where(is_mates, 1, np.where(is_lifted, 2, 0))
+    swings = ~is_mates & is_lifted & _is_far(place - tcp)
+    return _Aim(place, station, swings), np.where(is_mates, is_there, is_over)
+
+
+def _is_far(way: Array) -> Array:
+    """Return which ways lead so far across the floor that an arm swings there."""
+    return math.norm(way * LEVEL) > _FAR
