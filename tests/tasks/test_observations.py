@@ -167,6 +167,33 @@ def seen_in_pass(env, data, block, agent):
     return pose(env.model, data, site) - [*base, 0.0, 0.0, 0.0, 0.0]
 
 
+def seen_in_sort(env, data, block, agent):
+    """Return what a robot of Sort sees of the world in the frame of its base."""
+    agents, placement, task = env.agents, env.task.placements[agent], env.task
+    i, back = agents.index(agent), turn(placement.yaw).T
+    tcp = data.site(f"{agent}/tcp").xpos
+    if block == "mates":
+        rows = np.zeros((7, 6))
+        for row, j in enumerate([*range(i + 1, len(agents)), *range(i)]):
+            grips = np.max(expected(env.model, data, f"{agents[j]} gripping", agent))
+            apart = back @ (data.site(f"{agents[j]}/tcp").xpos - tcp)
+            rows[row] = 1.0, (j - i) / 7, grips, *apart
+        return rows.ravel()
+    if block == "tcp":
+        turned, quat = back @ data.site(f"{agent}/tcp").xmat.reshape(3, 3), np.zeros(4)
+        mujoco.mju_mat2Quat(quat, turned.ravel())
+        return np.concatenate([back @ (tcp - placement.position), quat[1:], quat[:1]])
+    if block == "tote":
+        floor = data.body(f"{agent}_tote/tote").xpos
+        return back @ (floor - placement.position)
+    whose = {"own cube": (i, -1), "mate's cube": (i + 1, i), "moved cube": (i, i - 1)}
+    if whose[block] not in task.cubes:
+        return np.zeros(4)
+    cube = data.site(f"cube_{task.cubes.index(whose[block]) + 1}/centre").xpos
+    # None is sorted, lost or moved within the 16 steps that are checked.
+    return [*(back @ (cube - placement.position)), 1.0]
+
+
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_block_is_what_mujoco_says(env_id):
     env = cg.make_vec(env_id, num_envs=2, num_threads=1)
@@ -190,9 +217,12 @@ def check(env, observations):
                 if block in ("target velocity", "goals left", "cubes left"):
                     # MuJoCo has none; see test_balance_path.py, test_pass_teams.py.
                     continue
-                if "mates" in sizes and block not in ("joints", "gripping"):
+                if block == "gripping" and "tote" in sizes:
+                    own = expected(env.model, data, f"{agent} gripping", agent)
+                    wanted = [np.max(own)]
+                elif "mates" in sizes and block not in ("joints", "gripping"):
                     ways = {"cube": seen_in_pass, "goal": seen_in_reach}
-                    ways |= {"board": seen_in_balance}
+                    ways |= {"board": seen_in_balance, "tote": seen_in_sort}
                     look = next((ways[n] for n in ways if n in sizes), seen_from_base)
                     wanted = look(env, data, block, agent)
                 else:

@@ -57,6 +57,7 @@ def test_the_environments_are_the_thesis_eight_and_our_own():
     own |= {f"LiftPandas{count}-v0" for count in (2, 3, 4, 6, 8)}
     own |= {f"BalancePath{team}-v0" for team in ("Mixed3", "Pandas3", "Pandas4")}
     own |= {"BalancePathPandas6-v0"}
+    own |= {"SortMixed3-v0", *(f"SortPandas{count}-v0" for count in (2, 4, 8))}
     own |= {"PassMixed3-v0", *(f"PassPandas{count}-v0" for count in (3, 4, 6))}
     own |= {"ReachMixed3-v0", *(f"ReachPandas{count}-v0" for count in (2, 4, 8))}
     assert set(cg.list_envs()) == {*BASES, *own}
