@@ -52,7 +52,17 @@ COMMANDS = (
 )
 """The verbs of the command line, in the order of its own help."""
 
-_TASKS = ("Poke", "Lift", "Balance", "Pass", "BalancePath", "Hockey", "Tug", "Reach")
+_TASKS = (
+    "Poke",
+    "Lift",
+    "Balance",
+    "Pass",
+    "BalancePath",
+    "Hockey",
+    "Tug",
+    "Reach",
+    "Sort",
+)
 _MOMENT = {"LiftTaskSawyers-v0": 27, "LiftTaskJacos-v0": 40, "TugPandas-v0": 30}
 """Moments of films, in % of their time, that show more than the half."""
 

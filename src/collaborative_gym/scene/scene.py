@@ -340,7 +340,7 @@ class Scene:
         angles = np.clip(angles, *arm.joint_range)
         sim.qpos[env_ids, arm.qpos] = sim.xp.asarray(angles)
 
-    def holds(self, sim: Sim, agent: str, site: str | None = None) -> Array:
+    def holds(self, sim: Sim, agent: str, *, site: str | None = None) -> Array:
         """Return in which worlds a grip of the agent holds, (num_envs,) booleans.
 
         Args:

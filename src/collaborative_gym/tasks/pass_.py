@@ -354,7 +354,7 @@ class Pass(Task[PassConfig, PassFacts]):
         places, quats = (xp.stack(list(x), axis=1) for x in zip(*poses, strict=True))
         targets = xp.stack([sim.pose(name)[0] for name in self._goals], axis=1)
         grips = {
-            a: xp.stack([self.scene.holds(sim, a, site) for site in sites], axis=1)
+            a: xp.stack([self.scene.holds(sim, a, site=site) for site in sites], axis=1)
             for a in agents
         }
         handed = handed_on(sim.memory["handed"], list(grips.values()))

@@ -293,7 +293,8 @@ class Sort(Task[SortConfig, SortFacts]):
             held = [never] * len(self.cubes)
             for j, each in enumerate(self.cubes):
                 if i in each:
-                    held[j] = self.scene.holds(sim, agent, f"cube_{j + 1}/centre")
+                    site = f"cube_{j + 1}/centre"
+                    held[j] = self.scene.holds(sim, agent, site=site)
             grips[agent] = sim.xp.stack(held, axis=1)
         return grips
 
@@ -413,12 +414,14 @@ def _stations(robot: Robot, spots: Positions) -> tuple[np.ndarray, list[np.ndarr
     failure = ValueError("no tilt was given")
     for tilt in _TILTS:
         lean = math.from_rotation_vector(np.array([0.0, -tilt, 0.0]))
-        turns = [math.from_yaw(np.array(angle)) for angle in (0.0, np.pi / 2)]
         downs = either_way(PICKING)
+        # At its tote, an arm has turned by a quarter.
+        ends = [
+            math.multiply(math.from_yaw(np.array(np.pi / 2)), down) for down in downs
+        ]
         ways = []
-        for down, end, turn in product(downs, downs, turns):
-            hand = math.multiply(lean, down)
-            hands = hand, hand, math.multiply(turn, end)
+        for down, end in product(downs, ends):
+            hands = math.multiply(lean, down), math.multiply(lean, down), end
             ways.append(list(zip(np.array(spots), hands, strict=True)))
         try:
             chosen, angles = quickest_way(model, arm, ways=ways)
