@@ -175,6 +175,9 @@ class StrictSim(CpuSim):
     def set_state(self, state, env_ids=None):
         super().set_state(own(state), bare(env_ids))
 
+    def expand(self, name):
+        return Strict(super().expand(name))
+
     def pose(self, name):
         return tuple(map(Strict, super().pose(name)))
 
@@ -208,7 +211,10 @@ def plain(value):
 
 @pytest.mark.parametrize(
     ("env_id", "action"),
-    [*((env_id, "joints") for env_id in cg.list_envs()), ("LiftTaskJacos-v0", "tcp")],
+    [
+        *((env_id, "joints") for env_id in cg.list_envs()),
+        *(("LiftTaskJacos-v0", mode) for mode in ("tcp", "torques", "impedance")),
+    ],
 )
 def test_a_step_runs_on_other_arrays_to_the_same_bits(env_id, action, monkeypatch):
     options = {"num_threads": 1, "max_episode_steps": 4, "action": action}

@@ -25,6 +25,7 @@ CASES += [(task, pair) for task in cg.list_tasks() for pair in PAIRS]
 CASES += [("Touch", arms) for arms in (("jaco",), TEAM[:3], TEAM)]
 CASES = [(*case, "joints") for case in CASES]
 CASES += [("Lift", PAIRS[0], "tcp"), ("Touch", TEAM[:3], "tcp")]
+CASES += [("Poke", PAIRS[0], "torques"), ("Lift", PAIRS[1], "impedance")]
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space")
 
@@ -124,7 +125,8 @@ def test_spaces_hold_what_is_returned(case):
         assert sum(block.size for block in blocks.values()) == space.shape[0]
         assert all(row in space for row in observations[agent])
         robot = env.task.robots[agent]
-        moves = {"joints": len(robot.joints), "tcp": 6}[env.task.config.action]
+        mode = env.task.config.action
+        moves = len(robot.joints) if mode in ("joints", "torques") else 6
         actions = moves + env.task.gripping
         assert env.single_action_spaces[agent].shape == (actions,)
         assert env.model.site(f"{agent}/tcp").id >= 0

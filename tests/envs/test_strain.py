@@ -52,6 +52,8 @@ class Plain:
     def steps(self, controls, records=None, breaks=None, env_ids=None):
         state, kind = self.env.sim.get_state()[0], mujoco.mjtState.mjSTATE_INTEGRATION
         mujoco.mj_setState(self.model, self.data, state, kind)
+        for name in ("actuator_gainprm", "actuator_biasprm"):
+            getattr(self.model, name)[:] = self.env.sim.expand(name)[0]
         for control in controls[0]:
             self.data.ctrl[:] = control
             before = self.data.qvel.copy()
@@ -186,10 +188,14 @@ def shares(total):
         (["LiftTaskSawyers-v0"], "baseline", 20, {"internal_force"}),
         (["BalanceTaskSawyers-v0"], "baseline", 8, {"internal_force"}),
         (["Pass", ("jaco", "sawyer")], "expert", 40, {"contact_depth_arms"}),
+        (["PokeTaskSawyers-v0", None, "torques"], "random", 12, {"energy"}),
+        (["LiftTaskSawyers-v0", None, "impedance"], "expert", 20, {"internal_force"}),
     ],
 )
 def test_the_strain_is_what_mujoco_finds(env, policy, steps, nonzero, monkeypatch):
-    task = make_task(*env, randomization=cg.Randomization())
+    action = env[2] if env[2:] else "joints"
+    settings = {"action": action, "randomization": cg.Randomization()}
+    task = make_task(*env[:2], **settings)
     monkeypatch.setattr(type(task), "build", solved_to_the_end(type(task).build))
     worlds = made(task)
     plain = Plain(worlds)

@@ -1,5 +1,6 @@
 """From actions to controls and grips: the action modes."""
 
+from collaborative_gym.control.impedance import Impedance
 from collaborative_gym.control.joints import JointChanges
 from collaborative_gym.control.modes import (
     ActionMode,
@@ -10,14 +11,17 @@ from collaborative_gym.control.modes import (
     register_mode,
 )
 from collaborative_gym.control.tcp import TcpChanges, TcpPositionChanges
+from collaborative_gym.control.torques import Torques
 
 __all__ = [
     "ActionMode",
     "Command",
+    "Impedance",
     "JointChanges",
     "Motion",
     "TcpChanges",
     "TcpPositionChanges",
+    "Torques",
     "get_mode",
     "list_modes",
     "register_mode",

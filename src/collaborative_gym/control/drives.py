@@ -86,10 +86,15 @@ def _add(
     )
 
 
+Gains = tuple[Array, Array]
+
+
 class Servo:
     """The servos that `add_servos` gave an arm of some worlds.
 
     Attributes:
+      gains: stiffness in N m/rad and damping in N m s/rad, (num_envs, joints) each, or
+        (1, joints) where they are the same in all worlds.
       full: greatest speed that is asked for, (joints,), in rad/s.
       low: least angles to go to, (joints,), in rad.
       high: greatest angles to go to, likewise.
@@ -101,52 +106,60 @@ class Servo:
         full = np.minimum(MAX_CHANGE / CONTROL_DT, limits)
         first = int(sim.model.actuator_actadr[arm.servos.start])
         self._arm, self._act = arm, slice(first, first + arm.num_joints)
-        self._stiffness = xp.asarray(robot.stiffness)
-        self._damping = xp.asarray(robot.damping)
+        self.gains: Gains = xp.asarray([robot.stiffness]), xp.asarray([robot.damping])
         self._torque = xp.asarray(robot.torque_limits)
         self.full, self._fastest = xp.asarray(full), xp.asarray(_SPEED_MARGIN * limits)
         self.low = xp.asarray(arm.joint_range[0] + STOP)
         self.high = xp.asarray(arm.joint_range[1] - STOP)
         # How far a speed may have changed by each physics step and by the one after the
-        # last, in rad/s, and damping over stiffness, in s. They are the same in all
-        # worlds, but NumPy is quicker with a row for each.
+        # last, in rad/s. It is the same in all worlds, but NumPy is quicker with a row
+        # for each.
         ramp = np.arange(1.0, SUBSTEPS + 2)[:, None] * (full * SIM_DT / _RAMP)
-        lead = np.array(robot.damping) / np.array(robot.stiffness)
         self._ramp = xp.asarray(np.stack([ramp] * sim.num_envs, axis=1))
-        self._lead = xp.asarray(np.stack([lead] * sim.num_envs))
 
     def hold(self, sim: Sim, env_ids: EnvIds) -> None:
         """Make the servos of these worlds hold the present angles."""
         sim.act[env_ids, self._act] = sim.qpos[env_ids, self._arm.qpos]
 
-    def torques(self, sim: Sim) -> Array:
+    def torques(self, sim: Sim, gains: Gains | None = None) -> Array:
         """Return what the servos ask of their motors, (num_envs, joints), in N m."""
         angle, speed = sim.qpos[:, self._arm.qpos], sim.qvel[:, self._arm.dof]
-        return self._stiffness * (sim.act[:, self._act] - angle) - self._damping * speed
+        stiffness, damping = gains or self.gains
+        return stiffness * (sim.act[:, self._act] - angle) - damping * speed
 
-    def yields(self, before: Array, speed: Array, dt: float) -> Array:
+    def yields(self, before: Array, speed: Array, dt: float, env_ids: EnvIds) -> Array:
         """Return what torque the servos lose in a step; see `ActionMode.yields`."""
-        return self._stiffness * dt * speed + self._damping * (speed - before)
+        rows = [each if len(each) == 1 else each[env_ids] for each in self.gains]
+        stiffness, damping = (each[:, None] for each in rows)
+        return stiffness * dt * speed + damping * (speed - before)
 
     def turn_against(self, torque: Array) -> Array:
         """Return by how much more a joint must turn to exert a torque, in rad."""
-        return torque / (self._stiffness + self._damping / CONTROL_DT)
+        stiffness, damping = self.gains
+        return torque / (stiffness + damping / CONTROL_DT)
 
-    def command(self, sim: Sim, controls: Array, change: Array) -> None:
+    def command(
+        self, sim: Sim, controls: Array, change: Array, speed: Array | None = None
+    ) -> None:
         """Write how the targets move during a control step that turns the joints.
 
-        The reference speed ramps from the measured one to that which brings the joint
-        to its new angle in time. The servo's target leads the reference angle by
-        damping / stiffness times the speed, which turns damping into feedback on the
-        speed error, and by most of what the servo yields to its present load.
+        The reference speed ramps from the measured one, or that given, to that which
+        brings the joint to its new angle in time. The servo's target leads the
+        reference angle by damping / stiffness times the speed, which turns damping into
+        feedback on the speed error, and by most of what the servo yields to its present
+        load.
         """
         arm, xp, full, fastest = self._arm, sim.xp, self.full, self._fastest
-        angle, speed = sim.qpos[:, arm.qpos], sim.qvel[:, arm.dof]
+        angle = sim.qpos[:, arm.qpos]
+        speed = sim.qvel[:, arm.dof] if speed is None else speed
+        stiffness, damping = self.gains
+        lead = damping / stiffness + xp.zeros_like(angle)  # Quicker, as above.
         kept = 1.0 - lost_load(change, xp)
         change = xp.maximum(change, (self.low - angle) / _SLACK)
         change = xp.minimum(change, (self.high - angle) / _SLACK)
-        load = xp.minimum(xp.maximum(self.torques(sim), -self._torque), self._torque)
-        load = load * kept / self._stiffness
+        load = stiffness * (sim.act[:, self._act] - angle) - damping * speed
+        load = xp.minimum(xp.maximum(load, -self._torque), self._torque)
+        load = load * kept / stiffness
         start = xp.minimum(xp.maximum(speed, -full), full)
         ramp = xp.abs(change / CONTROL_DT - start) / full * _RAMP
         final = (change - start * ramp / 2) / (CONTROL_DT - ramp / 2)
@@ -154,8 +167,8 @@ class Servo:
         # The reference speed of each physics step, and of the one after the last.
         ramped = xp.maximum(final - start, -self._ramp)
         reference = start + xp.minimum(ramped, self._ramp)
-        ahead = self._lead / SIM_DT * (reference[1:] - reference[:-1])
-        sim.act[:, self._act] = angle + self._lead * reference[0] + load
+        ahead = lead / SIM_DT * (reference[1:] - reference[:-1])
+        sim.act[:, self._act] = angle + lead * reference[0] + load
         controls[:, :, arm.servos] = xp.moveaxis(reference[:-1] + ahead, 0, 1)
 
 

@@ -40,11 +40,13 @@ class ServoMode(ActionMode):
     def torques(self, sim: Sim, agent: str) -> Array:
         return self._servos[agent].torques(sim)
 
-    def yields(self, before: Array, speed: Array, dt: float) -> Array:
+    def yields(
+        self, torque: Array, before: Array, speed: Array, dt: float, env_ids: EnvIds
+    ) -> Array:
         parts, start = [], 0
         for agent, servo in self._servos.items():
             own = slice(start, start := start + self.arms[agent].num_joints)
-            parts.append(servo.yields(before[..., own], speed[..., own], dt))
+            parts.append(servo.yields(before[..., own], speed[..., own], dt, env_ids))
         return array_namespace(speed).concat(parts, axis=-1)
 
     def _borne(self, agent: str, motion: Motion) -> np.ndarray:

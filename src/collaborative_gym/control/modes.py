@@ -61,11 +61,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class Command:
-    """What an action asked of an arm in a control step, in the same terms in each mode.
+    """What an action asked of an arm's joints in a control step, whatever the mode.
 
     Attributes:
-      moves: changes of the joint angles, as shares of the arm's `stride`, (num_envs,
-        joints) in [-1, 1].
+      moves: what each joint is to do, as a share of the most, (num_envs, joints) in
+        [-1, 1]: changes of the angles, over the arm's `stride`, or torques, over their
+        limits.
       grips: in which worlds the arm is to grip, (num_envs,) booleans.
     """
 
@@ -108,14 +109,18 @@ class ActionMode:
         """
         raise NotImplementedError
 
-    def yields(self, before: Array, speed: Array, dt: float) -> Array:
+    def yields(
+        self, torque: Array, before: Array, speed: Array, dt: float, env_ids: EnvIds
+    ) -> Array:
         """Return what torque the drives lose as joints turn during a step, in N m.
 
         Args:
-          before: speeds of the joints of all arms, in the order of the agents, at the
-            step's beginning, (..., joints), in rad/s.
+          torque: of the joints of all arms, in the order of the agents, at the step's
+            beginning, (worlds, steps, joints), in N m.
+          before: their speeds then, likewise, in rad/s.
           speed: those at its end.
           dt: how long it is, in s.
+          env_ids: the worlds.
         """
         raise NotImplementedError
 

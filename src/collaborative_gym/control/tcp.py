@@ -65,7 +65,7 @@ class TcpChanges(ServoMode):
     def moves(
         self, motions: Mapping[str, Motion]
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        angles = self._angles()
+        angles = self._angles(self._sim)
         change = self._columns([self._borne(a, motions[a]) for a in self.arms])
         # The tool goes the way that it goes in as much as joints can do in one step.
         excess = np.maximum(np.abs(change / self._stride).max(axis=0), 1.0)
@@ -91,7 +91,7 @@ class TcpChanges(ServoMode):
 
     def _joint_changes(self, asked: Array) -> Array:
         """Return joint changes (joints, arms, worlds) for actions (6, arms, worlds)."""
-        xp, angles, size = self._sim.xp, self._angles(), self._size(asked)
+        xp, angles, size = self._sim.xp, self._angles(self._sim), self._size(asked)
         way = asked * self._farthest / xp.maximum(size, 1.0)
         low, high = self._low - angles, self._high - angles
         # Only an arm that moves goes to its posture; another stays as it is.
@@ -115,8 +115,7 @@ class TcpChanges(ServoMode):
         peak = xp.max(xp.abs(change) / self._stride, axis=0)
         return change / xp.maximum(peak, 1.0)
 
-    def _angles(self) -> Array:
-        sim = self._sim
+    def _angles(self, sim: Sim) -> Array:
         return self._columns([sim.qpos[:, arm.qpos] for arm in self.arms.values()])
 
     def _columns(self, rows: list[Array]) -> Array:

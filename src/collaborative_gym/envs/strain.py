@@ -220,7 +220,7 @@ class Strain:
         limit = self._sim.limits(self._servos)
         limit = (limit if len(limit) == 1 else limit[env_ids])[:, None]
         before = records["actuator_velocity"][:, :, self._servos]
-        yields = self._mode.yields(before, speed, dt)
+        yields = self._mode.yields(torque, before, speed, dt, env_ids)
         # At its limit a torque does not depend on the state.
         applied = np.abs(torque - np.where(np.abs(torque) < limit, yields, 0.0))
         torque = np.abs(torque)

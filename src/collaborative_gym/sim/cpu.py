@@ -121,6 +121,9 @@ class CpuSim:
             varied[env_ids] = getattr(self.model, name) * factor
         self._batch.set_const(env_ids)
 
+    def expand(self, name: str) -> np.ndarray:
+        return self._batch.expand(name)
+
     def limits(self, servos: slice | np.ndarray) -> np.ndarray:
         varied = self._batch.expanded("actuator_forcerange")
         every = self.model.actuator_forcerange[None] if varied is None else varied

@@ -145,6 +145,13 @@ class Sim(Protocol):
             an axis for these worlds in front.
         """
 
+    def expand(self, name: str) -> Array:
+        """Return a number of the worlds' models by MuJoCo's name, live, a row each.
+
+        What is written there holds for all further steps. It is not in their states.
+        """
+        ...
+
     def limits(self, servos: Any) -> Array:
         """Return the greatest torques of some servos, in N m, (num_envs or 1, k)."""
         ...

@@ -1,0 +1,92 @@
+"""A mode whose actions move the tool as if springs held it to its target."""
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from collaborative_gym.control.drives import Gains
+from collaborative_gym.control.modes import Command, Motion, register_mode
+from collaborative_gym.control.tcp import TcpChanges
+from collaborative_gym.math import Array
+from collaborative_gym.scene import Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.timing import CONTROL_DT
+
+_STIFFNESS = np.array([1000.0] * 3 + [50.0] * 3)
+"""Of the tool's springs, in N/m along and N m/rad about each axis. Our choice, within
+what real arms offer: Franka's controller takes up to 3000 and 300."""
+
+
+class Impedance(TcpChanges):
+    """A change of the tool's pose, as in `TcpChanges`, that the tool makes softly.
+
+    In the operational space (Khatib, "A unified approach for motion and force control
+    of robot manipulators", 1987), springs K between the tool and its target turn the
+    joints as springs J'KJ would. Each servo becomes as stiff as the diagonal of that
+    says for the posture at the beginning of a control step, and is critically damped
+    for its joint's inertia. So the springs are in the drives, where the physics takes
+    them implicitly and holds them to the motors' limits. What the diagonal leaves out
+    makes the tool stiffer along the arm than across it.
+    """
+
+    def __init__(self, scene: Scene, sim: Sim, gripping: bool):
+        super().__init__(scene, sim, gripping)
+        xp = sim.xp
+        self._springs = xp.asarray(_STIFFNESS[:, None, None, None])
+        inertias = _inertias(scene, sim.model)
+        self._inertias = {
+            agent: xp.asarray(inertias[arm.dof]) for agent, arm in self.arms.items()
+        }
+        self._numbers = sim.expand("actuator_gainprm"), sim.expand("actuator_biasprm")
+
+    def torques(self, sim: Sim, agent: str) -> Array:
+        # The task asks of any worlds, so nothing is kept.
+        return self._servos[agent].torques(sim, self._gains(sim)[agent])
+
+    def moves(
+        self, motions: Mapping[str, Motion]
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        self._soften()
+        return super().moves(motions)
+
+    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+        self._soften()
+        gain, bias = self._numbers
+        for agent, arm in self.arms.items():
+            stiffness, damping = self._servos[agent].gains
+            gain[:, arm.servos, 0] = stiffness
+            bias[:, arm.servos, 1] = -stiffness
+            bias[:, arm.servos, 2] = -damping
+            # A push leaves the target where it is: the target's own speed goes on.
+            change = commands[agent].moves * self._servos[agent].full * CONTROL_DT
+            speed = self._sim.ctrl[:, arm.servos]
+            self._servos[agent].command(self._sim, controls, change, speed)
+
+    def _soften(self) -> None:
+        for agent, gains in self._gains(self._sim).items():
+            self._servos[agent].gains = gains
+
+    def _gains(self, sim: Sim) -> dict[str, Gains]:
+        """Return the gains by agent that the present postures ask for."""
+        gains: dict[str, Gains] = {}
+        xp, jacobian = sim.xp, self._kinematics(self._angles(sim))[1]
+        stiffness = xp.sum(self._springs * jacobian * jacobian, axis=0)
+        for i, (agent, arm) in enumerate(self.arms.items()):
+            own = xp.permute_dims(stiffness[: arm.num_joints, i], (1, 0))
+            damping = 2.0 * (own * self._inertias[agent]) ** 0.5
+            gains[agent] = own, damping
+        return gains
+
+
+def _inertias(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
+    """Return what each joint turns in the arms' postures, (nv,), in kg m2."""
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    for agent, arm in scene.arms.items():
+        data.qpos[arm.qpos] = scene.postures[agent]
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(full)
+
+
+register_mode("impedance", Impedance)
