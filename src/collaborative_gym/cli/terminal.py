@@ -21,6 +21,7 @@ from rich.progress import (
 from rich.progress import Progress as Bars
 from rich.table import Table
 
+from collaborative_gym.control import describe_modes
 from collaborative_gym.errors import look_up
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.robots import Robot
@@ -69,7 +70,11 @@ Policies = Annotated[
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
 Action = Annotated[
     str | None,
-    tyro.conf.arg(metavar="MODE", help_behavior_hint="(default: its own, joints)"),
+    tyro.conf.arg(
+        metavar="MODE",
+        help=f"what actions mean: {describe_modes()}",
+        help_behavior_hint="(default: its own, joints)",
+    ),
 ]
 Robots = Annotated[
     tuple[str, ...],
@@ -123,9 +128,7 @@ class Worlds(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
-      action: what actions mean: joints for changes of joint angles, tcp for changes of
-        the tool's pose, tcp_position for changes of its place and its turn about the
-        vertical.
+      action: what actions mean, by the name of an action mode.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 

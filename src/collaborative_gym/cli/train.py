@@ -107,9 +107,7 @@ class Train(Command):
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
-      action: what actions mean: joints for changes of joint angles, tcp for changes of
-        the tool's pose, tcp_position for changes of its place and its turn about the
-        vertical.
+      action: what actions mean, by the name of an action mode.
       opponent: who plays against the learner, if a task has several sides. The default
         is self: the latest policies play all sides. If you name policies, as in
         evaluate, each episode draws one of them; side_2=POLICY plays only that side.

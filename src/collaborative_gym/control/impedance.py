@@ -19,7 +19,7 @@ what real arms offer: Franka's controller takes up to 3000 and 300."""
 
 
 class Impedance(TcpChanges):
-    """A change of the tool's pose, as in `TcpChanges`, that the tool makes softly.
+    """A change of the tool's pose, as in `tcp`, of a tool that springs hold.
 
     In the operational space (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987), springs K between the tool and its target turn the

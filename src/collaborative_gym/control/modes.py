@@ -339,3 +339,9 @@ def get_mode(name: str) -> type[ActionMode]:
 def list_modes() -> tuple[str, ...]:
     """Return the names of all action modes."""
     return tuple(_MODES)
+
+
+def describe_modes() -> str:
+    """Return what actions are in each mode, by the first line of its docstring."""
+    lines = {n: str(m.__doc__).partition(".")[0] for n, m in _MODES.items()}
+    return "; ".join(f"{n}, {line[0].lower()}{line[1:]}" for n, line in lines.items())

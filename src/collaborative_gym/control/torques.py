@@ -12,9 +12,11 @@ from collaborative_gym.control.drives import add_fingers
 from collaborative_gym.control.modes import ActionMode, Command, Motion, register_mode
 from collaborative_gym.errors import check_number
 from collaborative_gym.math import Array
+from collaborative_gym.quiet import quiet
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene import Scene
+from collaborative_gym.sim.judged import STATE
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT
 
@@ -49,6 +51,7 @@ class Torques(ActionMode):
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
         arms = self.arms.items()
+        self._data = mujoco.MjData(sim.model)
         self._motors = {agent: _Motors(arm.robot, sim.xp) for agent, arm in arms}
 
     @classmethod
@@ -110,7 +113,7 @@ class Torques(ActionMode):
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return torques by inverse dynamics, clipped; see `ActionMode.moves`."""
         sim, moves = self._sim, {}
-        felt = [self._felt(sim.data(i)) for i in range(sim.num_envs)]
+        felt = [self._felt(state) for state in sim.get_state()]
         for agent, arm in self.arms.items():
             motion, motors = motions[agent], self._motors[agent]
             inertia, lever, torque, back = (
@@ -128,13 +131,16 @@ class Torques(ActionMode):
             moves[agent] = np.clip(torque / motors.limit, -1.0, 1.0)
         return moves, dict.fromkeys(self.arms, np.ones(sim.num_envs))
 
-    def _felt(self, data: mujoco.MjData) -> dict[str, tuple[np.ndarray, ...]]:
+    def _felt(self, state: np.ndarray) -> dict[str, tuple[np.ndarray, ...]]:
         """Return what moves each arm of a world, as a controller could know it.
 
         That is its inertia (joints, joints), the levers of its tcp (3, joints), and in
         N m, (joints,) each, what it takes to go on and what holds it back.
         """
-        model, felt = self._sim.model, {}
+        model, data, felt = self._sim.model, self._data, {}
+        with quiet():
+            mujoco.mj_setState(model, data, state, STATE)
+            mujoco.mj_forward(model, data)
         inertia, lever = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_fullM(model, data, inertia)
         # Gravity and its compensation are in these two.

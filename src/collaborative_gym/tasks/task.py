@@ -144,9 +144,8 @@ class TaskConfig:
       randomization: how episode starts are drawn.
       placements: where the arms are mounted, or None for the task's rule.
       max_episode_steps: control steps of an episode.
-      action: what actions mean, by the name of an action mode: "joints" for changes of
-        joint angles, "tcp" for changes of the tool's pose, "tcp_position" for changes
-        of its place and its turn about the vertical.
+      action: what actions mean, by the name of an action mode, such as "joints" or
+        "tcp"; `list_modes` has them.
     """
 
     randomization: Randomization = field(default_factory=Randomization)
