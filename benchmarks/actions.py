@@ -1,11 +1,19 @@
-"""What the experts do in each action mode, and how fast the worlds are then.
+"""What the experts do in each action mode, which limits it keeps, and how fast it is.
 
     python benchmarks/actions.py --output docs/tables/actions.md
 
-Completion and time are of 64 episodes of seed 0 with `default` starts. The speed is
-that of a control step of 256 worlds in one thread with the expert's actions, as a share
-of the speed with joint changes, by the time of the processor: the modes take turns, and
-each number is a median.
+Completion, time and force are of episodes of seed 0 with `default` starts. The time is
+that to the first success. The force is the mean of what arms spend against each other
+on what they hold (`internal_force_mean`). The miss is the mean distance of the tools
+from where the joint changes of the expert's actions would have brought them, or those
+of its motions where actions are none, at the ends of the first 20 control steps of 64
+worlds. "Too fast" is the share of the time in which a joint is above 1.1
+times its speed limit, under uniformly random actions and under full ones at random
+("bang-bang"), over 40 control steps of 64 worlds; the torque is the greatest that any
+motor exerts meanwhile, as a share of its limit. The speed is that of a control
+step of 256 worlds in one thread with the expert's actions, as a share of the speed with
+joint changes, by the time of the processor: the modes take turns, and each number is a
+median.
 """
 
 import argparse
@@ -13,10 +21,38 @@ import time
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
 import collaborative_gym as cg
 from collaborative_gym.cli.terminal import show
 from collaborative_gym.control import list_modes
+from collaborative_gym.control.joints import ServoMode
+from collaborative_gym.motion.kinematics import Kinematics
 
+ENVS = (
+    "PokeTaskSawyers-v0",
+    "PokeTaskPandaSawyer-v0",
+    "LiftTaskSawyers-v0",
+    "LiftTaskJacos-v0",
+    "LiftPandas3-v0",
+    "BalanceTaskSawyers-v0",
+    "BalanceTaskJacoSawyer-v0",
+    "PassTaskSawyers-v0",
+    "PassTaskJacoSawyer-v0",
+    "ReachPandas2-v0",
+)
+HEADS = (
+    "environment",
+    "mode",
+    "completed",
+    "time",
+    "force",
+    "miss",
+    "too fast: random",
+    "bang-bang",
+    "torque",
+    "speed",
+)
 WORLDS, ROUNDS, STEPS = 256, 7, 4
 
 
@@ -24,52 +60,108 @@ def main() -> None:
     """Print the table, and write it if asked to."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--output", type=Path, help="file to write the table to")
-    parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--envs", nargs="*", default=cooperative())
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--envs", nargs="*", default=ENVS)
+    parser.add_argument("--modes", nargs="*", default=list_modes())
     options = parser.parse_args()
-    modes = list_modes()
-    heads = [f"{mode}: completed" for mode in modes]
-    heads += [f"{mode}: time" for mode in modes]
-    heads += [f"{mode}: speed" for mode in modes[1:]]
-    rows = [["environment", *heads], ["---"] + ["--:"] * len(heads)]
+    rows = [list(HEADS), ["---"] * 2 + ["--:"] * (len(HEADS) - 2)]
     for env_id in options.envs:
-        rows.append([env_id, *completions(env_id, options.episodes), *speeds(env_id)])
-        show(" | ".join(rows[-1]))
+        shares = speeds(env_id, options.modes)
+        for mode, share in zip(options.modes, shares, strict=True):
+            task = cg.task(env_id, action=mode)
+            found = *completion(task, options.episodes), miss(task), *limits(task)
+            rows.append([env_id, f"`{mode}`", *found, share])
+            show(" | ".join(rows[-1]))
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     show(table)
     if options.output:
         options.output.write_text(table + "\n")
 
 
-def cooperative() -> list[str]:
-    """Return the ids whose arms share one goal."""
-    return [each for each in cg.list_envs() if len(cg.task(each).sides) == 1]
+def completion(task: cg.Task, episodes: int) -> tuple[str, str, str]:
+    """Return how often the expert completes episodes, how soon, and with what force."""
+    report = cg.evaluate(task, "expert", episodes=episodes, num_threads=1)
+    soon = report.time_to_success.mean
+    force = report.strain["internal_force_mean"].mean
+    return (
+        f"{100 * report.completion.mean:.0f} %",
+        "-" if soon != soon else f"{soon:.1f} s",
+        f"{force:.1f} N" if force else "-",
+    )
 
 
-def completions(env_id: str, episodes: int) -> list[str]:
-    """Return how often the expert completes episodes in each mode, and how soon."""
-    shares, times = [], []
-    for mode in list_modes():
-        task = cg.task(env_id, action=mode)
-        report = cg.evaluate(task, "expert", episodes=episodes, num_threads=1)
-        shares.append(f"{100 * report.completion.mean:.0f} %")
-        soon = report.time_to_success.mean
-        times.append("-" if soon != soon else f"{soon:.1f} s")
-    return shares + times
+def miss(task: cg.Task) -> str:
+    """Return how far the tools are from where they were meant to be."""
+    env = cg.VectorEnv(task, 64, num_threads=1)
+    env.reset(seed=0)
+    scene, missed = env.scene, []
+    arms, yaws = scene.arms, [place.yaw for place in scene.placements.values()]
+    kinematics = Kinematics(env.model, list(arms.values()), yaws, np)
+    most = max(arm.num_joints for arm in arms.values())
+
+    def places(changes: dict[str, np.ndarray]) -> np.ndarray:
+        angles = np.zeros((most, len(arms), env.num_envs))
+        for i, (agent, arm) in enumerate(arms.items()):
+            angles[: arm.num_joints, i] = env.sim.qpos[:, arm.qpos].T
+            angles[: arm.num_joints, i] += changes[agent].T
+        return kinematics(angles)[0][0]
+
+    for _ in range(20):
+        actions, changes = env.expert(), {}
+        motions = env.task.expert(env.sim, env.facts)
+        commands = env.action_mode.commands(actions)
+        for agent, arm in arms.items():
+            change = motions[agent].change
+            excess = np.abs(change / arm.stride).max(axis=1, keepdims=True)
+            changes[agent] = change / np.maximum(excess, 1.0)
+            if isinstance(env.action_mode, ServoMode):
+                changes[agent] = commands[agent].moves * arm.stride
+        meant = places(changes)
+        env.step(actions)
+        still = {agent: np.zeros((1, arm.num_joints)) for agent, arm in arms.items()}
+        missed.append(np.linalg.norm(places(still) - meant, axis=0))
+    return f"{1e3 * np.mean(missed):.1f} mm"
 
 
-def speeds(env_id: str) -> list[str]:
-    """Return the speed of a control step in each mode but the first, as a share."""
+def limits(task: cg.Task) -> tuple[str, str, str]:
+    """Return how often joints are too fast, and the greatest share of a torque."""
+    env = cg.VectorEnv(task, 64, num_threads=1, strain=True)
+    rng, found, torques = np.random.default_rng(0), [], []
+    for kind in ("random", "bang-bang"):
+        fast: list[float] = []
+
+        def watch(fast: list[float] = fast) -> None:
+            force = env.strain.records(1)["actuator_force"]
+            for arm in env.scene.arms.values():
+                share = np.abs(force[:, 0, arm.servos]) / arm.robot.torque_limits
+                torques.append(share.max())
+                speed = np.abs(env.sim.qvel[:, arm.dof])
+                fast.append(np.mean(speed > 1.1 * np.array(arm.robot.velocity_limits)))
+
+        env.watch(watch, env.substeps)
+        env.reset(seed=0)
+        for _ in range(40):
+            actions = {}
+            for agent, space in env.single_action_spaces.items():
+                drawn = rng.uniform(-1.0, 1.0, (env.num_envs, *space.shape))
+                actions[agent] = drawn if kind == "random" else np.sign(drawn)
+            env.step(actions)
+        found.append(f"{100 * np.mean(fast):.1f} %")
+    return *found, f"{max(torques):.2f}"
+
+
+def speeds(env_id: str, modes: list[str]) -> list[str]:
+    """Return the speed of a control step in each mode, as a share of the first's."""
     envs = [
         cg.make_vec(env_id, WORLDS, seed=0, num_threads=1, action=mode)
-        for mode in list_modes()
+        for mode in modes
     ]
     for env in envs:
         env.reset()
     times: list[list[float]] = []
     for _ in range(ROUNDS):
         times.append([_time(env) for env in envs])
-    ratios = zip(*([row[0] / each for each in row[1:]] for row in times), strict=True)
+    ratios = zip(*([row[0] / each for each in row] for row in times), strict=True)
     return [f"{100 * median(each):.0f} %" for each in ratios]
 
 

@@ -133,25 +133,26 @@ class Servo:
         stiffness, damping = (each[:, None] for each in rows)
         return stiffness * dt * speed + damping * (speed - before)
 
+    def speed(self, sim: Sim) -> Array:
+        """Return the speed from which the reference goes on, (num_envs, joints)."""
+        return sim.qvel[:, self._arm.dof]
+
     def turn_against(self, torque: Array) -> Array:
         """Return by how much more a joint must turn to exert a torque, in rad."""
         stiffness, damping = self.gains
         return torque / (stiffness + damping / CONTROL_DT)
 
-    def command(
-        self, sim: Sim, controls: Array, change: Array, speed: Array | None = None
-    ) -> None:
+    def command(self, sim: Sim, controls: Array, change: Array) -> None:
         """Write how the targets move during a control step that turns the joints.
 
-        The reference speed ramps from the measured one, or that given, to that which
-        brings the joint to its new angle in time. The servo's target leads the
-        reference angle by damping / stiffness times the speed, which turns damping into
-        feedback on the speed error, and by most of what the servo yields to its present
-        load.
+        The reference speed ramps from the measured one to that which brings the joint
+        to its new angle in time. The servo's target leads the reference angle by
+        damping / stiffness times the speed, which turns damping into feedback on the
+        speed error, and by most of what the servo yields to its present load.
         """
         arm, xp, full, fastest = self._arm, sim.xp, self.full, self._fastest
         angle = sim.qpos[:, arm.qpos]
-        speed = sim.qvel[:, arm.dof] if speed is None else speed
+        speed = self.speed(sim)
         stiffness, damping = self.gains
         lead = damping / stiffness + xp.zeros_like(angle)  # Quicker, as above.
         kept = 1.0 - lost_load(change, xp)

@@ -5,17 +5,27 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from collaborative_gym.control.drives import Gains
+from collaborative_gym.control.drives import Gains, Servo
 from collaborative_gym.control.modes import Command, Motion, register_mode
 from collaborative_gym.control.tcp import TcpChanges
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.timing import CONTROL_DT
 
 _STIFFNESS = np.array([1000.0] * 3 + [50.0] * 3)
 """Of the tool's springs, in N/m along and N m/rad about each axis. Our choice, within
 what real arms offer: Franka's controller takes up to 3000 and 300."""
+
+
+class _Springs(Servo):
+    """Servos whose targets stay where they are when something pushes the arm."""
+
+    def speed(self, sim: Sim) -> Array:
+        # The last control is the target's own speed.
+        return sim.ctrl[:, self._arm.servos]
+
+    def turn_against(self, torque: Array) -> Array:
+        return torque / self.gains[0]
 
 
 class Impedance(TcpChanges):
@@ -29,6 +39,8 @@ class Impedance(TcpChanges):
     them implicitly and holds them to the motors' limits. What the diagonal leaves out
     makes the tool stiffer along the arm than across it.
     """
+
+    servo = _Springs
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
@@ -58,10 +70,7 @@ class Impedance(TcpChanges):
             gain[:, arm.servos, 0] = stiffness
             bias[:, arm.servos, 1] = -stiffness
             bias[:, arm.servos, 2] = -damping
-            # A push leaves the target where it is: the target's own speed goes on.
-            change = commands[agent].moves * self._servos[agent].full * CONTROL_DT
-            speed = self._sim.ctrl[:, arm.servos]
-            self._servos[agent].command(self._sim, controls, change, speed)
+        super().drive(controls, commands)
 
     def _soften(self) -> None:
         for agent, gains in self._gains(self._sim).items():

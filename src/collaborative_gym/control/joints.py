@@ -17,9 +17,12 @@ from collaborative_gym.timing import CONTROL_DT
 class ServoMode(ActionMode):
     """Modes with a `Servo` for each joint; they say by how much an action turns it."""
 
+    servo = Servo
+    """The class of an arm's servos."""
+
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
-        self._servos = {agent: Servo(arm, sim) for agent, arm in self.arms.items()}
+        self._servos = {a: self.servo(arm, sim) for a, arm in self.arms.items()}
 
     @classmethod
     def add_drives(cls, scene: Scene) -> None:
