@@ -118,3 +118,26 @@ def test_servos_are_as_stiff_as_the_tools_springs_and_critically_damped(free):
         np.testing.assert_array_equal(bias[:, arm.servos, 1], -gain[:, arm.servos, 0])
         damping = 2.0 * np.sqrt(expected * np.diag(inertia)[arm.dof])
         np.testing.assert_allclose(-bias[1, arm.servos, 2], damping, rtol=0.02)
+
+
+def test_an_action_says_how_stiff_the_springs_are(free):
+    env = free(3, "panda", "jaco", action="impedance_stiffness")
+    fixed = free(3, "panda", "jaco")
+    actions = env.idle()
+    assert {rows.shape for rows in actions.values()} == {(3, 8)}
+    actions["robot_1"][:, 6] = [-1.0, 0.0, 1.0]
+    for each, moves in ((env, actions), (fixed, fixed.idle())):
+        each.step(moves)
+    gain, usual = (each.sim.expand("actuator_gainprm") for each in (env, fixed))
+    for agent, by in (("robot_1", [0.25, 1.0, 4.0]), ("robot_2", [1.0, 1.0, 1.0])):
+        servos = env.scene.arms[agent].servos
+        np.testing.assert_allclose(
+            gain[:, servos, 0], np.outer(by, usual[0, servos, 0]), rtol=2e-3
+        )
+    # What holds now is in the state.
+    state, seen = env.get_state(), env.action_mode.torques(env.sim, "robot_1").copy()
+    env.step(env.idle())
+    env.set_state(state)
+    np.testing.assert_array_equal(env.action_mode.torques(env.sim, "robot_1"), seen)
+    for agent, action in env.expert().items():
+        np.testing.assert_allclose(action[:, 6], 0.0, err_msg=agent)

@@ -89,7 +89,7 @@ def test_modes_have_names_and_a_wrong_one_is_told(carry):
 
 
 def test_all_arms_have_one_action_space():
-    for action, size in (("tcp", 6), ("tcp_position", 4)):
+    for action, size in (("tcp", 6), ("impedance", 6), ("tcp_position", 4)):
         for robots in (("panda", "jaco"), ("sawyer", "panda")):
             env = cg.make("Poke", robots=robots, action=action)
             assert {env.action_space(a).shape for a in env.possible_agents} == {(size,)}

@@ -1,6 +1,6 @@
 """From actions to controls and grips: the action modes."""
 
-from collaborative_gym.control.impedance import Impedance
+from collaborative_gym.control.impedance import Impedance, ImpedanceStiffness
 from collaborative_gym.control.joints import JointChanges
 from collaborative_gym.control.modes import (
     ActionMode,
@@ -18,6 +18,7 @@ __all__ = [
     "ActionMode",
     "Command",
     "Impedance",
+    "ImpedanceStiffness",
     "JointChanges",
     "Motion",
     "TcpChanges",

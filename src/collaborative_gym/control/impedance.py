@@ -1,6 +1,7 @@
 """A mode whose actions move the tool as if springs held it to its target."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -33,7 +34,7 @@ class Impedance(TcpChanges):
 
     In the operational space (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987), springs K between the tool and its target turn the
-    joints as springs J'KJ would. Each servo becomes as stiff as the diagonal of that
+    joints as springs J^T K J would. Each servo becomes as stiff as the diagonal of that
     says for the posture at the beginning of a control step, and is critically damped
     for its joint's inertia. So the springs are in the drives, where the physics takes
     them implicitly and holds them to the motors' limits. What the diagonal leaves out
@@ -44,12 +45,8 @@ class Impedance(TcpChanges):
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
-        xp = sim.xp
-        self._springs = xp.asarray(_STIFFNESS[:, None, None, None])
-        inertias = _inertias(scene, sim.model)
-        self._inertias = {
-            agent: xp.asarray(inertias[arm.dof]) for agent, arm in self.arms.items()
-        }
+        self._springs = sim.xp.asarray(_STIFFNESS[:, None, None, None])
+        self._inertias = sim.xp.asarray(_inertias(scene, sim.model))
         self._numbers = sim.expand("actuator_gainprm"), sim.expand("actuator_biasprm")
 
     def torques(self, sim: Sim, agent: str) -> Array:
@@ -83,9 +80,58 @@ class Impedance(TcpChanges):
         stiffness = xp.sum(self._springs * jacobian * jacobian, axis=0)
         for i, (agent, arm) in enumerate(self.arms.items()):
             own = xp.permute_dims(stiffness[: arm.num_joints, i], (1, 0))
-            damping = 2.0 * (own * self._inertias[agent]) ** 0.5
+            own = own * self._factor(sim, i)
+            damping = 2.0 * (own * self._inertias[arm.dof]) ** 0.5
             gains[agent] = own, damping
         return gains
+
+    def _factor(self, sim: Sim, arm: int) -> Array | float:
+        """Return by what the stiffness of an arm's springs is multiplied."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class _Stiffened(Command):
+    stiffness: Array
+
+
+class ImpedanceStiffness(Impedance):
+    """As `impedance`, with one number more, for the stiffness of the springs.
+
+    At -1 it is a fourth of the usual one, at 1 four times as much.
+    """
+
+    def __init__(self, scene: Scene, sim: Sim, gripping: bool):
+        self._first = len(scene.grips)  # From there on, `userdata` has the number.
+        super().__init__(scene, sim, gripping)
+
+    @classmethod
+    def add_drives(cls, scene: Scene) -> None:
+        super().add_drives(scene)
+        scene.spec.nuserdata = len(scene.grips) + len(scene.robots)
+
+    def num_moves(self, agent: str) -> int:
+        return super().num_moves(agent) + 1
+
+    def commands(self, actions: Mapping[str, Array]) -> dict[str, Command]:
+        shares = {agent: self.split(own)[0][:, -1] for agent, own in actions.items()}
+        commands = super().commands(actions).items()
+        return {a: _Stiffened(own.moves, own.grips, shares[a]) for a, own in commands}
+
+    def moves(
+        self, motions: Mapping[str, Motion]
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        moves, most = super().moves(motions)
+        return {a: np.pad(rows, ((0, 0), (0, 1))) for a, rows in moves.items()}, most
+
+    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+        for i, command in enumerate(commands.values()):
+            assert isinstance(command, _Stiffened)
+            self._sim.userdata[:, self._first + i] = command.stiffness
+        super().drive(controls, commands)
+
+    def _factor(self, sim: Sim, arm: int) -> Array | float:
+        return 4.0 ** sim.userdata[:, self._first + arm, None]
 
 
 def _inertias(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
@@ -99,3 +145,4 @@ def _inertias(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
 
 
 register_mode("impedance", Impedance)
+register_mode("impedance_stiffness", ImpedanceStiffness)

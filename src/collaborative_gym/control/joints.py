@@ -17,8 +17,7 @@ from collaborative_gym.timing import CONTROL_DT
 class ServoMode(ActionMode):
     """Modes with a `Servo` for each joint; they say by how much an action turns it."""
 
-    servo = Servo
-    """The class of an arm's servos."""
+    servo = Servo  # the class of an arm's servos
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)

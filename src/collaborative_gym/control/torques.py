@@ -26,13 +26,12 @@ is near it gains a tenth more in a physics step at most."""
 
 _FRICTION = 0.2
 """Share of its torque limit that a motor loses at the joint's speed limit, in
-proportion to the speed. Our choice: strain wave gears lose 20 to 30 % at rated load
-(Harmonic Drive, "Engineering Data"). Without it, an arm that nothing asks of would
-never come to rest."""
+proportion to the speed. Our choice, of the size of what strain wave gears lose.
+Without it, an arm of which nothing is asked would never come to rest."""
 
 _GAIN, _KEPT = 0.5, 0.7
 """Shares of the speed that an expert's motion lacks, and of what held an arm back, that
-the next torques make up for. With 0.7 and 1.0, arms that share a load swing."""
+the next torques make up for. With a gain of 0.7, arms that share a load swing."""
 
 _FEEDFORWARD = 4  # MuJoCo's bit for a motor's only input, a torque
 
@@ -50,18 +49,16 @@ class Torques(ActionMode):
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         super().__init__(scene, sim, gripping)
-        arms = self.arms.items()
         self._data = mujoco.MjData(sim.model)
-        self._motors = {agent: _Motors(arm.robot, sim.xp) for agent, arm in arms}
+        self._motors = {a: _Motors(arm.robot, sim.xp) for a, arm in self.arms.items()}
 
     @classmethod
     def add_drives(cls, scene: Scene) -> None:
         for agent, robot in scene.robots.items():
             _Motors(robot, np).add(scene.spec, agent, robot)
-            for body in robot.spec().bodies:
+            for body in robot.spec().bodies[1:]:
                 # Servos bear the weight of fingers, which here would bend the arm.
-                if body.name != "world":
-                    scene.spec.body(f"{agent}/{body.name}").gravcomp = 1.0
+                scene.spec.body(f"{agent}/{body.name}").gravcomp = 1.0
             add_fingers(scene.spec, agent, robot)
 
     def num_moves(self, agent: str) -> int:
@@ -116,26 +113,24 @@ class Torques(ActionMode):
         felt = [self._felt(state) for state in sim.get_state()]
         for agent, arm in self.arms.items():
             motion, motors = motions[agent], self._motors[agent]
-            inertia, lever, torque, back = (
-                np.stack(each)
-                for each in zip(*(row[agent] for row in felt), strict=True)
-            )
+            rows = zip(*(row[agent] for row in felt), strict=True)
+            inertia, lever, torque, back = map(np.stack, rows)
             mass = np.broadcast_to(np.asarray(motion.mass, float), len(felt))[:, None]
             inertia = inertia + mass[:, None] * (lever.swapaxes(1, 2) @ lever)
             speed, wanted = sim.qvel[:, arm.dof], motion.change / CONTROL_DT
-            gain = _GAIN * (wanted - speed) / CONTROL_DT
+            gain = _GAIN * (wanted - speed)[..., None] / CONTROL_DT
             # The weight of a load is known, all else that holds back is felt.
             load = np.where(mass > 0.0, GRAVITY * mass * lever[:, 2], _KEPT * back)
-            torque = torque + load + (inertia @ gain[..., None])[..., 0]
+            torque = torque + load + (inertia @ gain)[..., 0]
             torque = torque + motors.friction * (speed + wanted) / 2
             moves[agent] = np.clip(torque / motors.limit, -1.0, 1.0)
         return moves, dict.fromkeys(self.arms, np.ones(sim.num_envs))
 
     def _felt(self, state: np.ndarray) -> dict[str, tuple[np.ndarray, ...]]:
-        """Return what moves each arm of a world, as a controller could know it.
+        """Return what each arm of a world feels, by agent.
 
-        That is its inertia (joints, joints), the levers of its tcp (3, joints), and in
-        N m, (joints,) each, what it takes to go on and what holds it back.
+        It is its inertia (joints, joints), the levers of its tcp (3, joints), and two
+        torques (joints,) in N m: what going on takes, and what holds it back.
         """
         model, data, felt = self._sim.model, self._data, {}
         with quiet():

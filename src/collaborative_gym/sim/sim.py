@@ -146,9 +146,9 @@ class Sim(Protocol):
         """
 
     def expand(self, name: str) -> Array:
-        """Return a number of the worlds' models by MuJoCo's name, live, a row each.
+        """Return the worlds' own numbers of a model by MuJoCo's name, live, a row each.
 
-        What is written there holds for all further steps. It is not in their states.
+        They are not in the states.
         """
         ...
 

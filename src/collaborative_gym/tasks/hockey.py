@@ -30,8 +30,8 @@ Reward of each agent:
 - `height`: -2 times the distance of the mallet from the height at which it hovers, at
   most 0.3 m. Shaping.
 - `upright`: -0.3 (1 - cos a), where a is the tilt of the mallet. Shaping.
-- `effort`: -0.01 times the length of the action; in another action mode, of the joint
-  changes that it comes to. Shaping.
+- `effort`: -0.01 times the length of the action; in another action mode, of what
+  it asks of the joints. Shaping.
 
 Success of a side: it scores. So its completion says whether it scored in the episode,
 and its performance says for which share of the episode it was in the lead. The metric

@@ -20,7 +20,7 @@ Reward of each agent:
 - `lift`: -2 times the distance from the pot's middle to the target, in m.
 - `tilt`: -0.2 (|roll| + |pitch|) of the pot, in rad.
 - `effort`: minus 0.01 times the Euclidean norm of its joints' part of the action; in
-  another action mode, of the joint changes that the action comes to.
+  another action mode, of what the action asks of the joints.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its
   handle, else 0.
 

@@ -14,7 +14,7 @@ Reward of each agent:
 - `distance`: minus the distance from the stick's middle to the ring's centre, in m.
 - `angle`: -0.8 |cos a|, where a is the angle between the stick and the ring's plane.
 - `effort`: minus 0.01 times the Euclidean norm of the agent's own action; in another
-  action mode, of the joint changes that the action comes to.
+  action mode, of what the action asks of the joints.
 - `inside`: 1 while the stick is inside: the distance is below 0.065 m and |cos a| is
   below 0.2; else 0.
 

@@ -20,8 +20,8 @@ Reward of each agent:
 
 - `win`: 10 for the winner and -10 for the loser, once, else 0.
 - `way`: twice the speed of the bar towards the agent's line, in m/s. Shaping.
-- `effort`: -0.01 times the length of the action; in another action mode, of the joint
-  changes that it comes to. Shaping.
+- `effort`: -0.01 times the length of the action; in another action mode, of what
+  it asks of the joints. Shaping.
 
 Success of a side: the bar's middle is past its line. The episode ends then. When time
 is up it is a draw. Performance counts how long the bar is on its half.
