@@ -7,13 +7,15 @@ that to the first success. The force is the mean of what arms spend against each
 on what they hold (`internal_force_mean`). The miss is the mean distance of the tools
 from where the joint changes of the expert's actions would have brought them, or those
 of its motions where actions are none, at the ends of the first 20 control steps of 64
-worlds. "Too fast" is the share of the time in which a joint is above 1.1
-times its speed limit, under uniformly random actions and under full ones at random
-("bang-bang"), over 40 control steps of 64 worlds; the torque is the greatest that any
-motor exerts meanwhile, as a share of its limit. The speed is that of a control
-step of 256 worlds in one thread with the expert's actions, as a share of the speed with
-joint changes, by the time of the processor: the modes take turns, and each number is a
-median. Experts do not use what `impedance_stiffness` adds to `impedance`.
+worlds. The stiffness is what holds the tools then against a push, in the softest and in
+the stiffest direction, the median over worlds and arms. "Too fast" is the share of the
+time in which a joint is above 1.1 times its speed limit, under uniformly random actions
+and under full ones at random ("bang-bang"), over 40 control steps of 64 worlds. The
+torque is the greatest that any motor exerts meanwhile, as a share of its limit. The
+speed is that of a control step of 256 worlds in one thread with the expert's actions,
+as a share of the speed with joint changes, by the time of the processor: the modes take
+turns, and each number is a median. Experts do not use what `impedance_stiffness` adds
+to `impedance`.
 """
 
 import argparse
@@ -45,6 +47,7 @@ HEADS = (
     "time",
     "force",
     "miss",
+    "stiffness",
     "too fast: random",
     "bang-bang",
     "torque",
@@ -67,7 +70,7 @@ def main() -> None:
         shares = speeds(env_id, options.modes)
         for mode, share in zip(options.modes, shares, strict=True):
             task = cg.task(env_id, action=mode)
-            found = *completion(task, options.episodes), miss(task), *limits(task)
+            found = *completion(task, options.episodes), *tool(task), *limits(task)
             rows.append([env_id, f"`{mode}`", *found, share])
             show(" | ".join(rows[-1]))
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
@@ -88,8 +91,8 @@ def completion(task: cg.Task, episodes: int) -> tuple[str, str, str]:
     )
 
 
-def miss(task: cg.Task) -> str:
-    """Return how far the tools are from where they were meant to be."""
+def tool(task: cg.Task) -> tuple[str, str]:
+    """Return how far the tools miss their way, and how stiffly they are held."""
     env = cg.VectorEnv(task, 64, num_threads=1)
     env.reset(seed=0)
     scene, missed = env.scene, []
@@ -118,7 +121,21 @@ def miss(task: cg.Task) -> str:
         env.step(actions)
         still = {agent: np.zeros((1, arm.num_joints)) for agent, arm in arms.items()}
         missed.append(np.linalg.norm(places(still) - meant, axis=0))
-    return f"{1e3 * np.mean(missed):.1f} mm"
+    return f"{1e3 * np.mean(missed):.1f} mm", stiffness(env)
+
+
+def stiffness(env: cg.VectorEnv) -> str:
+    """Return the median stiffness of tools in their softest and stiffest direction."""
+    if not isinstance(env.action_mode, ServoMode):
+        return "-"
+    found, gains = [], env.sim.expand("actuator_gainprm")
+    for agent, arm in env.scene.arms.items():
+        place = env.sim.pose(f"{agent}/tcp")[0]
+        rows = env.sim.jacobian(arm.hand, place)[0][:, :, arm.dof]
+        softer = rows / gains[:, None, arm.servos, 0]
+        found.append(1.0 / np.linalg.eigvalsh(softer @ rows.swapaxes(1, 2)))
+    least, most = np.median(np.concatenate(found), axis=0)[[2, 0]] / 1e3
+    return f"{least:.1f} to {most:.1f} N/mm"
 
 
 def limits(task: cg.Task) -> tuple[str, str, str]:

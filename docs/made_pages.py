@@ -30,6 +30,7 @@ from collaborative_gym.certificate.report import (
     certificates_to_markdown,
 )
 from collaborative_gym.cli.main import main as command_line
+from collaborative_gym.control import get_mode, list_modes
 from collaborative_gym.policies.policy import is_shipped, shipped_file
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
@@ -171,6 +172,14 @@ def _make(what: str) -> str:
         sections = re.split(r"^## (.+)\n", text, flags=re.M)
         text = dict(zip(sections[1::2], sections[2::2], strict=True))[title]
     return text.strip()
+
+
+def _modes() -> str:
+    """Return a list of the action modes, by their docstrings."""
+    return "\n".join(
+        f"- `{name}`: {' '.join(str(get_mode(name).__doc__).split())}"
+        for name in list_modes()
+    )
 
 
 def _environments() -> str:
@@ -565,6 +574,7 @@ def _cell(value: object) -> str:
 
 
 _MADE = {
+    "action modes": _modes,
     "arms": _arms,
     "environments": _environments,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
