@@ -29,9 +29,11 @@ _FRICTION = 0.2
 proportion to the speed. Our choice, of the size of what strain wave gears lose.
 Without it, an arm of which nothing is asked would never come to rest."""
 
-_GAIN, _KEPT = 0.5, 0.7
-"""Shares of the speed that an expert's motion lacks, and of what held an arm back, that
-the next torques make up for. With a gain of 0.7, arms that share a load swing."""
+_GAIN, _TOGETHER, _KEPT = 0.5, 1.5, 0.7
+"""Shares of what an expert's motion lacks of its speed, of an arm alone and of one in
+step, which turns the others as well, and of what held an arm back, that the next
+torques make up for. With 0.7, arms that lift a pot swing; with 0.5 for arms in step,
+every second ball that Sawyers balance falls."""
 
 _FEEDFORWARD = 4  # MuJoCo's bit for a motor's only input, a torque
 
@@ -118,7 +120,8 @@ class Torques(ActionMode):
             mass = np.broadcast_to(np.asarray(motion.mass, float), len(felt))[:, None]
             inertia = inertia + mass[:, None] * (lever.swapaxes(1, 2) @ lever)
             speed, wanted = sim.qvel[:, arm.dof], motion.change / CONTROL_DT
-            gain = _GAIN * (wanted - speed)[..., None] / CONTROL_DT
+            share = _TOGETHER if motion.in_step else _GAIN
+            gain = share * (wanted - speed)[..., None] / CONTROL_DT
             # The weight of a load is known, all else that holds back is felt.
             load = np.where(mass > 0.0, GRAVITY * mass * lever[:, 2], _KEPT * back)
             torque = torque + load + (inertia @ gain)[..., 0]
