@@ -35,7 +35,7 @@ as near, at no distance.
   `picking_threshold`, 0.03 m); while the next arm is near, -0.1 if it asks for a grip;
   else 0.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
-  another action mode, of the joint changes that the action comes to.
+  another action mode, of what the action asks of the joints.
 - `success`: 1 while the goal is reached, else 0.
 - `waiting`, where there are two cubes: -3 for each that waits behind the own one.
 

@@ -15,7 +15,7 @@ Reward of each agent:
 - `goal`: 5 for a goal that is reached, else 0.
 - `touch`: -20 if the arm touches another one, else 0.
 - `effort`: -0.01 times the Euclidean norm of the agent's own action; in another action
-  mode, of the joint changes that the action comes to.
+  mode, of what the action asks of the joints.
 
 Success: every arm has reached all its goals, and none has touched another. The episode
 ends then.
