@@ -25,7 +25,7 @@ of those that it reaches or will reach; distances count up to 1 m.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its cube.
 - `waiting`: -3 for each of its cubes that it has not dealt with; -4 once it is lost.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
-  another action mode, of the joint changes that the action comes to.
+  another action mode, of what the action asks of the joints.
 
 Success: every cube lies in the tote of its colour, in no hand. `sorted` is the share of
 those that do. A tote can be filled by its own arm alone, so without an arm its cubes,
