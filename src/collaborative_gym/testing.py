@@ -1,10 +1,12 @@
-"""Checks of a task's promises, for the tests of whoever writes one."""
+"""Checks of a task's promises and of an arm, for whoever writes or adds one."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from collaborative_gym.envs.starts import DEEPEST, deepest
@@ -12,8 +14,14 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
-from collaborative_gym.tasks.registry import as_task
+from collaborative_gym.robots.checks import at_home
+from collaborative_gym.tasks.registry import as_task, list_tasks
 from collaborative_gym.tasks.task import Task, named_facts
+
+_LOOKS = 10  # control steps from one look at what hinders arms to the next
+_AT_END = 0.03  # rad from the end of a joint's range, where it counts as there
+_NEAR_END = 0.1  # rad likewise, of a home that leaves little room
+_ROOM = 0.02  # m, half the width of Pass's cube
 
 
 def check_task(
@@ -68,6 +76,112 @@ def check_task(
         ) from errors[0]
     if faults:
         raise AssertionError(f"{name} breaks {len(faults)} of its promises:\n{listed}")
+
+
+def check_robot(
+    robot: str | Robot, tasks: Sequence[str] | None = None, *, episodes: int = 8
+) -> None:
+    """Check that an arm does tasks beside itself, by playing it.
+
+    Every `Robot` checks its definition. This function also plays it. Where the expert
+    fails, it says what was seen, and what of the arm's definition is unusual.
+
+    Args:
+      robot: the arm, or its name.
+      tasks: names of tasks; None for all.
+      episodes: number of the expert's episodes in each.
+
+    Raises:
+      AssertionError: lists the tasks that fail, where and why.
+      KeyError: if a name is unknown.
+    """
+    robot, episodes = get_robot(robot), check_count("episodes", episodes, 1)
+    tried = (try_robot(robot, t, episodes)[1] for t in tasks or list_tasks())
+    faults = [fault for fault in tried if fault]
+    faults += unusual(robot) if faults else []
+    if faults:
+        listed = "\n".join(f"- {fault}" for fault in faults)
+        raise AssertionError(f"{robot.name} does not do every task:\n{listed}")
+
+
+def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
+    """Return the share of episodes that the expert completes with such arms, and why.
+
+    The reason is one sentence, empty if all is well. Where not all sides can win, the
+    share is of the episodes whose physics is sound.
+    """
+    try:
+        env = VectorEnv(as_task(task, robot), episodes, num_threads=1, auto_reset=False)
+        env.reset(seed=0)
+    except (ValueError, NotImplementedError) as error:
+        return 0.0, f"{task} cannot be made: {error}"
+    seen: list[Counter[str]] = [Counter() for _ in range(episodes)]
+    for step in range(env.task.config.max_episode_steps):
+        *_, infos = env.step(env.expert())
+        if step % _LOOKS == 0:
+            for i, counter in enumerate(seen):
+                counter.update(_hindrances(env, i))
+        if infos["ended"].all():
+            break
+    sound = ~np.asarray(infos["diverged"])
+    met = sound if len(env.sides) > 1 else infos["metrics"]["completion"] > 0.0
+    env.close()
+    if met.all():
+        return 1.0, ""
+    told = f"{task}: the expert completes {met.sum()} of {episodes} episodes"
+    if not sound.all():
+        told += f"; physics diverges in {(~sound).sum()}"
+    common = Counter(what for i in np.flatnonzero(~met) for what in set(seen[i]))
+    often = sum((seen[i] for i in np.flatnonzero(~met)), Counter[str]())
+    found = [what for what, _ in often.most_common() if 2 * common[what] > (~met).sum()]
+    if found:
+        told += f"; in most of the failures {' and '.join(found[:2])}"
+    return float(met.mean()), told
+
+
+def _hindrances(env: VectorEnv, world: int) -> set[str]:
+    """Return what arms touch and which of their joints are at an end, in words."""
+    data, model, found = env.sim.data(world), env.model, set()
+    for contact in data.contact:
+        names = [model.body(int(model.geom_bodyid[g])).name for g in contact.geom]
+        if contact.dist < 0.0 and any(n.split("/")[0] in env.agents for n in names):
+            found.add(f"{names[0]} touches {names[1]}")
+    for agent, arm in env.scene.arms.items():
+        (low, high), angles = arm.joint_range, data.qpos[arm.qpos]
+        ends = np.minimum(angles - low, high - angles) < _AT_END
+        for name in np.array(arm.robot.joints)[ends]:
+            found.add(f"{agent}'s {name} is at the end of its range")
+    return found
+
+
+def unusual(robot: Robot) -> list[str]:
+    """Return what of an arm's definition often keeps it from tasks, in sentences."""
+    spec = robot.spec()
+    site = spec.site(robot.tcp)
+    probe = {"name": "probe of the tcp", "contype": 0, "conaffinity": 0, "mass": 0.0}
+    site.parent.add_geom(pos=site.pos, size=[1e-5] * 3, **probe)
+    model = spec.compile()
+    data = at_home(robot, model, robot.gripper.open_position)
+    tip, found = model.geom(probe["name"]).id, []
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    gaps = [mujoco.mj_geomDistance(model, data, tip, int(g), 1.0, None) for g in solid]
+    if len(gaps) and min(gaps) < _ROOM:
+        body = model.body(int(model.geom_bodyid[solid[np.argmin(gaps)]])).name
+        found.append(
+            f"its tcp is {abs(min(gaps)) * 1000:.0f} mm"
+            f" {'inside' if min(gaps) < 0 else 'from'} a shape of its body {body!r}:"
+            f" nothing wider than {2 * _ROOM * 1000:.0f} mm can be held there"
+        )
+    tcp = data.site(robot.tcp)
+    if tcp.xpos[0] < 0.0:
+        found.append(f"at home its hand is {-tcp.xpos[0]:.2f} m behind its base")
+    if tcp.xmat[8] > 0.5:
+        found.append("at home its hand points up")
+    for name, angle in zip(robot.joints, robot.home, strict=True):
+        room = np.abs(model.joint(name).range - angle).min()
+        if room < _NEAR_END:
+            found.append(f"at home {name} is {room:.2f} rad from the end of its range")
+    return found
 
 
 class TaskUnderTest:

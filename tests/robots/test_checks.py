@@ -54,7 +54,9 @@ WRONG_VALUES = [
     ({"payload": 0.0}, "payload must be above 0, got 0.0"),
     ({"payload": 5000.0}, "payload of 5000 kg weighs 49050.0 N, but its gripper's hol"),
     ({"reach": -1.0}, "reach must be above 0, got -1.0"),
-    ({"reach": 900.0}, "its reach is 900 m, but .* 1.32 m long; give both in m"),
+    ({"reach": 900.0}, "its reach is 900 m, but .* 0.95 m away from the axis of its f"),
+    ({"reach": 1.7}, "its reach is 1.7 m, but .* give the reach in m, from the shoul"),
+    ({"reach": 0.35}, "its reach is 0.35 m, but .* 0.95 m away from the axis"),
     ({"reach": float("inf")}, "reach must be finite, got inf"),
     (
         {"joints": tuple(f"joint{i}" for i in range(6))},
@@ -70,10 +72,6 @@ WRONG_VALUES = [
         {"joints": tuple(f"joint_{i}" for i in range(1, 6)), "home": (0.0,) * 5}
         | {"velocity_limits": (1.0,) * 5},
         "a joint 'joint_6' that nothing would drive; name it in joints or in gripper",
-    ),
-    (
-        {"reach": 0.2},
-        r"first joint is at \[0.0, 0.0, 0.15\].*; move the base to the ori",
     ),
 ]
 
@@ -110,8 +108,14 @@ WRONG_FILES = [
         ('    actuatorfrcrange="-70 70"', ""),
         "no torque limit for joint 'joint_3'; pass",
     ),
-    (('<body name="base">', '<body name="base" pos="0 0 0.7">'), "first joint is at"),
-    (('<body name="base">', '<body name="base" pos="2 0 0">'), "first joint is at"),
+    (
+        ('<body name="base">', '<body name="base" pos="0 0 0.7">'),
+        "its base is 0.70 m away from the origin of the model file, too far for a reac",
+    ),
+    (
+        ('<body name="shoulder" pos="0 0 0.15">', '<body name="shoulder" pos="2 0 0">'),
+        "its axis of the first joint is 2.00 m away from the origin",
+    ),
     (
         ("<worldbody>", '<worldbody><geom name="floor" size="1 1 1"/>'),
         "geom 'floor' ou",
@@ -180,6 +184,38 @@ def test_numbers_that_no_arm_can_have_are_refused(edited, edit, message):
 def test_wrong_model_files_are_refused(edited, edit, message):
     with pytest.raises(ValueError, match=message):
         edited(edit, torque_limits=())
+
+
+def test_an_arm_may_stand_on_a_column(edited, compiled):
+    """A joint's anchor may lie anywhere on its axis."""
+    for suffix, old, new in (
+        (".xml", 'name="shoulder" pos="0 0 0.15"', 'name="shoulder" pos="0 0 0.6"'),
+        (".urdf", '<origin xyz="0 0 0.15"/>', '<origin xyz="0 0 0.6"/>'),
+    ):
+        _, data = compiled(edited((old, new), suffix=suffix))
+        assert data.body("shoulder").xpos[2] == pytest.approx(0.6)
+
+
+def test_what_may_touch_in_an_xml_cannot_be_told_in_a_urdf(edited):
+    home = (0, 0, 2.69, 0, -1.57, 0)
+    with pytest.raises(ValueError, match="or let them pass one another: <contact><ex"):
+        edited(home=home)
+    with pytest.raises(ValueError, match=r"leave out a <collision> of one of them$"):
+        edited(suffix=".urdf", home=home)
+
+
+def test_parts_of_a_gripper_may_touch(edited):
+    """As those of a linkage do, which have joints between them."""
+    knuckles = (
+        '<geom type="box" size="0.012 0.006 0.035" pos="0 0.006 0.035"',
+        '<body name="knuckle"><joint name="knuckle" class="finger" axis="0 1 0"/>'
+        '<geom size="0.005" fromto="0 0 0.03 0 -0.09 0.03" mass="0.01"/></body>'
+        '<geom type="box" size="0.012 0.006 0.035" pos="0 0.006 0.035"',
+    )
+    follows = '<equality><joint joint1="knuckle" joint2="left_finger"/></equality>'
+    arm = edited(knuckles, ("</worldbody>", "</worldbody>" + follows))
+    touching = {(e.bodyname1, e.bodyname2) for e in arm.spec().excludes}
+    assert ("knuckle", "right_finger") in touching
 
 
 def test_motors_too_weak_for_the_payload_are_refused(own):

@@ -89,6 +89,100 @@ def test_a_finger_that_holds_is_turned_by_its_joint_alone(edited, in_a_world):
     np.testing.assert_allclose(held.quat, expected, atol=1e-6)
 
 
+RIGHT = '<joint name="right_finger" class="finger" axis="0 -1 0"/>'
+
+
+@pytest.mark.parametrize(
+    "right", ['axis="0 1 0" range="-0.04 0"', 'axis="1 0 0" range="-1 0" type="hinge"']
+)
+def test_a_finger_may_count_its_way_with_the_other_sign(edited, in_a_world, right):
+    arm = edited((RIGHT, f'<joint name="right_finger" {right}/>'))
+    scene, model = in_a_world(arm)
+    data = mujoco.MjData(model)
+    for position in (0.039, 0.0):
+        data.ctrl[scene.arms["arm"].fingers] = position
+        mujoco.mj_step(model, data, nstep=200)
+        for side in "left", "right":
+            own = data.joint(f"arm/{side}_finger").qpos[0]
+            assert own == pytest.approx(position, abs=3e-3)
+    low, high = model.joint("arm/right_finger").range
+    assert low == 0.0 and high > 0.0
+
+
+def test_a_mirrored_finger_may_be_in_degrees(edited, in_a_world):
+    degrees = [
+        (f'range="-{x} {x}"', f'range="-{np.degrees(x)} {np.degrees(x)}"')
+        for x in (6.2832, 2.2, 2.7, 3.4)
+    ]
+    hinge = '<joint name="right_finger" axis="1 0 0" range="-57 0"/>'
+    arm = edited(
+        (' angle="radian"', ""),
+        ('"-1.5707963 0 0"', '"-90 0 0"'),
+        (RIGHT, hinge),
+        *degrees,
+    )
+    _, model = in_a_world(arm)
+    np.testing.assert_allclose(
+        model.joint("arm/right_finger").range, (0.0, np.radians(57)), atol=1e-9
+    )
+
+
+def test_what_follows_a_mirrored_finger_keeps_its_way(edited, in_a_world):
+    """A third part follows the right finger, which counts its way downwards."""
+    mirrored = RIGHT, '<joint name="right_finger" axis="0 1 0" range="-0.04 0"/>'
+    part = (
+        '<body name="right_finger" pos="0 0 0.06">',
+        '<body name="slider" pos="0 0 0.2"><joint name="slider" type="slide"/>'
+        '<geom size="0.01 0.01" mass="0.1"/></body>'
+        '<body name="right_finger" pos="0 0 0.06">',
+    )
+    follows = (
+        '<equality><joint joint1="slider" joint2="right_finger"'
+        ' polycoef="0.01 2 3 0 0"/></equality>'
+    )
+    arm = edited(mirrored, part, ("</worldbody>", "</worldbody>" + follows))
+    _, held = in_a_world(arm, holds=0.04)
+    way = -arm.gripper.position(0.04)
+    expected = 0.2 + 0.01 + 2 * way + 3 * way**2
+    np.testing.assert_allclose(held.body("arm/slider").pos[2], expected, atol=1e-9)
+
+
+def test_torque_limits_may_be_those_of_actuators(own, edited):
+    limits = ' actuatorfrcrange="-70 70"'
+    for actuator, torque in (
+        ('<position joint="joint_3" kp="9" forcerange="-70 70"/>', 70.0),
+        ('<motor joint="joint_3" forcerange="-7 9" gear="-5"/>', 35.0),
+        ('<motor joint="joint_3" ctrlrange="-8 8" gear="5"/>', 40.0),
+    ):
+        arm = edited(
+            ("\n             " + limits, ""),
+            ("</worldbody>", f"</worldbody><actuator>{actuator}</actuator>"),
+            torque_limits=(),
+        )
+        assert arm.torque_limits[2] == torque
+        assert arm.torque_limits[:2] == own.torque_limits[:2]
+    # Limits of a joint count for more, and a position servo's range is of angles.
+    more = edited(
+        (
+            "</worldbody>",
+            '</worldbody><actuator><motor joint="joint_3"'
+            ' forcerange="-9 9"/></actuator>',
+        ),
+        torque_limits=(),
+    )
+    assert more.torque_limits == own.torque_limits
+    with pytest.raises(ValueError, match="no torque limit for joint 'joint_3'"):
+        edited(
+            ("\n             " + limits, ""),
+            (
+                "</worldbody>",
+                '</worldbody><actuator><position joint="joint_3"'
+                ' ctrlrange="-2 2"/></actuator>',
+            ),
+            torque_limits=(),
+        )
+
+
 def test_a_finger_may_mimic_another(edited, in_a_world):
     mimic = 'joint="left_finger"/>', 'joint="left_finger" multiplier="0.5"/>'
     gripper = cg.Gripper(("left_finger",), 0.039, 0.0, 0.078, 0.0, 60.0)

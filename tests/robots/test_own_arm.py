@@ -170,3 +170,26 @@ def test_a_six_joint_arm_lifts_with_its_elbow_up(own):
             for geoms in data.contact.geom:
                 roots = env.model.body_rootid[env.model.geom_bodyid[geoms]]
                 assert not (table in geoms and set(roots) & set(arms))
+
+
+def test_a_home_that_looks_away_is_named_where_another_would_do(own):
+    """Mounted nearer it would fail as well, so that must not be the advice."""
+    away = replace(own, home=(3.0, -0.3, 1.9, 0.0, -1.57, 0.0), damping=(), armature=())
+    with pytest.raises(ValueError) as caught:
+        cg.make("Pass", robots=(away, away))
+    told = str(caught.value)
+    assert "do it, such as [" in told and "choose a home" in told
+    assert "mount it nearer" not in told
+    miss = re.search(r"the best try was (\S+) mm and (\S+) rad away; 1 mm and", told)
+    assert float(miss[1]) > 1.0 or float(miss[2]) > 0.01
+
+
+def test_an_arm_that_does_not_come_to_lifts_pot_is_refused(edited):
+    """It is always stretched out, so nothing is well within its reach."""
+    stretched = edited(
+        ('range="-2.2 2.2"', 'range="1.4 2.2"'),
+        ('range="-2.7 2.7"', 'range="-0.1 0.1"'),
+        home=(0.0, 1.5, 0.0, 0.0, 0.0, 0.0),
+    )
+    with pytest.raises(ValueError, match=r"own does not come to \[0.54, 0.0, 0.3\]"):
+        cg.make("Lift", robots=(stretched, "panda"))

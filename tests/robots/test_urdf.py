@@ -22,6 +22,17 @@ def test_a_urdf_keeps_its_looks_and_hides_what_collides(from_urdf, in_a_world):
     assert (model.geom_bodyid == model.body("arm/forearm").id).sum() == 2
 
 
+def test_a_prefix_need_not_be_declared(edited):
+    arm = edited(
+        ('<joint name="joint_1" ', '<joint name="joint_1" drake:rotor="1" '),
+        ('<link name="tcp"/>', '<link name="tcp"><drake:shape/></link>'),
+        suffix=".urdf",
+    )
+    assert len(arm.spec().joints) == 8
+    with pytest.raises(ValueError, match="it is not XML: mismatched tag: line "):
+        edited(("</robot>", "</robots>"), suffix=".urdf")
+
+
 def test_a_continuous_joint_makes_two_turns(edited, compiled):
     limits = 'lower="-6.2832" upper="6.2832" effort="105" velocity="1.8"'
     arm = edited(

@@ -100,6 +100,23 @@ def greatest_load(robot: Robot, positions: Positions) -> float:
     return max(greatest_loads(robot, positions))
 
 
+def strength(robot: Robot) -> float:
+    """Return what an arm holds well within its reach, in kg, to compare it with others.
+
+    Raises:
+      ValueError: if it does not come there.
+    """
+    place = (0.6 * robot.reach, 0.0, 0.3)
+    held = greatest_load(robot, (place,))
+    if not held:
+        raise ValueError(
+            f"{robot.name} does not come to {np.round(place, 2).tolist()} as seen from"
+            f" its base, well within its reach of {robot.reach:g} m; correct the reach,"
+            " or the ranges of its joints"
+        )
+    return held
+
+
 @lru_cache(maxsize=256)
 def greatest_loads(robot: Robot, positions: Positions) -> tuple[float, ...]:
     """Return the greatest mass in kg that an arm can hold at each of some positions.

@@ -26,6 +26,9 @@ _WAYS_DRAWN = 256  # postures with which `safest_way` begins
 _ROOM = 0.1  # rad that it leaves to the joints' limits
 _ON_THE_WAY = 6  # postures between two poses at which it asks for touches
 _ANY_POSE = 6  # an arm of fewer joints cannot take every pose within its reach
+_FAR_TRIES = (
+    60  # postures of all the joints' ranges, from which an error's remedy is tried
+)
 _EXACT = 1e-4  # by how much in m and rad the poses of `hold` may be missed
 
 
@@ -50,14 +53,34 @@ def solve_pose(
     Raises:
       ValueError: if no try comes within 1 mm and 0.01 rad.
     """
-    position, orientation = (np.asarray(part, float) for part in goal)
-    sim = CpuSim(model, tries, num_threads=1)
-    rng, best = np.random.default_rng(0), np.inf
+    found, missed = _search(model, arm, goal=goal, starts=_around(arm, start, tries))
+    if found is None:
+        raise _unreached(model, arm, goal=goal, missed=missed)
+    return found
+
+
+def _around(arm: Arm, start: ArrayLike, tries: int) -> np.ndarray:
+    """Return joint angles at which to begin, (tries, joints); the first are `start`."""
+    rng = np.random.default_rng(0)
     spreads = [0.0] + [0.2 + i / tries for i in range(1, tries)]
-    drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
+    drawn = [rng.uniform(-s, s, arm.num_joints) for s in spreads]
+    return np.asarray(start) + np.array(drawn)
+
+
+def _search(
+    model: mujoco.MjModel,
+    arm: Arm,
+    *,
+    goal: tuple[ArrayLike, ArrayLike],
+    starts: np.ndarray,
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """Return joint angles for a pose, None if there are none, and the error (6,)."""
+    position, orientation = (np.asarray(part, float) for part in goal)
+    sim = CpuSim(model, len(starts), num_threads=1)
+    nearest, least = np.inf, np.zeros(6)
     # The first try is mostly enough; the others run side by side.
-    for starts in np.split(np.asarray(start) + drawn, [1]):
-        middle = np.clip(starts, *arm.joint_range)
+    for some in np.split(starts, [1])[: len(starts)]:
+        middle = np.clip(some, *arm.joint_range)
         angles, missed = descend(
             simulated(sim, arm),
             middle,
@@ -70,17 +93,39 @@ def solve_pose(
             ),
         )
         misses = _in_tolerances(missed)
-        if (misses < 1.0).any():
-            return np.clip(angles[np.argmax(misses < 1.0)], *arm.joint_range)
-        best = misses.min(initial=best)
+        best = int(np.argmax(misses < 1.0)) if (misses < 1.0).any() else misses.argmin()
+        if misses[best] < nearest:
+            nearest, least = misses[best], missed[best]
+        if nearest < 1.0:
+            return np.clip(angles[best], *arm.joint_range), least
+    return None, least
+
+
+def _unreached(
+    model: mujoco.MjModel,
+    arm: Arm,
+    *,
+    goal: tuple[ArrayLike, ArrayLike],
+    missed: np.ndarray,
+) -> ValueError:
+    """Return the error of a pose that was not found; its remedy was tried."""
+    low, high = arm.joint_range
+    drawn = np.random.default_rng(0).uniform(low, high, (_FAR_TRIES, len(low)))
+    position, orientation = (np.asarray(part).round(3).tolist() for part in goal)
     remedy = "mount it nearer or choose an arm with a longer reach"
-    if (count := arm.num_joints) < _ANY_POSE:
+    found, _ = _search(model, arm, goal=goal, starts=drawn)
+    if found is not None:
+        remedy = (
+            "postures far from where the search began do it, such as"
+            f" {found.round(2).tolist()}: choose a home, or a start, nearer to those"
+        )
+    elif (count := arm.num_joints) < _ANY_POSE:
         remedy += f", or one of {_ANY_POSE} joints: {count} do not take every pose"
-    raise ValueError(
-        f"{arm.robot.name} cannot bring its tcp to {np.round(position, 3).tolist()}"
-        f" with orientation {np.round(orientation, 3).tolist()}"
-        f" (best try missed by {best:.0f} times the tolerance of 1 mm and 0.01 rad);"
-        f" {remedy}"
+    away, turn = math.norm(missed[:3]), math.norm(missed[3:])
+    return ValueError(
+        f"{arm.robot.name} cannot bring its tcp to {position} with orientation"
+        f" {orientation} (the best try was {1000 * away:.3g} mm and {turn:.3g} rad"
+        f" away; 1 mm and 0.01 rad are allowed); {remedy}"
     )
 
 
@@ -222,23 +267,19 @@ def quickest_way(
       ValueError: if the arm can go none of the ways.
     """
     low, high = arm.joint_range
-    best, least, failure = None, np.inf, ValueError("no way was given")
+    best, least, failure = None, np.inf, None
     # Ways may begin alike; each beginning is solved once.
-    solved: dict[bytes, np.ndarray | ValueError] = {}
+    solved: dict[bytes, tuple[np.ndarray | None, np.ndarray]] = {}
     for i, way in enumerate(ways):
         angles, key = [np.array(arm.robot.home)], b""
         for pose in way:
             key += np.concatenate(pose).tobytes()
             if key not in solved:
-                try:
-                    solved[key] = solve_pose(
-                        model, arm, goal=pose, start=angles[-1], tries=_WAY_TRIES
-                    )
-                except ValueError as error:
-                    solved[key] = error
-            found = solved[key]
-            if isinstance(found, ValueError):
-                failure = found
+                starts = _around(arm, angles[-1], _WAY_TRIES)
+                solved[key] = _search(model, arm, goal=pose, starts=starts)
+            found, missed = solved[key]
+            if found is None:
+                failure = pose, missed
                 break
             angles.append(found)
         else:
@@ -249,7 +290,9 @@ def quickest_way(
             if cost < least:
                 best, least = (i, found), cost
     if best is None:
-        raise failure
+        if failure is None:
+            raise ValueError("no way was given")
+        raise _unreached(model, arm, goal=failure[0], missed=failure[1])
     return best
 
 

@@ -9,13 +9,15 @@ from collaborative_gym.quiet import quiet
 from collaborative_gym.robots.bounds import check_numbers, check_places
 from collaborative_gym.robots.data import (
     GRAVITY,
+    SLACK,
     RobotData,
     compile_error,
     robot_error,
 )
 
-_MOUNTING = 0.5  # greatest distance of the first joint from the origin, over the reach
-_STRETCHED = 1.5  # greatest reach over the way from the first joint to the tcp
+_MOUNTING = 0.5  # greatest distance of base and first axis from the origin, over reach
+_REACHES = 0.6, 1.25  # least and greatest reach, over how far the tcp comes
+_DRAWS = 300  # postures that are tried for it; they find 92 to 100 % of it
 _TURNS = 30.0  # rad; ends of a range beyond this are degrees: it is almost five turns
 _LONGEST = 10.0  # m; longer arms are given in mm
 _BULKIEST = 5.0  # radius over the reach; larger shapes are given in mm
@@ -66,22 +68,28 @@ def at_home(robot: RobotData, model: mujoco.MjModel, fingers: float) -> mujoco.M
 
 
 def overlaps(robot: RobotData, model: mujoco.MjModel) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of neighbouring bodies that touch at home.
+    """Return the pairs of neighbouring bodies, or of a gripper, that touch at home.
 
     Raises:
       ValueError: if others touch.
     """
-    found = set()
+    found, last = set(), model.joint(robot.joints[-1]).bodyid[0]
     for contact in at_home(robot, model, robot.gripper.open_position).contact:
         first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
         names = model.body(first).name, model.body(second).name
-        if _joints_between(model, first, second) > _NEIGHBOURS:
+        is_gripper = all(_carries(model, last, body) for body in (first, second))
+        if not is_gripper and _joints_between(model, first, second) > _NEIGHBOURS:
+            remedy = "leave out a <collision> of one of them"
+            if robot.model_file.suffix.lower() == ".xml":
+                remedy = (
+                    "let them pass one another: <contact><exclude"
+                    f' body1="{names[0]}" body2="{names[1]}"/></contact>'
+                )
             raise robot_error(
                 robot,
                 f"its bodies {names[0]!r} and {names[1]!r} touch at home; give a home"
-                " where they do not, make their collision shapes smaller, or, in MJCF,"
-                " let them pass one another:"
-                f' <contact><exclude body1="{names[0]}" body2="{names[1]}"/></contact>',
+                " where they do not, make their collision shapes smaller, or"
+                f" {remedy}",
             )
         found.add(names)
     return tuple(sorted(found))
@@ -97,6 +105,13 @@ def _joints_between(model: mujoco.MjModel, first: int, second: int) -> int:
         ways.append(way)
     shared = next(body for body in ways[0] if body in ways[1])
     return ways[0].index(shared) + ways[1].index(shared)
+
+
+def _carries(model: mujoco.MjModel, carrier: int, body: int) -> bool:
+    """Return whether a body is another one, or carried by it."""
+    while body not in (carrier, 0):
+        body = int(model.body_parentid[body])
+    return body == carrier
 
 
 def _check_joints(robot: RobotData, model: mujoco.MjModel) -> None:
@@ -140,7 +155,7 @@ def _check_ranges(robot: RobotData, model: mujoco.MjModel) -> None:
         placed.append(("gripper.closed_position", name, gripper.closed_position))
     for field, name, value in placed:
         low, high = model.joint(name).range
-        if model.joint(name).limited[0] and not low - 1e-6 <= value <= high + 1e-6:
+        if model.joint(name).limited[0] and not low - SLACK <= value <= high + SLACK:
             raise robot_error(
                 robot,
                 f"{field} puts joint {name!r} at {value:g}, outside of its range"
@@ -155,10 +170,7 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
     tips = [int(model.joint(name).bodyid[0]) for name in robot.gripper.joints]
     tips.append(int(model.site(robot.tcp).bodyid[0]))
     for carrier, body in (*pairwise(chain), *((chain[-1], tip) for tip in tips)):
-        above = body
-        while above not in (carrier, 0):
-            above = int(model.body_parentid[above])
-        if above == 0:
+        if not _carries(model, carrier, body):
             raise robot_error(
                 robot,
                 f"its body {model.body(body).name!r} is not carried by"
@@ -185,19 +197,25 @@ def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) ->
             "in the model file the way along its joints to the tcp is"
             f" {length:.0f} m long; give m, not mm",
         )
-    if robot.reach > _STRETCHED * length:
+    far = _farthest(robot, model)
+    if not _REACHES[0] * far <= robot.reach <= _REACHES[1] * far:
         raise robot_error(
             robot,
-            f"its reach is {robot.reach:g} m, but in the model file the way along its"
-            f" joints to the tcp is {length:.2f} m long; give both in m",
+            f"its reach is {robot.reach:g} m, but in the model file its tcp comes"
+            f" {far:.2f} m away from the axis of its first joint; give the reach in m,"
+            " from the shoulder to the flange",
         )
-    if np.linalg.norm(points[0]) > _MOUNTING * robot.reach or points[0][2] < -0.01:
-        raise robot_error(
-            robot,
-            f"its first joint is at {np.round(points[0], 3).tolist()} in the model"
-            f" file, too far for a reach of {robot.reach} m; move the base to the"
-            " origin, its mounting plate at z = 0",
-        )
+    base = data.xpos[model.body_rootid[model.site_bodyid[model.site(robot.tcp).id]]]
+    # Where on its axis a joint has its anchor is the model file's choice.
+    aside = _off_axis(data, model.joint(robot.joints[0]).id, np.zeros(3))
+    for what, place in ("base", base), ("axis of the first joint", aside):
+        if np.linalg.norm(place) > _MOUNTING * robot.reach:
+            raise robot_error(
+                robot,
+                f"its {what} is {np.linalg.norm(place):.2f} m away from the origin of"
+                f" the model file, too far for a reach of {robot.reach:g} m; move the"
+                " base to the origin, its mounting plate at z = 0",
+            )
     # Meshes of CAD programs often are in mm.
     radius = model.geom_rbound.max(initial=0.0)
     if radius > _BULKIEST * robot.reach:
@@ -207,6 +225,25 @@ def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) ->
             f"a shape of its body {body!r} is {2 * radius:.0f} m wide;"
             ' give m, not mm; a mesh in mm takes scale="0.001 0.001 0.001"',
         )
+
+
+def _farthest(robot: RobotData, model: mujoco.MjModel) -> float:
+    """Return about how far the tcp comes from the axis of the first joint, in m."""
+    data, joints = mujoco.MjData(model), [model.joint(name) for name in robot.joints]
+    rng, far = np.random.default_rng(0), []
+    for _ in range(_DRAWS):
+        for joint in joints:
+            data.qpos[joint.qposadr] = rng.uniform(*joint.range)
+        mujoco.mj_kinematics(model, data)
+        tcp = data.site(robot.tcp).xpos
+        far.append(np.linalg.norm(_off_axis(data, joints[0].id, tcp)))
+    return max(far)
+
+
+def _off_axis(data: mujoco.MjData, joint: int, point: np.ndarray) -> np.ndarray:
+    """Return the way of a point from a joint's axis, (3,) in m."""
+    axis, way = data.xaxis[joint], point - data.xanchor[joint]
+    return way - (way @ axis) * axis
 
 
 def check_payload(robot: RobotData, pull: float) -> None:

@@ -31,6 +31,9 @@ _PER_JOINT = {
 """Least and greatest values of a joint, and their unit. Those that no law of physics
 gives are our choice: a hundred times what the heaviest industrial arms have."""
 
+SLACK = 1e-6
+"""By how much a home and fingers may be beyond their range, in rad or m."""
+
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
 
@@ -43,7 +46,8 @@ class Gripper:
     move with it.
 
     Attributes:
-      joints: finger joint names in the model file.
+      joints: finger joint names in the model file. One whose range has the other sign
+        is turned around, so that all have the same position.
       open_position: joint position of an open gripper, in m or rad.
       closed_position: joint position of a closed gripper, in m or rad.
       open_gap: clear width between the fingers when open, in m.

@@ -7,7 +7,12 @@ import numpy as np
 
 from collaborative_gym.errors import naming, told_by_mujoco, unknown
 from collaborative_gym.quiet import quiet
-from collaborative_gym.robots.data import RobotData, compile_error, robot_error
+from collaborative_gym.robots.data import (
+    SLACK,
+    RobotData,
+    compile_error,
+    robot_error,
+)
 from collaborative_gym.robots.urdf import read_urdf
 
 _FINGER_INERTIA = 0.002
@@ -25,8 +30,10 @@ def load_model(robot: RobotData) -> mujoco.MjSpec:
     spec = _read(robot)
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"unnamed_{i}"
+    _take_torque_limits(robot, spec)
     _leave_out(spec)
     _check_names(robot, spec)
+    _mirror_fingers(robot, spec)
     # Bodies keep their names; MuJoCo would fuse the fixed ones of a URDF.
     spec.compiler.fusestatic = False
     if not any(site.name == robot.tcp for site in spec.sites):
@@ -98,6 +105,42 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
             return mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
             raise ValueError(told_by_mujoco(error)) from error
+
+
+def _take_torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> None:
+    """Give arm joints that have no torque limits those of the file's actuators."""
+    joints = [joint for joint in spec.joints if joint.name in robot.joints]
+    free = {joint.name: joint for joint in joints if not np.ptp(joint.actfrcrange)}
+    for actuator in spec.actuators:
+        joint = free.get(actuator.target)
+        if joint is None or actuator.trntype != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        force = np.array(actuator.forcerange)
+        is_motor = actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+        if not np.ptp(force) and is_motor:
+            force = actuator.gainprm[0] * np.array(actuator.ctrlrange)
+        joint.actfrcrange = np.sort(actuator.gear[0] * force)
+
+
+def _mirror_fingers(robot: RobotData, spec: mujoco.MjSpec) -> None:
+    """Turn the axes of fingers around that go where the others do, but for the sign.
+
+    So all fingers have the same joint position, whichever way their file counts it.
+    """
+    gripper = robot.gripper
+    for joint in map(spec.joint, gripper.joints):
+        is_hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+        unit = np.pi / 180 if is_hinge and spec.compiler.degree else 1.0
+        ends = np.array([gripper.open_position, gripper.closed_position]) / unit
+        low, high = joint.range + np.array([-SLACK, SLACK]) / unit
+        if not low < high or ((low <= ends).all() and (ends <= high).all()):
+            continue
+        if (low <= -ends).all() and (-ends <= high).all():
+            joint.axis, joint.range = -joint.axis, -joint.range[::-1]
+            joint.ref, joint.springref = -joint.ref, -joint.springref
+            for equality in spec.equalities:
+                if follows(equality, (joint.name,)):
+                    equality.data[1:5:2] *= -1.0
 
 
 def _leave_out(spec: mujoco.MjSpec) -> None:

@@ -30,9 +30,10 @@ class Robot(RobotData):
     what a controller must know. The tuples have one entry per arm joint; those that are
     left empty are filled in when the value is made.
 
-    Actuators, keyframes, sensors, lights and physics settings of the model file are
-    ignored. Gravity is compensated for the arm's links. Some links at most two joints
-    apart touch at home. This counts as a flaw of their shapes, and they never collide.
+    Keyframes, sensors, lights and physics settings of the model file are ignored, and
+    actuators but for their limits. Gravity is compensated for the arm's links. Links at
+    most two joints apart, or both of the gripper, that touch at home never collide:
+    this counts as a flaw of their shapes.
 
     Attributes:
       name: the name, one word, under which tasks ask for the arm.
@@ -46,7 +47,7 @@ class Robot(RobotData):
       gripper: its fingers.
       title: maker and model; empty, the name.
       torque_limits: greatest joint torques, in N m; empty, those of the model file
-        (`effort` in URDF, `actuatorfrcrange` in MJCF).
+        (`effort` in URDF; `actuatorfrcrange` in MJCF, or else limits of actuators).
       armature: inertias of the rotors as the joints feel them, in kg m2; empty, those
         of the model file. If the file has none, the joint gets one with which it needs
         at least 20 ms to full speed, and 10 ms for its rotor alone.

@@ -36,8 +36,7 @@ def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
                 robot,
                 f"its model file has no torque limit for joint {name!r}; pass"
                 ' torque_limits, or give it in the file (<limit effort="..."> in URDF,'
-                " actuatorfrcrange of the joint in MJCF; the forcerange of an actuator"
-                " is not read)",
+                " actuatorfrcrange of the joint or forcerange of its actuator in MJCF)",
             )
     return tuple(limits)
 

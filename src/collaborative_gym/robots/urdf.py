@@ -5,6 +5,7 @@ from collections import Counter
 from math import tau
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import mujoco
 
@@ -47,10 +48,15 @@ def read_urdf(path: Path) -> mujoco.MjSpec:
 
 
 def _parse(path: Path) -> ElementTree.Element:
+    # Prefixes such as `drake:` stay parts of names, declared or not, as for MuJoCo.
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
     try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
+        parser.Parse(path.read_bytes(), True)
+    except expat.ExpatError as error:
         raise ValueError(f"it is not XML: {error}") from error
+    root = builder.close()
     if root.tag != "robot":
         raise ValueError(f"a URDF file begins with <robot>, this one with <{root.tag}>")
     if any("xacro" in str(element.tag) for element in root.iter()):

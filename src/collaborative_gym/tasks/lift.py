@@ -61,7 +61,7 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Command
 from collaborative_gym.errors import check_flag, check_numbers
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import greatest_load, solve_pose, turn_fingers
+from collaborative_gym.motion import solve_pose, strength, turn_fingers
 from collaborative_gym.motion.lift_mass import weigh
 from collaborative_gym.motion.team_mass import spread, weigh_team
 from collaborative_gym.objects.pot import (
@@ -234,10 +234,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
             start, end = (z + self.handles[0, 2] for z in ends)
             radius = self.config.success_radius
             return spread(robots, heights, start=start, end=end, radius=radius)
-        strength = [greatest_load(r, ((0.6 * r.reach, 0.0, 0.3),)) for r in robots]
-        least, most = min(strength), max(strength)
+        strengths = [strength(robot) for robot in robots]
+        least, most = min(strengths), max(strengths)
         far = min(_FARTHEST, 0.8 * (most / least) ** 0.5)
-        shares = (max(_NEAREST, far * own / most) for own in strength)
+        shares = (max(_NEAREST, far * own / most) for own in strengths)
         pairs = zip(shares, robots, strict=True)
         return tuple(share * robot.reach for share, robot in pairs)
 
