@@ -44,7 +44,8 @@ class Plain:
 
     def __init__(self, env):
         self.env, self.model = env, env.model
-        self.data = mujoco.MjData(env.model)
+        self.data, self.first = mujoco.MjData(env.model), mujoco.MjData(env.model)
+        mujoco.mj_forward(env.model, self.first)
         self.found = dict.fromkeys((*STRAIN[:-1],), 0.0) | {"clearance": 1.0}
         self.held, self.at_limit = [], []
         self.step, env.sim.step = env.sim.step, self.steps
@@ -94,12 +95,28 @@ class Plain:
         for arm in arms:
             torque = np.abs(data.actuator_force[arm.servos])
             speed = np.abs(data.qvel[arm.dof])
+            for name, felt in zip(("force", "torque"), self.felt(arm), strict=True):
+                self.raises(f"wrist_{name}", np.linalg.norm(felt))
             self.at_limit += list(torque >= 0.99 * np.array(arm.robot.torque_limits))
             self.raises("speed_over_limit", (speed / arm.robot.velocity_limits).max())
         one, other = self.pulls()
         if one is not None:
             self.held.append(np.min(np.linalg.norm(one - shares(one + other), axis=1)))
             self.raises("internal_force", self.held[-1])
+
+    def felt(self, arm):
+        """Return force and torque at a wrist, without the hand's weight."""
+        model, data = self.model, self.data
+        link = model.dof_bodyid[arm.dof.stop - 1]
+        torque, force = np.split(data.cfrc_int[link].copy(), 2)
+        tcp, root = data.site_xpos[arm.tcp], model.body_rootid[link]
+        torque -= np.cross(tcp - data.subtree_com[root], force)
+        weight = model.body_subtreemass[link] * model.opt.gravity
+        # Controllers are told once where it acts, whatever the fingers do.
+        first, axes = self.first, data.site_xmat[arm.tcp].reshape(3, 3)
+        centre = first.subtree_com[link] - first.site_xpos[arm.tcp]
+        centre = axes @ first.site_xmat[arm.tcp].reshape(3, 3).T @ centre
+        return force + weight, torque + np.cross(centre, weight)
 
     def motors(self, before):
         """Return what the motors added to the momentum in a step, per time."""

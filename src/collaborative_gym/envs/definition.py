@@ -9,6 +9,7 @@ from gymnasium.spaces import Box
 
 from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.envs.starts import draw_starts
+from collaborative_gym.envs.wrists import UNIT, WRENCH, Wrists
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -31,7 +32,7 @@ class Definition:
     sides: dict[str, tuple[str, ...]]  # the agents of each side, by its name
 
 
-def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
+def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Definition:
     """Return what follows from a task's definition, tried out at an episode's start.
 
     Raises:
@@ -48,6 +49,9 @@ def try_out(task: Task, scene: Scene, sim: Sim) -> Definition:
     facts = task.measure(sim)
     blocks = task.observe(facts)
     trial.check_blocks(blocks)
+    if wrists is not None:
+        felt = wrists.read(sim)
+        blocks = {agent: {**own, WRENCH: felt[agent]} for agent, own in blocks.items()}
     idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
     terms = task.reward(facts, mode.commands(idle))
     trial.check_terms(terms)
@@ -126,7 +130,7 @@ class _Trial:
         is_real = self._sim.xp.isdtype(rows.dtype, "real floating")
         dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
         words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
-        units = task.block_units
+        units = {WRENCH: UNIT} | dict(task.block_units)
         unit = units.get(name, units.get(" ".join(words), ""))
         return Block(name, tuple(rows.shape[1:]), dtype, unit)
 

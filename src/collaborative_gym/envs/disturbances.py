@@ -20,6 +20,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Task
 
 _OF_MODELS = ("link_mass", "payload", "friction", "lost_torque", "limp", "absent")
+_OF_WRISTS = "force_noise", "torque_noise", "force_bias", "torque_bias"
 _OF_STEPS = ("delay", "lost_actions", "position_noise", "angle_noise")
 
 
@@ -38,9 +39,14 @@ class Disturbances:
         self._mode, self._progress = mode, progress
         self._bounds = bounds = task.config.randomization
         self._changes_models = any(getattr(bounds, name) for name in _OF_MODELS)
-        self.has_noise = bounds.position_noise > 0 or bounds.angle_noise > 0
-        self._is_on = self._changes_models or any(
-            getattr(bounds, name) for name in _OF_STEPS
+        self._blurs = bounds.position_noise > 0 or bounds.angle_noise > 0
+        feels = task.config.wrench != "off"
+        self._shakes = feels and any(getattr(bounds, name) for name in _OF_WRISTS)
+        self.has_noise = self._blurs or self._shakes
+        self._is_on = (
+            self._changes_models
+            or self._shakes
+            or any(getattr(bounds, name) for name in _OF_STEPS)
         )
         if not self._is_on:
             return
@@ -54,7 +60,10 @@ class Disturbances:
         worlds, steps = sim.num_envs, task.config.max_episode_steps
         self._is_late = np.zeros(worlds, bool)
         self._is_lost = np.zeros((worlds, steps, len(task.agents)), bool)
-        if self.has_noise:
+        if self._shakes:
+            shape = worlds, steps + 1, len(task.agents), 6
+            self._wrong = np.zeros(shape, np.float32)
+        if self._blurs:
             # Single precision, because there is much of it, and observations have no
             # more.
             shape = worlds, steps + 1, sum(self._sizes)
@@ -92,7 +101,7 @@ class Disturbances:
         self._is_late[env_ids] = rng.uniform(0.0, 1.0) < bounds.delayed
         lost = rng.uniform(0.0, 1.0, self._is_lost.shape[1:])
         self._is_lost[env_ids] = lost < bounds.lost_actions
-        if self.has_noise:
+        if self._blurs:
             bound = [bounds.angle_noise, bounds.position_noise, bounds.angle_noise]
             size = self._noise.shape[1:]
             self._noise[env_ids] = rng.within(np.repeat(bound, self._sizes), size)
@@ -112,6 +121,15 @@ class Disturbances:
                 "actuator_forcerange": torques,
             }
             self._sim.vary(env_ids, factors)
+        if self._shakes:
+            # Drawn last, so that it changes nothing else.
+            names = ("force_bias", "torque_bias"), ("force_noise", "torque_noise")
+            bias, noise = (
+                np.repeat([getattr(bounds, name) for name in own], 3) for own in names
+            )
+            shape = self._wrong.shape[1:]
+            wrong = rng.within(bias, shape[1:])[:, None] + rng.within(noise, shape)
+            self._wrong[env_ids] = wrong
 
     def _still(self, torques: np.ndarray) -> dict[str, np.ndarray]:
         """Return factors of models with arms that are limp or absent.
@@ -156,7 +174,7 @@ class Disturbances:
 
     def see(self, facts: Any) -> Any:
         """Return the facts as the robots see them, of the present state."""
-        if not (self._is_on and self.has_noise):
+        if not self._blurs:
             return facts
         sim, task, xp = self._sim, self._task, self._sim.xp
         ends = np.cumsum(self._sizes)[:-1]
@@ -170,6 +188,13 @@ class Disturbances:
         turned = math.from_rotation_vector(turns.reshape(shape))
         sensed[:, self._turns] = math.multiply(turned, sensed[:, self._turns])
         return task.measure(sim.seen(qpos, sensed))
+
+    def feel(self, wrenches: dict[str, Array]) -> dict[str, Array]:
+        """Return wrenches by agent, (num_envs, 6), as the robots' sensors give them."""
+        if not self._shakes:
+            return wrenches
+        wrong = self._sim.xp.asarray(self._now(self._wrong).astype(float))
+        return {agent: w + wrong[:, i] for i, (agent, w) in enumerate(wrenches.items())}
 
     def _now(self, drawn: np.ndarray) -> np.ndarray:
         """Return what was drawn for the present step of each world."""

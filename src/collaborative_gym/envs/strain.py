@@ -23,6 +23,8 @@ otherwise:
 - `clearance`: the least distance between two arms at the ends of control steps, in m,
   and at most 1 m; minus their greatest depth where they touched.
 - `internal_force`: what arms spend against each other on what they hold, in N.
+- `wrist_force`, `wrist_torque`: the greatest force and torque that an arm feels at its
+  wrist, in N and N m, `compensated` as `envs.wrists` says.
 - `internal_force_mean`: its mean over the time in which two arms or more hold it.
 
 Tools are parts of their arms. Shapes that cannot collide have no clearance.
@@ -45,6 +47,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.control import ActionMode
+from collaborative_gym.envs.wrists import Wrists
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
 from collaborative_gym.scene.contacts import (
@@ -66,6 +69,8 @@ _BLANK = {
     "energy": 0.0,
     "energy_commanded": 0.0,
     "clearance": 1.0,
+    "wrist_force": 0.0,
+    "wrist_torque": 0.0,
     "internal_force": 0.0,
     "internal_force_mean": 0.0,
 }
@@ -163,6 +168,7 @@ class Strain:
         self._deep = {kind: model.sensor_adr[ids] for kind, ids in sensors}
         self._forces = {kind: _columns(model, f"{kind} net") for kind in DEPTHS}
         self._held = _held(scene, model)
+        self._wrists = Wrists(scene, model, is_raw=False)
         self._pairs, self._radii = _pairs(scene, model)
         self._data = mujoco.MjData(model)
         self._centres = sim.geom_xpos
@@ -232,6 +238,9 @@ class Strain:
             "torque_limit_share": (torque >= _AT_LIMIT * limit).mean(axis=2),
             "torque_over_limit": np.max(applied / limit, axis=2),
         }
+        felt = np.stack([*self._wrists.sensed(sensed).values()])
+        found["wrist_force"] = math.norm(felt[..., :3]).max(axis=0)
+        found["wrist_torque"] = math.norm(felt[..., 3:]).max(axis=0)
         for kind in DEPTHS:
             if len(self._deep[kind]):
                 depth = -sensed[:, :, self._deep[kind]]

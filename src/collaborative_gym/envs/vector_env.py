@@ -490,4 +490,5 @@ class VectorEnv:
 
     def _seen(self) -> Observations:
         """Return what the robots see of the present state."""
-        return self.world.flat(self._disturbances.see(self.facts), self.sim.xp)
+        felt = self._disturbances.feel(self.world.feel(self.sim))
+        return self.world.flat(self._disturbances.see(self.facts), felt, self.sim.xp)

@@ -12,6 +12,7 @@ from collaborative_gym.control import ActionMode, get_mode
 from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.envs.strain import add_strain_sensors
+from collaborative_gym.envs.wrists import Wrists, add_wrist_sensors
 from collaborative_gym.errors import check_kind
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -34,6 +35,7 @@ class World:
       refinement: how physics steps are refined.
       mode: the class of what actions mean.
       definition: spaces, names and sides, as the task's methods come to them.
+      wrists: what reads the wrenches at the wrists; None if nobody observes them.
       has_strain: whether the sensors that measure strain are in it.
     """
 
@@ -42,6 +44,9 @@ class World:
         self.mode = get_mode(task.config.action)
         self.task.build(self.scene)
         self.mode.add_drives(self.scene)
+        wrench, self.wrists = task.config.wrench, None
+        if strain or wrench != "off":
+            add_wrist_sensors(self.scene)
         if strain:
             add_strain_sensors(self.scene)
         self.model = self.scene.compile()
@@ -49,7 +54,9 @@ class World:
         sim = CpuSim(self.model, 3, 1, self.refinement)
         mode = self.mode(self.scene, sim, task.gripping)
         self.task.setup(self.scene, sim, action_mode=mode)
-        self.definition = try_out(self.task, self.scene, sim)
+        if wrench != "off":
+            self.wrists = Wrists(self.scene, self.model, is_raw=wrench == "raw")
+        self.definition = try_out(self.task, self.scene, sim, self.wrists)
 
     @classmethod
     def of(cls, task: Task, *, strain: bool = False) -> "World":
@@ -78,11 +85,19 @@ class World:
         sim.memory = self.task.remember(num_envs)
         return sim, self.mode(self.scene, sim, self.task.gripping)
 
-    def flat(self, facts: Any, xp: Any) -> dict[str, Array]:
+    def feel(self, sim: CpuSim) -> dict[str, Array]:
+        """Return the wrenches at the wrists by agent; none if nobody observes them."""
+        return {} if self.wrists is None else self.wrists.read(sim)
+
+    def flat(
+        self, facts: Any, wrenches: Mapping[str, Array], xp: Any
+    ) -> dict[str, Array]:
         """Return all blocks by agent, one after the other, (num_envs, k) float32."""
         flat = {}
         for agent, own in self.task.observe(facts).items():
             rows = list(own.values())
+            if agent in wrenches:
+                rows.append(wrenches[agent])
             rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
             flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
         return flat
@@ -127,5 +142,7 @@ class Starts:
         rows = np.flatnonzero(missing)
         self._drawn[:, rows] = -1
         draw_starts(task, sim, self._mode, rows, EpisodeRandom(*wanted[:, rows]))
-        self.observations = self._world.flat(task.measure(sim), sim.xp)
+        self.observations = self._world.flat(
+            task.measure(sim), self._world.feel(sim), sim.xp
+        )
         self._drawn[:, rows] = wanted[:, rows]

@@ -28,6 +28,8 @@ _STRAIN_FORMS = {
     "clearance": (1e3, " mm"),
     "contact_force": (1.0, " N"),
     "internal_force": (1.0, " N"),
+    "wrist_force": (1.0, " N"),
+    "wrist_torque": (1.0, " N m"),
     "torque_limit_share": (1e2, " %"),
     "torque_over_limit": (1.0, ""),
     "speed_over_limit": (1.0, ""),

@@ -102,6 +102,13 @@ class CpuSim:
     def forward(self, env_ids: EnvIds = None) -> None:
         self._batch.forward(env_ids, stage=CURRENT)
 
+    @quiet()
+    def feel(self) -> None:
+        kept = self._batch.state.copy()
+        self._batch.forward()
+        # Nothing of what the solver found may change the steps to come.
+        self._batch.state[:] = kept
+
     def reset(self, env_ids: EnvIds = None) -> None:
         self._batch.reset(env_ids, stage=_NOTHING)
 

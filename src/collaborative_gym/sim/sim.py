@@ -57,7 +57,7 @@ class Sim(Protocol):
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
     kept.
     Velocities, positions and depths of contacts in `sensordata` are current after every
-    call; only those who judge steps get forces.
+    call; forces only after `feel`, and for those who judge steps.
 
     Attributes:
       model: the compiled world.
@@ -122,6 +122,9 @@ class Sim(Protocol):
 
     def forward(self, env_ids: EnvIds = None) -> None:
         """Make the sensors of these worlds current after a write to their state."""
+
+    def feel(self) -> None:
+        """Make forces in the sensors those of the present state and controls."""
 
     def reset(self, env_ids: EnvIds = None) -> None:
         """Put these worlds into the model's initial state, forgetting all history."""

@@ -10,14 +10,15 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from collaborative_gym.control import ActionMode, Command, Motion, get_mode
-from collaborative_gym.errors import check_count, check_kind, check_name
+from collaborative_gym.errors import check_count, check_kind, look_up
 from collaborative_gym.math import Array
 from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.settings import bounded, check_settings
+from collaborative_gym.tasks.randomization import Randomization, presets
+from collaborative_gym.tasks.settings import check_settings
 
 Blocks = Mapping[str, Array]
 """Named parts of an observation, (num_envs, *shape) each, in order."""
@@ -26,111 +27,14 @@ Terms = Mapping[str, Array]
 """Named parts of a reward, (num_envs,) each."""
 
 
-@dataclass(frozen=True)
-class Randomization:
-    """How far an episode may differ from the nominal one.
-
-    Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five are of the start; the others disturb it. No policy learns of them.
-
-    Attributes:
-      joint_noise: of every arm joint, in rad.
-      object_position: of the objects, along each free axis, in m.
-      object_yaw: of the objects, about the vertical, in rad.
-      target_position: of the target, along each axis, in m.
-      lost: share of the episodes that begin after the task's `mishap`.
-      link_mass: of the links of each arm, as a share of their masses.
-      payload: of each loose thing and each tool, as a share of its mass.
-      friction: of all contacts, as a share of their coefficients.
-      lost_torque: share of its torque limits that one arm, drawn at random, lacks.
-      delay: how late all actions of an episode come, in control steps.
-      delayed: share of the episodes in which they come late.
-      lost_actions: share of the actions of each arm that never arrive; it then holds
-        still, and holds what it has in its grip.
-      position_noise: of every observed place, along each axis, at every step, in m.
-      angle_noise: of every observed joint angle, and of every observed pose about each
-        axis, at every step, in rad.
-      limp: agents whose arms have no torque and no compensation of gravity; what their
-        grip is told it does.
-      absent: agents whose arms touch nothing, as if they were not there; what is fixed
-        in their hands is.
-    """
-
-    joint_noise: float = bounded(0.05, 0.0, math.pi)
-    object_position: float = bounded(0.05, 0.0, 1.0)
-    object_yaw: float = bounded(float(np.radians(15)), 0.0, math.pi)
-    target_position: float = bounded(0.05, 0.0, 1.0)
-    lost: float = bounded(0.0, 0.0, 1.0)
-    link_mass: float = bounded(0.0, 0.0, 0.9)
-    payload: float = bounded(0.0, 0.0, 0.9)
-    friction: float = bounded(0.0, 0.0, 0.9)
-    lost_torque: float = bounded(0.0, 0.0, 0.9)
-    delay: int = bounded(0, 0, 100)
-    delayed: float = bounded(1.0, 0.0, 1.0)
-    lost_actions: float = bounded(0.0, 0.0, 1.0)
-    position_noise: float = bounded(0.0, 0.0, 1.0)
-    angle_noise: float = bounded(0.0, 0.0, math.pi)
-    limp: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        for name in "limp", "absent":
-            agents = getattr(self, name)
-            check_kind(name, agents, (tuple, list), "a tuple of agents")
-            _ = [check_name(f"each of {name}", agent) for agent in agents]
-            object.__setattr__(self, name, tuple(agents))
-
-    @property
-    def moves(self) -> np.ndarray:
-        """Bounds of an object's moves along x, y, z and of its turn about z, (4,)."""
-        return np.array([self.object_position] * 3 + [self.object_yaw])
-
-
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
 
 STYLE_DRAWS = 3
 """How many numbers each episode draws for the styles of an expert."""
 
-_STARTS = "joint_noise", "object_position", "target_position"
-
-
-def presets(default: Randomization) -> dict[str, Randomization]:
-    """Return the presets of a task by name.
-
-    `paper` starts as the thesis does, `default` is drawn around it, `lost` after a
-    mishap, `wide` 1.5 times as far off, for training, `hard` with every disturbance and
-    at least twice as far off as usual.
-    """
-
-    def scaled(by: float, start: Randomization) -> Randomization:
-        # Rounded, so that 1.5 times 0.05 is 0.075.
-        starts = {name: round(by * getattr(start, name), 15) for name in _STARTS}
-        return replace(start, **starts, object_yaw=by * start.object_yaw)
-
-    twice = scaled(2.0, Randomization())
-    names = *_STARTS, "object_yaw"
-    farther = {n: max(getattr(default, n), getattr(twice, n)) for n in names}
-    return {
-        "default": default,
-        "paper": scaled(0.0, default),
-        "wide": scaled(1.5, default),
-        "lost": replace(default, lost=1.0),
-        "hard": Randomization(
-            **farther,
-            link_mass=0.2,
-            payload=0.2,
-            friction=0.2,
-            lost_torque=0.2,
-            delay=1,
-            delayed=0.5,
-            lost_actions=0.05,
-            position_noise=0.005,
-            angle_noise=0.01,
-        ),
-    }
-
+WRENCHES = "off", "raw", "compensated"
+"""What `TaskConfig.wrench` may be."""
 
 RANDOMIZATIONS = presets(Randomization())
 """The presets of tasks that have none of their own."""
@@ -144,6 +48,8 @@ class TaskConfig:
       randomization: how episode starts are drawn.
       placements: where the arms are mounted, or None for the task's rule.
       max_episode_steps: control steps of an episode.
+      wrench: whether robots observe force and torque at their wrists, as `envs.wrists`
+        describes: "off", "raw", or "compensated" for the weight of hand and tool.
       action: what actions mean, by the name of an action mode, such as "joints" or
         "tcp"; `list_modes` has them.
     """
@@ -152,11 +58,14 @@ class TaskConfig:
     placements: tuple[Placement, ...] | None = None
     max_episode_steps: int = 200
     action: str = "joints"
+    wrench: str = "off"
 
     def __post_init__(self) -> None:
         check_settings(self)
         check_kind("action", self.action, str, "the name of an action mode")
         get_mode(self.action)
+        check_kind("wrench", self.wrench, str, "the name of a kind of wrench")
+        look_up("wrench", self.wrench, dict.fromkeys(WRENCHES))
         if self.max_episode_steps is not None:  # Where a task has a rule of its own.
             check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
         how, placements = self.randomization, self.placements
