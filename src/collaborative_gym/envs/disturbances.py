@@ -123,13 +123,14 @@ class Disturbances:
             self._sim.vary(env_ids, factors)
         if self._shakes:
             # Drawn last, so that it changes nothing else.
-            names = ("force_bias", "torque_bias"), ("force_noise", "torque_noise")
-            bias, noise = (
-                np.repeat([getattr(bounds, name) for name in own], 3) for own in names
-            )
-            shape = self._wrong.shape[1:]
-            wrong = rng.within(bias, shape[1:])[:, None] + rng.within(noise, shape)
-            self._wrong[env_ids] = wrong
+            self._wrong[env_ids] = self._draw_wrong(rng)
+
+    def _draw_wrong(self, rng: EpisodeRandom) -> np.ndarray:
+        """Return what sensors in wrists are off by, (episodes, steps, agents, 6)."""
+        bounds, shape = self._bounds, self._wrong.shape[1:]
+        bias = np.repeat([bounds.force_bias, bounds.torque_bias], 3)
+        noise = np.repeat([bounds.force_noise, bounds.torque_noise], 3)
+        return rng.within(bias, shape[1:])[:, None] + rng.within(noise, shape)
 
     def _still(self, torques: np.ndarray) -> dict[str, np.ndarray]:
         """Return factors of models with arms that are limp or absent.

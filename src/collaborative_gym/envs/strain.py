@@ -239,25 +239,33 @@ class Strain:
             "torque_over_limit": np.max(applied / limit, axis=2),
         }
         felt = np.stack([*self._wrists.sensed(sensed).values()])
-        found["wrist_force"] = math.norm(felt[..., :3]).max(axis=0)
-        found["wrist_torque"] = math.norm(felt[..., 3:]).max(axis=0)
+        for name, own in zip(("force", "torque"), np.split(felt, 2, -1), strict=True):
+            found[f"wrist_{name}"] = math.norm(own).max(axis=0)
         for kind in DEPTHS:
             if len(self._deep[kind]):
                 depth = -sensed[:, :, self._deep[kind]]
                 found[f"contact_depth_{kind}"] = depth.max(axis=2)
                 force = math.norm(sensed[:, :, self._forces[kind]])
                 found[f"contact_force_{kind}"] = force.max(axis=2)
-        if self._held:
-            forces, is_held = [], []
-            for held in self._held:
-                forces.append(self._internal_force(held, records, env_ids))
-                bonds = [bond for bond, _, _ in held.bonds]
-                arms = records["eq_active"][:, :, bonds].sum(axis=2)
-                is_held.append(arms + (held.tool is not None) >= 2)
-            found["internal_force"] = np.max(forces, axis=0)
-            found["internal_force_mean"] = found["internal_force"].copy()
-            found[_HELD_STEPS] = np.any(is_held, axis=0)
-        return found
+        return found | self._found_held(records, env_ids)
+
+    def _found_held(
+        self, records: dict[str, np.ndarray], env_ids: EnvIds
+    ) -> dict[str, np.ndarray]:
+        """Return what `_found` does of what arms hold; nothing if they never do."""
+        if not self._held:
+            return {}
+        forces, is_held = [], []
+        for held in self._held:
+            forces.append(self._internal_force(held, records, env_ids))
+            bonds = [bond for bond, _, _ in held.bonds]
+            arms = records["eq_active"][:, :, bonds].sum(axis=2)
+            is_held.append(arms + (held.tool is not None) >= 2)
+        force = np.max(forces, axis=0)
+        names = "internal_force", "internal_force_mean", _HELD_STEPS
+        return dict(
+            zip(names, (force, force.copy(), np.any(is_held, axis=0)), strict=True)
+        )
 
     def _internal_force(
         self, held: _Held, records: dict[str, np.ndarray], env_ids: EnvIds
