@@ -196,6 +196,14 @@ def test_an_arm_may_stand_on_a_column(edited, compiled):
         assert data.body("shoulder").xpos[2] == pytest.approx(0.6)
 
 
+def test_the_wrist_is_where_its_axes_meet(edited):
+    """The anchor of the last joint is beyond the tcp, from where z seems to point back."""
+    anchor = '<joint name="joint_6"', '<joint name="joint_6" pos="0 0.4 0"'
+    edited(anchor)
+    with pytest.raises(ValueError, match="where now its -z axis"):
+        edited(anchor, ('<site name="tcp"', '<site name="tcp" euler="3.1416 0 0"'))
+
+
 def test_what_may_touch_in_an_xml_cannot_be_told_in_a_urdf(edited):
     home = (0, 0, 2.69, 0, -1.57, 0)
     with pytest.raises(ValueError, match="or let them pass one another: <contact><ex"):

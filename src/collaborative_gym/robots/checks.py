@@ -264,9 +264,20 @@ def check_payload(robot: RobotData, pull: float) -> None:
 
 
 def _check_tcp(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise ValueError unless the tcp's z axis points away from the last joint."""
-    tcp = data.site(robot.tcp)
-    offset = tcp.xpos - data.xanchor[model.joint(robot.joints[-1]).id]
+    """Raise ValueError unless the tcp's z axis points away from the wrist.
+
+    The wrist is where the last axis is next to the one before: anchors of joints may
+    lie anywhere on their axes.
+    """
+    tcp, last = data.site(robot.tcp), model.joint(robot.joints[-1]).id
+    offset = tcp.xpos - data.xanchor[last]
+    if len(robot.joints) > 1:
+        before, axis = model.joint(robot.joints[-2]).id, data.xaxis[last]
+        across = _off_axis(data, before, data.xanchor[last] + axis)
+        here = _off_axis(data, before, data.xanchor[last])
+        step = across - here  # how an axis leaves the other; none if they are parallel
+        if step @ step > 1e-3:
+            offset += axis * (here @ step) / (step @ step)
     along = offset @ tcp.xmat.reshape(3, 3)
     length = np.linalg.norm(along)
     if length > 0.02 and along[2] < 0.5 * length:
