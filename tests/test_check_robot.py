@@ -51,7 +51,7 @@ def test_a_tool_centre_inside_the_hand_is_named(own, faults, tmp_path):
     told, why = faults(replace(own, model_file=file), "Pass")
     assert told.startswith("Pass: the expert completes 0 of 4 episodes; in most of the")
     assert "touches" in told
-    assert why.startswith("its tcp is 30 mm inside a shape of its body 'hand': ")
+    assert why.startswith("its tcp is 30 mm inside a shape of its hand, which may")
 
 
 def test_a_home_that_looks_away_or_up_is_named(own, faults):

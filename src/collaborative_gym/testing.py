@@ -131,9 +131,9 @@ def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
     told = f"{task}: the expert completes {met.sum()} of {episodes} episodes"
     if not sound.all():
         told += f"; physics diverges in {(~sound).sum()}"
-    common = Counter(what for i in np.flatnonzero(~met) for what in set(seen[i]))
-    often = sum((seen[i] for i in np.flatnonzero(~met)), Counter[str]())
-    found = [what for what, _ in often.most_common() if 2 * common[what] > (~met).sum()]
+    failed = [seen[i] for i in np.flatnonzero(~met)]
+    often = sum(failed, Counter[str]()).most_common()
+    found = [w for w, _ in often if 2 * sum(w in own for own in failed) > len(failed)]
     if found:
         told += f"; in most of the failures {' and '.join(found[:2])}"
     return float(met.mean()), told
@@ -163,15 +163,13 @@ def unusual(robot: Robot) -> list[str]:
     model = spec.compile()
     data = at_home(robot, model, robot.gripper.open_position)
     tip, found = model.geom(probe["name"]).id, []
-    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
-    gaps = [mujoco.mj_geomDistance(model, data, tip, int(g), 1.0, None) for g in solid]
-    if len(gaps) and min(gaps) < _ROOM:
-        body = model.body(int(model.geom_bodyid[solid[np.argmin(gaps)]])).name
-        found.append(
-            f"its tcp is {abs(min(gaps)) * 1000:.0f} mm"
-            f" {'inside' if min(gaps) < 0 else 'from'} a shape of its body {body!r}:"
-            f" nothing wider than {2 * _ROOM * 1000:.0f} mm can be held there"
-        )
+    for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
+        gap = mujoco.mj_geomDistance(model, data, tip, int(geom), _ROOM, None)
+        if gap < _ROOM:
+            body = model.body(int(model.geom_bodyid[geom])).name
+            where = "inside" if gap < 0.0 else "from"
+            told = f"its tcp is {abs(gap) * 1000:.0f} mm {where} a shape of its {body},"
+            found.append(f"{told} which may be in the way of what it grips")
     tcp = data.site(robot.tcp)
     if tcp.xpos[0] < 0.0:
         found.append(f"at home its hand is {-tcp.xpos[0]:.2f} m behind its base")

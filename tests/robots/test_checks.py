@@ -197,7 +197,7 @@ def test_an_arm_may_stand_on_a_column(edited, compiled):
 
 
 def test_the_wrist_is_where_its_axes_meet(edited):
-    """The anchor of the last joint is beyond the tcp, from where z seems to point back."""
+    """The last joint has its anchor beyond the tcp, so z seems to point back."""
     anchor = '<joint name="joint_6"', '<joint name="joint_6" pos="0 0.4 0"'
     edited(anchor)
     with pytest.raises(ValueError, match="where now its -z axis"):

@@ -261,11 +261,9 @@ class Strain:
             bonds = [bond for bond, _, _ in held.bonds]
             arms = records["eq_active"][:, :, bonds].sum(axis=2)
             is_held.append(arms + (held.tool is not None) >= 2)
-        force = np.max(forces, axis=0)
-        names = "internal_force", "internal_force_mean", _HELD_STEPS
-        return dict(
-            zip(names, (force, force.copy(), np.any(is_held, axis=0)), strict=True)
-        )
+        force, held_steps = np.max(forces, axis=0), np.any(is_held, axis=0)
+        found = {"internal_force": force, "internal_force_mean": force.copy()}
+        return found | {_HELD_STEPS: held_steps}
 
     def _internal_force(
         self, held: _Held, records: dict[str, np.ndarray], env_ids: EnvIds

@@ -21,28 +21,25 @@ from collaborative_gym.sim.sim import Sim
 WRENCH, UNIT = "wrench", "N; N m"
 """Name and unit of its block in observations, (num_envs, 6)."""
 
-_KINDS = mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE
+_NAME = "{}/wrist that feels"  # which a model file is unlikely to give to a site
+_SENSES = mujoco.mjtSensor
+_KINDS = {"force": _SENSES.mjSENS_FORCE, "torque": _SENSES.mjSENS_TORQUE}
 
 
 def add_wrist_sensors(scene: Scene) -> None:
     """Add to a scene that is not compiled yet what `Wrists` reads."""
     for agent, robot in scene.robots.items():
-        spec = robot.spec()
+        spec, name, quat = robot.spec(), _NAME.format(agent), np.zeros(4)
         link = spec.joint(robot.joints[-1]).parent.name
         data = kinematics(spec, {})
-        body, tcp, quat = data.body(link), data.site(robot.tcp), np.zeros(4)
+        body, tcp = data.body(link), data.site(robot.tcp)
         axes = body.xmat.reshape(3, 3).T
         mujoco.mju_mat2Quat(quat, (axes @ tcp.xmat.reshape(3, 3)).ravel())
-        place = axes @ (tcp.xpos - body.xpos)
         wrist = scene.spec.body(f"{agent}/{link}")
-        wrist.add_site(name=_sensor(agent), pos=place, quat=quat)
-        for kind in _KINDS:
-            scene.spec.add_sensor(
-                name=_sensor(agent, kind),
-                type=kind,
-                objtype=mujoco.mjtObj.mjOBJ_SITE,
-                objname=_sensor(agent),
-            )
+        wrist.add_site(name=name, pos=axes @ (tcp.xpos - body.xpos), quat=quat)
+        at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": name}
+        for what, kind in _KINDS.items():
+            scene.spec.add_sensor(name=f"{name}: {what}", type=kind, **at)
 
 
 class Wrists:
@@ -56,20 +53,19 @@ class Wrists:
 
     def __init__(self, scene: Scene, model: mujoco.MjModel, *, is_raw: bool):
         self._is_raw, self._gravity = is_raw, np.array(model.opt.gravity)
-        self._agents, data = tuple(scene.arms), mujoco.MjData(model)
+        self._wrists, data = {}, mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        self._columns, self._masses, self._centres = {}, {}, {}
         for agent, arm in scene.arms.items():
-            names = *(_sensor(agent, kind) for kind in _KINDS), f"{agent}/tcp.quat"
-            starts = [int(model.sensor(name).adr[0]) for name in names]
+            name = _NAME.format(agent)
+            sensors = *(f"{name}: {what}" for what in _KINDS), f"{agent}/tcp.quat"
+            starts = [int(model.sensor(sensor).adr[0]) for sensor in sensors]
             ends = [a + size for a, size in zip(starts, (3, 3, 4), strict=True)]
-            self._columns[agent] = [*map(slice, starts, ends)]
-            link = int(model.site_bodyid[model.site(_sensor(agent)).id])
-            axes = data.site_xmat[arm.tcp].reshape(3, 3).T
+            link = int(model.site(name).bodyid[0])
             centre = data.subtree_com[link] - data.site_xpos[arm.tcp]
-            self._masses[agent] = model.body_subtreemass[link]
-            self._centres[agent] = axes @ centre
+            centre = data.site_xmat[arm.tcp].reshape(3, 3).T @ centre
+            columns = [*map(slice, starts, ends)]
+            self._wrists[agent] = columns, float(model.body_subtreemass[link]), centre
 
     def read(self, sim: Sim) -> dict[str, Array]:
         """Return the present wrenches by agent, (num_envs, 6)."""
@@ -79,21 +75,13 @@ class Wrists:
     def sensed(self, sensordata: Array) -> dict[str, Array]:
         """Return the wrenches of sensor values (..., n) by agent, (..., 6)."""
         xp, found = math.array_namespace(sensordata), {}
-        for agent in self._agents:
-            force, torque, quat = (sensordata[..., own] for own in self._columns[agent])
+        for agent, (columns, mass, centre) in self._wrists.items():
+            force, torque, quat = (sensordata[..., own] for own in columns)
             # MuJoCo's are what the arm exerts.
             force, torque = -force, -torque
             if not self._is_raw:
                 down = math.rotate(math.conjugate(quat), xp.asarray(self._gravity))
-                weight = self._masses[agent] * down
-                centre = xp.asarray(self._centres[agent])
-                force = force - weight
-                torque = torque - math.cross(centre, weight)
+                force = force - mass * down
+                torque = torque - math.cross(xp.asarray(centre), mass * down)
             found[agent] = xp.concat([force, torque], axis=-1)
         return found
-
-
-def _sensor(agent: str, kind: mujoco.mjtSensor | None = None) -> str:
-    """Return the name of the site at an agent's wrist, or that of a sensor there."""
-    # A model file is unlikely to give this name to a site of its own.
-    return f"{agent}/wrist that feels" + (f" {kind.name}" if kind else "")
