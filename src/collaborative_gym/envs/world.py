@@ -89,15 +89,12 @@ class World:
         """Return the wrenches at the wrists by agent; none if nobody observes them."""
         return {} if self.wrists is None else self.wrists.read(sim)
 
-    def flat(
-        self, facts: Any, wrenches: Mapping[str, Array], xp: Any
-    ) -> dict[str, Array]:
+    def flat(self, facts: Any, felt: Mapping[str, Array], xp: Any) -> dict[str, Array]:
         """Return all blocks by agent, one after the other, (num_envs, k) float32."""
         flat = {}
         for agent, own in self.task.observe(facts).items():
             rows = list(own.values())
-            if agent in wrenches:
-                rows.append(wrenches[agent])
+            rows += [felt[agent]] if agent in felt else []
             rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
             flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
         return flat
@@ -142,7 +139,6 @@ class Starts:
         rows = np.flatnonzero(missing)
         self._drawn[:, rows] = -1
         draw_starts(task, sim, self._mode, rows, EpisodeRandom(*wanted[:, rows]))
-        self.observations = self._world.flat(
-            task.measure(sim), self._world.feel(sim), sim.xp
-        )
+        felt = self._world.feel(sim)
+        self.observations = self._world.flat(task.measure(sim), felt, sim.xp)
         self._drawn[:, rows] = wanted[:, rows]

@@ -43,13 +43,7 @@ def add_wrist_sensors(scene: Scene) -> None:
 
 
 class Wrists:
-    """Reads the wrenches of worlds whose scene had `add_wrist_sensors`.
-
-    Args:
-      scene: the compiled scene.
-      model: the compiled world.
-      is_raw: whether the weight of hand and tool is in them.
-    """
+    """Reads wrenches, raw or compensated, in worlds that had `add_wrist_sensors`."""
 
     def __init__(self, scene: Scene, model: mujoco.MjModel, *, is_raw: bool):
         self._is_raw, self._gravity = is_raw, np.array(model.opt.gravity)

@@ -31,9 +31,7 @@ _PER_JOINT = {
 """Least and greatest values of a joint, and their unit. Those that no law of physics
 gives are our choice: a hundred times what the heaviest industrial arms have."""
 
-SLACK = 1e-6
-"""By how much a home and fingers may be beyond their range, in rad or m."""
-
+SLACK = 1e-6  # rad or m by which a home and fingers may be beyond their range
 GRAVITY = 9.81
 """m/s2, MuJoCo's default."""
 

@@ -35,9 +35,8 @@ class Randomization:
         axis, at every step, in rad.
       force_noise: of every observed force, along each axis, at every step, in N.
       torque_noise: of every observed torque, likewise, in N m.
-      force_bias: what a wrist's force is off by during a whole episode, along each
-        axis, in N.
-      torque_bias: what its torque is off by, likewise, in N m.
+      force_bias: of a wrist's force along each axis, during a whole episode, in N.
+      torque_bias: of its torque, likewise, in N m.
       limp: agents whose arms have no torque and no compensation of gravity; what their
         grip is told it does.
       absent: agents whose arms touch nothing, as if they were not there; what is fixed
