@@ -141,7 +141,12 @@ ENTRIES = {
         UR | UR5 | {"tcp": "right_hand"},
     ),
     "ur10e": Entry(
-        "UR10e", BLOCKS, f"{MODELS}/ur10e.xml", "MIT", UR | UR10 | {"tcp": "TCP"}
+        "UR10e",
+        BLOCKS,
+        f"{MODELS}/ur10e.xml",
+        "MIT",
+        # Its base looks backwards, as those of the maker's controllers do.
+        UR | UR10 | {"tcp": "TCP", "home": (3.14, *UR["home"][1:])},
     ),
     "panda": Entry(
         "Panda",
