@@ -168,7 +168,7 @@ ENTRIES = {
         "Panda",
         "mani_skill",
         f"{SKILL}/panda/panda_v2.urdf",
-        "Apache-2.0",
+        "CC BY-NC 4.0",
         PANDA | {"joints": numbered(P, 7), "tcp": "panda_hand_tcp"},
         gripper=PANDA_HAND,
     ),
@@ -231,7 +231,7 @@ ENTRIES = {
         "xArm7",
         "mani_skill",
         f"{SKILL}/xarm7/xarm7.urdf",
-        "Apache-2.0",
+        "CC BY-NC 4.0",
         XARM7 | {"tcp": "link_eef"},
     ),
     "xarm7_suite": Entry(
@@ -377,7 +377,7 @@ ENTRIES = {
         "IRB 140",
         "rtb_data",
         "rtbdata/xacro/abb_irb140_description/urdf/irb140.urdf",
-        "BSD",
+        "MIT",
         UR | UR5 | {"joints": numbered("joint_", 6)},
     ),
     "koch": Entry(
@@ -419,7 +419,8 @@ def row(name, entry, folder, tasks, episodes):
     """Return the cells of an arm in the table, and what does not work in sentences."""
     form = "URDF" if entry.file.endswith(".urdf") else "MJCF"
     package = f"{entry.package.replace('_', '-')} {version(entry, folder)}"
-    edits = f"{len(entry.edits)} edits" if entry.edits else "as it is"
+    count = len(entry.edits)
+    edits = f"{count} edit{'s' * (count > 1)}" if count else "as it is"
     cells, faults = [entry.title, package, form, entry.licence], []
     try:
         robot = made(name, entry, folder)
