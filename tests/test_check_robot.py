@@ -57,7 +57,7 @@ def test_a_tool_centre_inside_the_hand_is_named(own, faults, tmp_path):
 def test_a_home_that_looks_away_or_up_is_named(own, faults):
     blank = {"armature": (), "damping": (), "stiffness": ()}
     away = replace(own, home=(3.0, -0.3, 1.9, 0.0, -1.57, 0.0), **blank)
-    told, why = faults(away, "Pass")
+    told, why = faults(away, "Poke")
     assert "cannot bring its tcp to" in told and "choose a home" in told
     assert why == "at home its hand is 0.36 m behind its base"
     up = replace(own, home=(0.0, -0.1, 1.87, -3.34, -1.57, 0.0), **blank)

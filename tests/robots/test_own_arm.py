@@ -176,7 +176,7 @@ def test_a_home_that_looks_away_is_named_where_another_would_do(own):
     """Mounted nearer it would fail as well, so that must not be the advice."""
     away = replace(own, home=(3.0, -0.3, 1.9, 0.0, -1.57, 0.0), damping=(), armature=())
     with pytest.raises(ValueError) as caught:
-        cg.make("Pass", robots=(away, away))
+        cg.make("Poke", robots=(away, away))
     told = str(caught.value)
     assert "do it, such as [" in told and "choose a home" in told
     assert "mount it nearer" not in told
