@@ -26,9 +26,7 @@ _WAYS_DRAWN = 256  # postures with which `safest_way` begins
 _ROOM = 0.1  # rad that it leaves to the joints' limits
 _ON_THE_WAY = 6  # postures between two poses at which it asks for touches
 _ANY_POSE = 6  # an arm of fewer joints cannot take every pose within its reach
-_FAR_TRIES = (
-    60  # postures of all the joints' ranges, from which an error's remedy is tried
-)
+_FAR_TRIES = 60  # postures of whole ranges, from which an error's remedy is tried
 _EXACT = 1e-4  # by how much in m and rad the poses of `hold` may be missed
 
 
