@@ -58,11 +58,11 @@ PICTURES = {
         World("PassTaskSawyers-v0", 40, policy=beside("frozen"), expert_steps=20),
     ),
     "strangers": (
-        World("PokeTaskSawyers-v0", 40, policy="baseline"),
+        World("PassTaskSawyers-v0", 40, policy="baseline"),
         World(
-            "PokeTaskSawyers-v0",
+            "PassTaskSawyers-v0",
             40,
-            policy={"robot_1": "baseline", "robot_2": "expert"},
+            policy={"robot_1": "expert:nearer", "robot_2": "expert:farther"},
         ),
     ),
     "teams": (
