@@ -91,3 +91,9 @@ def test_a_statistic_of_episodes_takes_wilsons_or_students_interval():
     assert some.low < some.mean < some.high <= 1.0
     assert some.mean - some.low == pytest.approx(2.36 * 0.2588 / 8**0.5, rel=0.01)
     assert math.isnan(Statistic.of([2.0, 2.0]).low)
+
+
+def test_no_time_is_negative():
+    assert Statistic.of([1.0, 9.0]).low < 0.0
+    assert Statistic.of([1.0, 9.0], at_least=0.0).low == 0.0
+    assert math.isnan(Statistic.of([2.0, 2.0], at_least=0.0).low)

@@ -386,11 +386,10 @@ class View(Watched, _Policy):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo:
-    """Draw and film all baselines, measure them, and compare them with the thesis.
+    """Film the thesis's environments and Hockey, and compare baselines with the thesis.
 
-    It takes some minutes on two cores. Pictures and films come first. Where an
-    environment has no baseline, its expert plays. A film of Hockey shows the scripted
-    player.
+    It takes some minutes on two cores. Pictures of all environments come first, then
+    films, then a table. Where an environment has no baseline, its expert plays.
 
     Attributes:
       output: where the files go.

@@ -257,7 +257,9 @@ def _score(rows: Sequence[Mapping[str, Any]], side: str, is_divided: bool) -> Sc
 
 
 def _statistic(rows: Sequence[Mapping[str, Any]], column: str) -> Statistic:
-    return Statistic.of([row[column] for row in rows], is_share=is_share(column))
+    values = [row[column] for row in rows]
+    at_least = 0.0 if column.endswith("time_to_success") else -math.inf
+    return Statistic.of(values, is_share=is_share(column), at_least=at_least)
 
 
 def parts_of(on_progress: OnProgress, sizes: Sequence[float]) -> list[OnProgress]:

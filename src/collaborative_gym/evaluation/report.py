@@ -70,17 +70,24 @@ class Statistic:
     median: float
 
     @classmethod
-    def of(cls, values: Sequence[float], *, is_share: bool = False) -> "Statistic":
+    def of(
+        cls,
+        values: Sequence[float],
+        *,
+        is_share: bool = False,
+        at_least: float = -math.inf,
+    ) -> "Statistic":
         """Return the statistic of the values that are not NaN.
 
-        If they are shares from 0 to 1, an interval where all are alike is Wilson's.
+        If they are shares from 0 to 1, an interval where all are alike is Wilson's. No
+        interval goes below what all values are at least.
         """
         array = np.sort(np.asarray(values, float))
         array = array[~np.isnan(array)]
         if not len(array):
             return cls(*[math.nan] * 5)
         (mean,) = mean_of([array[:, None]], is_share=is_share)
-        ends = mean.low, mean.high
+        ends = np.maximum(mean.low, at_least), mean.high
         if len(array) > 1 and is_share and np.isin(array, (0.0, 1.0)).all():
             ends = wilson(mean.value, len(array))
         numbers = mean.value, *ends, iqm(array), np.median(array)
