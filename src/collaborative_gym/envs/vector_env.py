@@ -490,5 +490,7 @@ class VectorEnv:
 
     def _seen(self) -> Observations:
         """Return what the robots see of the present state."""
-        felt = self._disturbances.feel(self.world.feel(self.sim))
-        return self.world.flat(self._disturbances.see(self.facts), felt, self.sim.xp)
+        world, felt = self.world, {}
+        if world.wrists is not None:
+            felt = self._disturbances.feel(world.feel(self.sim))
+        return world.flat(self._disturbances.see(self.facts), felt, self.sim.xp)
