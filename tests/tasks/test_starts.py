@@ -127,14 +127,16 @@ class Corners:
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_the_expert_solves_the_outermost_starts(env_id, monkeypatch):
     monkeypatch.setattr(rng, "episode_generator", Corners)
-    env = cg.make_vec(env_id, num_envs=64, num_threads=1)
+    # Of teams, a fourth of the corners, because they take long.
+    corners = 64 if len(make_task(env_id).agents) == 2 else 16
+    env = cg.make_vec(env_id, num_envs=corners, num_threads=1)
     env.reset(seed=0)
-    reached = np.zeros(64, bool)
+    reached = np.zeros(corners, bool)
     for _ in range(env.task.config.max_episode_steps):
         reached |= env.step(env.expert())[4]["success"]
         if reached.all():
             break
     # With all joints at their bounds at once, a Jaco's wrist may start at its ends, and
     # eight arms are in one another's way.
-    most = {"LiftTaskJacos-v0": 3, "ReachPandas8-v0": 16}.get(env_id, 0)
+    most = {"LiftTaskJacos-v0": 3, "ReachPandas8-v0": 5}.get(env_id, 0)
     assert (~reached).sum() <= most, np.flatnonzero(~reached)
