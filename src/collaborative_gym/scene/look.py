@@ -45,18 +45,17 @@ def dress(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         ) from error
     own, count = robot.spec().compile(), len(robot.joints)
     joints = [[own.joint(name).id for name in robot.joints], _movable(look)[:count]]
-    _check_alike(robot, (own, look), joints)
+    here, there = _at_zero(own), _at_zero(look)
+    _check_alike(robot, here, there, joints)
     fingers, others = robot.gripper.joints, _movable(look)[count:]
     if len(fingers) == len(others):
         joints[0] += [own.joint(name).id for name in fingers]
         joints[1] += others
     # Where a file has no fingers, what is behind its last joint is not the whole hand.
     last = 0 if others else joints[0][-1]
-    here, there = _at_zero(own), _at_zero(look)
+    seen = _shapes(look)
     for mine, theirs in zip([-1, *joints[0]], [-1, *joints[1]], strict=True):
-        shapes = [
-            g for g in _shapes(look) if _mover(look, look.geom_bodyid[g]) == theirs
-        ]
+        shapes = [g for g in seen if _mover(look, look.geom_bodyid[g]) == theirs]
         bodies = [b for b in range(1, own.nbody) if _mover(own, b) == mine]
         bodies = bodies[:1] if mine == last else bodies
         for body in bodies if shapes else ():
@@ -89,17 +88,17 @@ def _at_zero(model: mujoco.MjModel) -> mujoco.MjData:
 
 def _check_alike(
     robot: Robot,
-    models: tuple[mujoco.MjModel, mujoco.MjModel],
+    here: mujoco.MjData,
+    there: mujoco.MjData,
     joints: Sequence[Sequence[int]],
 ) -> None:
-    """Raise ValueError unless the joints of two models have the same axes."""
+    """Raise ValueError unless two models' joints have the same axes in these states."""
     file = Path(robot.look or "").name
     if len(joints[1]) < len(joints[0]):
         raise ValueError(
             f"robot {robot.name!r}: its look {file} has {len(joints[1])} joints, and"
             f" the arm {len(joints[0])}; give a model of the same arm"
         )
-    here, there = map(_at_zero, models)
     for name, mine, theirs in zip(robot.joints, *joints, strict=True):
         way = there.xanchor[theirs] - here.xanchor[mine]
         axes = here.xaxis[mine], there.xaxis[theirs]
@@ -109,7 +108,7 @@ def _check_alike(
         if apart > _APART or askew > _ASKEW:
             raise ValueError(
                 f"robot {robot.name!r}: with all joints at zero, the axis of {name!r}"
-                f" and of its look's {models[1].joint(theirs).name!r} are"
+                f" and of its look's {there.model.joint(theirs).name!r} are"
                 f" {apart * 1000:.0f} mm and {np.degrees(askew):.0f} degrees apart;"
                 " give a model of the same arm with its base in the same place"
             )

@@ -255,9 +255,8 @@ class Pass(Task[PassConfig, PassFacts]):
         self.meetings = self._row.meetings(spots)
         self.angles, self.hands, self.picks = {}, {}, {}
         relay = self.config.relay
-        find_way = (
-            safest_way if relay else quickest_way
-        )  # Two arms: as ever, to the bit
+        # Two arms go as they ever did, to the bit.
+        find_way = safest_way if relay else quickest_way
         for i, (agent, arm) in enumerate(scene.arms.items()):
             places, comes = self._entry(i)
             ways = [

@@ -68,6 +68,7 @@ from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
     MOST_MATES,
     Frames,
+    add_stand,
     alike,
     mates_block,
     mates_of,
@@ -194,8 +195,7 @@ class Sort(Task[SortConfig, SortFacts]):
             stand = round_table(TOTE, height=_TOTE_FLOOR - 0.008)
             scene.add(f"{agent}_tote_stand", stand, position=(*spot[:2], 0.0))
             if not own:
-                stand = round_table(TOTE, height=bases[i, 2])
-                scene.add(f"{agent}_stand", stand, position=(*bases[i, :2], 0.0))
+                add_stand(scene, agent, place)
         for j, each in enumerate(self.cubes):
             scene.add(f"cube_{j + 1}", cube(SIZE, rgba=_COLOURS[each.owner]))
             for i in {each.owner, each.mover} - {-1}:
@@ -210,13 +210,9 @@ class Sort(Task[SortConfig, SortFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         self._frames = Frames(self.placements)
-        slide = sim.model.joint("belt/slide")
-        self._slide = int(slide.dofadr[0])
-        model = sim.model
-        starts = [
-            model.joint(f"cube_{j + 1}/free").dofadr[0] for j in range(len(self.cubes))
-        ]
-        self._moves = np.array([self._slide, *(int(start) for start in starts)])
+        cubes = [f"cube_{j + 1}/free" for j in range(len(self.cubes))]
+        along = [sim.model.joint(name).dofadr[0] for name in ("belt/slide", *cubes)]
+        self._moves = np.array(along)
         self.angles, self.hands = {}, {}
         for i, (agent, place) in enumerate(self.placements.items()):
             x, (*side, _) = self.seats[i], self.totes[agent]
