@@ -1,7 +1,8 @@
 """Draws the films of the gallery: python docs/draw_films.py [ENV_ID ...].
 
-They go into `docs/media/baselines/`, each with a picture that stands for it; and
-`docs/media/ego.gif`, which the name `ego` draws alone.
+Those of baselines go into `docs/media/baselines/`, those of experts of teams into
+`docs/media/experts/`, each with a picture that stands for it; and `docs/media/ego.gif`,
+which the name `ego` draws alone.
 """
 
 import sys
@@ -13,6 +14,13 @@ from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
 SIZE = 480, 270
+TEAMS = (
+    "PassPandas4-v0",
+    "BalancePathPandas4-v0",
+    "ReachPandas4-v0",
+    "SortPandas4-v0",
+)
+"""Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
 GAME, STEPS, EPISODE = "HockeyPandas-v0", 200, 3
@@ -20,10 +28,11 @@ GAME, STEPS, EPISODE = "HockeyPandas-v0", 200, 3
 
 
 def film(env_id: str) -> None:
-    """Film a baseline, and leave out the picture that stood for the last film."""
-    path = MEDIA / "baselines" / f"{env_id}.gif"
+    """Film who plays best, and leave out the picture that stood for the last film."""
+    player = "baseline" if is_shipped("baseline", env_id) else "expert"
+    path = MEDIA / f"{player}s" / f"{env_id}.gif"
     sides = cg.make_vec(env_id, 1, num_threads=1).sides
-    policy = "baseline" if len(sides) == 1 else AGAINST
+    policy = player if len(sides) == 1 else AGAINST
     if env_id == GAME:
         game = cg.task(env_id, max_episode_steps=STEPS)
         record(game, path, policy=policy, only_episodes=[EPISODE], size=SIZE)
@@ -34,7 +43,7 @@ def film(env_id: str) -> None:
 
 if __name__ == "__main__":
     shipped = [each for each in cg.list_envs() if is_shipped("baseline", each)]
-    for name in sys.argv[1:] or [*shipped, "ego"]:
+    for name in sys.argv[1:] or [*shipped, *TEAMS, "ego"]:
         if name == "ego":
             nearer, higher = (
                 {"robot_1": f"expert:{place}", "robot_2": "ego"}

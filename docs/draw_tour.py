@@ -1,6 +1,7 @@
 """Draws the README's moving picture, `docs/media/tour.gif`: python docs/draw_tour.py.
 
-Six tasks play side by side. A second after a success each goes on to its next start.
+All nine tasks play side by side. A second after a success each goes on to its next
+start.
 """
 
 from pathlib import Path
@@ -19,7 +20,10 @@ TOUR = {
     "PokeTaskPandaSawyer-v0": ("Poke: a stick through a ring", "baseline"),
     "LiftTaskSawyers-v0": ("Lift: a pot that is too heavy for one", "baseline"),
     "PassTaskJacoSawyer-v0": ("Pass: a cube from hand to hand", "baseline"),
-    "BalancePathSawyers-v0": ("BalancePath: a ball along an eight", "expert"),
+    "BalanceTaskJacoSawyer-v0": ("Balance: a ball on a board", "baseline"),
+    "BalancePathPandas3-v0": ("BalancePath: a ball along an eight", "expert"),
+    "ReachPandas4-v0": ("Reach: ways that cross", "expert"),
+    "SortPandas4-v0": ("Sort: each colour into its tote", "expert"),
     "HockeyPandas-v0": ("Hockey: one against one", "expert"),
     "TugPandas-v0": ("Tug: who pulls harder?", "expert"),
 }
@@ -82,7 +86,7 @@ if __name__ == "__main__":
     pictures = [
         Image.fromarray(
             np.concatenate(
-                [np.concatenate(row, axis=1) for row in (frames[:3], frames[3:])]
+                [np.concatenate(frames[i : i + 3], axis=1) for i in (0, 3, 6)]
             )
         )
         for frames in zip(*films, strict=True)

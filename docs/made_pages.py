@@ -109,7 +109,7 @@ def stale() -> dict[Path, bytes]:
             text = filled(page.read_text(), page.relative_to(ROOT).as_posix())
             made[page] = text.encode()
     made[DOCS / "media" / "table11.svg"] = _chart().encode()
-    for film in DOCS.glob("media/baselines/*.gif"):
+    for film in DOCS.glob("media/*s/*.gif"):
         if not film.with_suffix(".jpg").exists():
             made[film.with_suffix(".jpg")] = _still(film)
     return {
@@ -176,9 +176,10 @@ def _make(what: str) -> str:
 
 def _modes() -> str:
     """Return a list of the action modes, by their docstrings."""
+    docs = {name: str(get_mode(name).__doc__).split() for name in list_modes()}
     return "\n".join(
-        f"- `{name}`: {' '.join(str(get_mode(name).__doc__).split())}"
-        for name in list_modes()
+        textwrap.fill(f"- `{name}`: {' '.join(words)}", 100, subsequent_indent="  ")
+        for name, words in docs.items()
     )
 
 
@@ -238,9 +239,8 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
         listed = ", ".join(f"`{name}` {value!r}" for name, value in own.items())
         arms.append(f"- settings that differ from the defaults: {listed}")
     paragraphs = [f"## {env_id}"]
-    film = f"media/baselines/{env_id}.gif"
-    if (ROOT / "docs" / film).exists():
-        paragraphs.append(f"![{env_id}, played by its baseline](../{film})")
+    for player, film in _film(env_id).items():
+        paragraphs.append(f"![{env_id}, played by its {player}](../{film})")
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
     card = shipped_file("baseline", env_id).with_suffix(".md")
     if card.exists():
@@ -385,15 +385,20 @@ def _films(tasks: Sequence[str]) -> str:
     paragraphs = []
     for name in tasks:
         for env_id, _ in _envs(name):
-            film = f"docs/media/baselines/{env_id}.gif"
-            if (ROOT / film).exists():
+            for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
-                    f"### [{env_id}]({page})",
+                    f"### [{env_id}]({page}), played by its {player}",
                     f"[![{env_id}; click for its film]"
-                    f"({film.removesuffix('.gif')}.jpg)]({film})",
+                    f"(docs/{film.removesuffix('.gif')}.jpg)](docs/{film})",
                 ]
     return "\n\n".join(paragraphs)
+
+
+def _film(env_id: str) -> dict[str, str]:
+    """Return an environment's film in `docs/` by who plays, or nothing."""
+    films = {who: f"media/{who}s/{env_id}.gif" for who in ("baseline", "expert")}
+    return {who: film for who, film in films.items() if (DOCS / film).exists()}
 
 
 def _names(page: str) -> str:

@@ -1,5 +1,7 @@
 """The command line."""
 
+import dataclasses
+import difflib
 import functools
 import operator
 import os
@@ -138,16 +140,20 @@ def _run(arguments: list[str]) -> None:
         kind, description, rest = _VERBS[verb], None, arguments[1:]
         if kind is Train and {"-h", "--help"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
-        command = tyro.cli(
+        command, left = tyro.cli(
             kind,
             prog=f"collaborative-gym {verb}",
             description=description,
             args=rest,
             registry=PLAIN_WORDS,
+            return_unknown_args=True,
         )
+        if left:
+            raise UnknownName(_unused(verb, left[0].partition("=")[0], command))
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
+        arguments = arguments or ["--help"]
         command = tyro.cli(
             _any_command(),
             prog="collaborative-gym",
@@ -158,6 +164,24 @@ def _run(arguments: list[str]) -> None:
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _unused(verb: str, word: str, command: Any) -> str:
+    """Return the message for a word that a command has no use for."""
+    names = dict.fromkeys(f"--{name}" for name in _fields(command))
+    near = difflib.get_close_matches(word.lower().replace("_", "-"), names, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    return f"{verb} does not take {word}{hint}; {verb} --help lists what it takes"
+
+
+def _fields(command: Any, prefix: str = "") -> Iterator[str]:
+    """Return the options of a command, with those of the values in it."""
+    for field in dataclasses.fields(command):
+        name, value = field.name.replace("_", "-"), getattr(command, field.name)
+        yield prefix + name
+        if dataclasses.is_dataclass(value):
+            yield from _fields(value)
+            yield from _fields(value, f"{name}-")
 
 
 def _check_given(command: Any, arguments: list[str]) -> None:

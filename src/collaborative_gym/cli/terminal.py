@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 import tyro
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     TaskProgressColumn,
@@ -30,6 +31,9 @@ from collaborative_gym.tasks.task import Task
 
 if TYPE_CHECKING:
     from rich.markdown import Markdown
+
+_WIDEST = 1000
+"""Largest width of a table where there is no terminal, in characters."""
 
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
@@ -375,8 +379,9 @@ def new_table(
         caption_justify="left",
     )
     for i, head in enumerate(heads):
-        justify = "left" if i < words else "right"
-        table.add_column(head, justify=justify, no_wrap=True)
+        # In a narrow terminal numbers go below one another; none is cut off.
+        side = "left" if i < words else "right"
+        table.add_column(head, justify=side, no_wrap=i < words, overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
@@ -395,8 +400,12 @@ def show(
     console = _Output(stderr=STANDARD_OUTPUT in besides)
     if isinstance(content, str):
         console.print(content, markup=False, highlight=False, soft_wrap=True)
-    else:
-        console.print(content)
+        return
+    if isinstance(content, Table) and not console.is_terminal:
+        # A file is as wide as the table.
+        wide = console.options.update(max_width=_WIDEST)
+        console.width = Measurement.get(console, wide, content).maximum
+    console.print(content)
 
 
 def warn(text: str) -> None:

@@ -70,12 +70,12 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     light = visual.headlight
     light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.2] * 3, [0.05] * 3
     visual.global_.offwidth, visual.global_.offheight = LARGEST
-    visual.quality.shadowsize = 3072
+    visual.quality.shadowsize = 4096
     visual.quality.offsamples = 4
     visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.
-    visual.map.shadowclip = 1.5
+    visual.map.shadowclip = 3.0
     visual.map.znear = 0.02
 
 

@@ -54,7 +54,7 @@ from collaborative_gym.motion import solve_pose
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
-from collaborative_gym.scene import SHOULDER, Placement, Scene
+from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.scene.contacts import depth_sensors
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import reach as player
@@ -70,7 +70,12 @@ from collaborative_gym.tasks.task import (
     Terms,
     presets,
 )
-from collaborative_gym.tasks.teams import Frames, mates_block, mates_of
+from collaborative_gym.tasks.teams import (
+    Frames,
+    add_team_camera,
+    mates_block,
+    mates_of,
+)
 
 _STARTS = Randomization(target_position=0.15)
 
@@ -174,7 +179,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius)
-        scene.add_camera(*_view([place.position for place in places.values()]))
+        add_team_camera(scene, places)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
@@ -383,19 +388,6 @@ def _ring(count: int) -> tuple[np.ndarray, float]:
     """Return at which angles arms stand, and how far from the middle their places."""
     step = 2 * np.pi / max(count, _QUARTERS)
     return step * np.arange(count), _GAP / 2 / np.sin(step / 2)
-
-
-def _view(bases: list[tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the place and the axes of a camera that sees arms on these bases."""
-    middle = np.mean(bases, axis=0) + SHOULDER
-    far = np.linalg.norm(np.array(bases) + SHOULDER - middle, axis=1).max() + 0.4
-    # Arms face the middle of the cell. So does the camera, where their ring is open.
-    open_side = -middle * LEVEL
-    size = np.linalg.norm(open_side)
-    ahead = -open_side / size if size > 0.01 else np.array([-1.0, 0.0, 0.0])
-    right, up = np.cross(ahead, [0, 0, 1]), np.array([0.0, 0.0, 1.0])
-    eye = middle + far * (1.7 * up - 2.0 * ahead)
-    return eye, np.concatenate([right, np.cross(right, middle - eye)])
 
 
 register_task("Reach", Reach)

@@ -157,12 +157,12 @@ def make_task(
     if len(arms) not in counts:
         given = ", ".join(arm.name for arm in arms)
         is_own = robots is None and num_robots is None
-        remedy = "name as many in its EnvSpec" if is_own else "give as many"
         numbers = " or ".join(map(str, counts))
         if len(counts) > 2:
             numbers = f"{min(counts)} to {max(counts)}"
+        remedy = "; name as many in its EnvSpec" if is_own else ""
         raise ValueError(
-            f"{name} needs {numbers} robots, got {len(arms)} ({given}); {remedy}"
+            f"{name} needs {numbers} robots, got {len(arms)} ({given}){remedy}"
         )
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}

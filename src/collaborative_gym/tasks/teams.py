@@ -19,6 +19,11 @@ MOST_JOINTS = 7
 
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
+_TALL, _MARGIN = 0.7, 0.2  # m, of an arm at work in a picture, and around it
+_SLOPE = 0.65  # how steeply a camera looks down at a team
+_VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
+"""Half a picture's width and height in proportion to the distance."""
+
 
 def alike(joints: Array) -> Array:
     """Return joint angles (num_envs, k), with zeros after those of a shorter arm."""
@@ -127,13 +132,21 @@ def seat_turns(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
 
 
 def add_team_camera(scene: Scene, placements: Mapping[str, Placement]) -> None:
-    """Look at a team around the origin from above, between two of its arms."""
-    bases = np.array([each.position[:2] for each in placements.values()])
-    far = 1.25 * np.hypot(*bases.T).max() + 0.75
-    turns = (2.0 * np.arange(len(bases)) + 1.0) * np.pi / len(bases) - np.pi / 2
-    angle = turns[np.cos(turns).argmax()]
-    away, across = np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )
-    place, axes = (*far * away, far + 0.75), (*across, 0.0, *-away, 1.0)
-    scene.add_camera(place, axes)
+    """Look at a team from above, through the widest gap between two of its arms."""
+    bases = np.array([each.position for each in placements.values()])
+    tops = bases + np.array([0.0, 0.0, _TALL])
+    middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
+    azimuths = np.sort(np.arctan2(*(bases - middle)[:, 1::-1].T))
+    gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)
+    between = azimuths + gaps / 2
+    # Of gaps that are equally wide, the one nearest to +x.
+    angle = between[np.lexsort((np.cos(between), gaps.round(3)))[-1]]
+    back = np.array([np.cos(angle), np.sin(angle), _SLOPE])
+    back /= np.linalg.norm(back)
+    right = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    up = np.cross(back, right)
+    away = np.concatenate([bases, tops]) - middle
+    wide = (np.abs(away @ right) + _MARGIN) / _VIEW[0]
+    high = (np.abs(away @ up) + _MARGIN) / _VIEW[1]
+    far = np.max(away @ back + np.maximum(wide, high))
+    scene.add_camera(middle + far * back, np.concatenate([right, up]))

@@ -41,14 +41,10 @@ const labels = [...document.querySelectorAll("label")];
 const shadows = labels.find(label => label.textContent == %s);
 const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
 if (!window.isKnown && isSlow && shadows && shadows.control.checked) shadows.click();
-const parts = [...document.querySelectorAll("div")];
-const bar = parts.findLast(part => part.textContent == %s);
-if (!window.isKnown && matchMedia("(max-width: 36em)").matches && bar) bar.click();
 window.isKnown = true;
 """
-"""Script of a tab that has the panel. It sets the title, unticks the shadows if there
-is no graphics card, where a picture takes a second with them, and on a phone folds the
-panel, which would hide the arms."""
+"""Script of a tab that has the panel. It sets the title, and unticks the shadows if
+there is no graphics card: a picture with them takes a second there."""
 
 _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
@@ -224,7 +220,7 @@ class Panel:
             offers.append(self._link)
         self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
-        script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS, _LABEL)))
+        script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS)))
         # An image that cannot be loaded runs it, because pages run no scripts that come
         # later.
         self._script.content = (

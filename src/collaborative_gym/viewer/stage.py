@@ -36,8 +36,8 @@ _WEAK = 0.5
 """Least contact force that is drawn, in N."""
 
 _TALL, _LOWER = 0.75, 0.4
-"""A picture that is narrower than this share of its height looks so much lower, as a
-share of half its height: a phone's panel covers its lower part."""
+"""A picture that is narrower than this share of its height is that of a phone. It looks
+so much lower, as a share of half its height: the panel covers its lower part."""
 
 _WIDE = 1.6
 """Width of all worlds together as a share of their depth."""
@@ -102,7 +102,9 @@ class Stage:
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
-        # On the floor, between the arms, until somebody has pulled.
+        # On the floor, between the arms, until somebody has pulled. The latest tab says
+        # whether there is a Ctrl: a phone has none.
+        self._has_keys = True
         self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
@@ -140,7 +142,8 @@ class Stage:
                     node.batched_positions = positions[:, body]
                     node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
-            self._hint.visible = labels and not has_many and not session.was_pulled
+            is_news = self._has_keys and not session.was_pulled
+            self._hint.visible = labels and not has_many and is_news
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
@@ -163,12 +166,13 @@ class Stage:
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         aspect = client.camera.aspect
+        self._has_keys = aspect >= _TALL
         eye, target = self._place(view, aspect)
         if view != CAMERA:
             # Of several worlds, all other views are of the one that is read.
             place = self._places[self._session.world]
             eye, target = eye + place, target + place
-        if aspect < _TALL:
+        if not self._has_keys:
             slope = np.tan(np.radians(self._model.camera(CAMERA).fovy[0]) / 2)
             down = _LOWER * slope * np.linalg.norm(eye - target)
             target = target - np.array([0.0, 0.0, down])
@@ -176,14 +180,15 @@ class Stage:
         return eye
 
     def _place(self, view: str, aspect: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return where a camera stands so that the arms are in view, and its target."""
+        """Return where a camera sees arms and targets from, and what it looks at."""
         model, data = self._model, self._data
         places = self._places
         own, looked_at = overview(model, data)
         if view == _HANDS:
             shown = data.site_xpos[[model.site(f"{a}/tcp").id for a in self._arms]]
         else:
-            shown = np.concatenate([data.xpos[own] for own in self._arms.values()])
+            arms = [data.xpos[own] for own in self._arms.values()]
+            shown = np.concatenate([*arms, data.mocap_pos])
         if len(places) > 1 and view == CAMERA:
             shown = np.concatenate([shown + place for place in places])
             target = (shown.min(axis=0) + shown.max(axis=0)) / 2
