@@ -15,6 +15,7 @@ from markdown_it import MarkdownIt
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.table11 import THESIS
+from collaborative_gym.tasks.registry import list_tasks
 
 ROOT = Path(__file__).parents[1]
 
@@ -384,6 +385,21 @@ def test_the_readme_has_the_results_of_table_11_and_can_be_read_in_minutes():
         )
         (reward, *shares) = cells
         assert row and row[1].split(" | ") == [*shares[0], *shares[1], *reward]
+
+
+def test_pages_count_the_tasks_and_those_for_teams():
+    words = dict(enumerate("five six seven eight nine ten eleven twelve".split(), 5))
+    tasks = [cg.task(name) for name in list_tasks()]
+    count = words[len(tasks)]
+    teams = words[sum(len(task.robot_counts) > 2 for task in tasks)]
+    readme, index, compared = (
+        (ROOT / path).read_text()
+        for path in ("README.md", "docs/index.md", "docs/comparison.md")
+    )
+    for page in readme, index:
+        assert f"or win: {count} tasks" in page and f"All {count} tasks" in page
+    assert f"[any team](docs/teams.md) into {teams} of them" in readme
+    assert f"eight arms do {teams} of the {count} tasks here" in compared
 
 
 def test_the_reference_has_every_public_name():
