@@ -84,6 +84,10 @@ Robots = Annotated[
     tuple[str, ...],
     tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
 ]
+NumRobots = Annotated[
+    int | None,
+    tyro.conf.arg(metavar="INT", help_behavior_hint="(default: its own)"),
+]
 File = Annotated[
     Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
 ]
@@ -137,7 +141,7 @@ class Worlds(Command):
     """
 
     robots: Robots = ()
-    num_robots: int | None = None
+    num_robots: NumRobots = None
     randomization: Randomization = "default"
     action: Action = None
     seed: int = 0

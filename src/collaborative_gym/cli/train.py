@@ -16,6 +16,7 @@ from collaborative_gym.cli.terminal import (
     Command,
     Envs,
     Folder,
+    NumRobots,
     Robots,
     chosen_task,
     show,
@@ -140,7 +141,7 @@ class Train(Command):
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
     robots: Robots = ()
-    num_robots: int | None = None
+    num_robots: NumRobots = None
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
     action: Action = None
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
