@@ -67,17 +67,18 @@ def view(
                 face = Window(session)
             except RuntimeError as error:
                 say(f"{error}; showing it in the browser instead")
-        if face is None:
-            host, port = address or HERE
+        is_page, (host, port) = face is None, address or HERE
+        if is_page:
             face = _page(session, any_env, host, port)
-            if face.is_public:
-                warn(
-                    f"WARNING: the viewer listens on {host}. Everyone who"
-                    " reaches this machine can watch and control it; there is no"
-                    " password."
-                )
-            say(f"open {face.url} in a browser; Ctrl-C ends it")
+        # A signal may come as soon as a user knows the address.
         with closing(face):
+            if is_page and face.is_public:
+                warn(
+                    f"WARNING: the viewer listens on {host}. Everyone who reaches this"
+                    " machine can watch and control it; there is no password."
+                )
+            if is_page:
+                say(f"open {face.url} in a browser; Ctrl-C ends it")
             session.run(face.refresh)
 
 
