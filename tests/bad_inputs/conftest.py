@@ -1,6 +1,5 @@
 """Worlds that all the cases share, so that few are made."""
 
-import pickle
 from functools import cached_property
 
 import gymnasium
@@ -8,8 +7,6 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym import objects
-from collaborative_gym.motion import solve_pose
-from collaborative_gym.tasks import poke
 from collaborative_gym.tasks.registry import make_task
 
 ENV = "LiftTaskSawyers-v0"
@@ -88,26 +85,6 @@ class Shared:
                     "progress": dict(state.progress),
                 }
         return states
-
-
-SOLVED = {}
-"""Start poses by what they were solved for."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def solved_once():
-    """Solve each start pose once: without, half of the time goes into it."""
-
-    def solved(model, arm, **given):
-        world = model.body_pos, model.body_quat, model.jnt_range
-        key = pickle.dumps((arm.robot.name, arm.hand, given, world))
-        if key not in SOLVED:
-            SOLVED[key] = solve_pose(model, arm, **given)
-        return SOLVED[key].copy()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(poke, "solve_pose", solved)
-        yield
 
 
 @pytest.fixture(scope="session")

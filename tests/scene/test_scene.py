@@ -103,6 +103,25 @@ def test_physics_leaves_out_what_is_only_seen_and_keeps_every_mass(scene):
     assert physics.nq == drawn.nq
 
 
+def test_what_is_only_seen_weighs_where_nothing_else_does(scene):
+    lamp = ball()
+    lamp.body("ball").add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.1, 0.2, 0.3],
+        pos=[0.05, 0.1, 0.2],
+        contype=0,
+        conaffinity=0,
+        mass=2.0,
+    )
+    scene.add("lamp", lamp)
+    physics, drawn = scene.compile(), scene.compile_to_draw()
+    assert physics.body("lamp/ball").geomnum == 1
+    for name in ("mass", "inertia", "ipos", "iquat"):
+        own = getattr(physics.body("lamp/ball"), name)
+        assert (own == getattr(drawn.body("lamp/ball"), name)).all(), name
+    assert physics.body("lamp/ball").mass > 2.0
+
+
 def test_a_table_carries_and_its_legs_are_in_the_way():
     scene = Scene()
     scene.add("table", table())

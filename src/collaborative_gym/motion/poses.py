@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
+from collaborative_gym.motion.once import found_once
 from collaborative_gym.motion.solver import (
     Chains,
     descend,
@@ -30,6 +31,7 @@ _FAR_TRIES = 60  # postures of whole ranges, from which an error's remedy is tri
 _EXACT = 1e-4  # by how much in m and rad the poses of `hold` may be missed
 
 
+@found_once
 def solve_pose(
     model: mujoco.MjModel,
     arm: Arm,
@@ -208,6 +210,7 @@ def hold_moved(
     return held, there
 
 
+@found_once
 def central_pose(
     model: mujoco.MjModel, arm: Arm, *, poses: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
@@ -243,6 +246,7 @@ def central_pose(
     return angles[times.argmin()]
 
 
+@found_once
 def quickest_way(
     model: mujoco.MjModel,
     arm: Arm,
@@ -294,6 +298,7 @@ def quickest_way(
     return best
 
 
+@found_once
 def safest_way(
     model: mujoco.MjModel,
     arm: Arm,

@@ -1,4 +1,4 @@
-"""Which shapes collide with which and how hard, and which are there to be seen only."""
+"""Which shapes collide with which, and how hard."""
 
 from collections.abc import Collection
 
@@ -52,13 +52,6 @@ def set_stops(joint: mujoco.MjsJoint) -> None:
     """Give an arm's joint stops as stiff as contacts, just before its range's ends."""
     joint.margin = STOP
     joint.solref_limit, joint.solimp_limit = SOLREF, _SOLIMP
-
-
-def is_decoration(geom: mujoco.MjsGeom) -> bool:
-    """Return whether a geom is there to be seen only."""
-    body = geom.parent
-    weighs = geom.mass != 0 and not body.explicitinertial and has_joints(body)
-    return not (geom.contype or geom.conaffinity or weighs)
 
 
 def has_joints(body: mujoco.MjsBody) -> bool:

@@ -61,8 +61,9 @@ class _Rules:
             self._low[arm.qpos] = arm.joint_range[0] - _BEYOND
             self._high[arm.qpos] = arm.joint_range[1] + _BEYOND
         sensors = np.concatenate(list(depth_sensors(model).values()))
-        judged = [i for i in sensors if _is_usual(model, i)]
-        self._depths = model.sensor_adr[judged]
+        places = model.sensor_objid[sensors], model.sensor_refid[sensors]
+        odd = np.isin(places, _unusual(model)).any(axis=0)
+        self._depths = model.sensor_adr[sensors[~odd]]
 
     def strays(self, qpos: Array, qvel: Array) -> Array:
         """Return after which steps an arm is too fast or too far.
@@ -100,16 +101,14 @@ class _Rules:
             qvel[:, arm.dof] *= share
 
 
-def _is_usual(model: mujoco.MjModel, sensor: int) -> bool:
-    """Return whether contacts that a sensor sees give way as all others do.
+def _unusual(model: mujoco.MjModel) -> np.ndarray:
+    """Return the bodies whose trees have contacts that do not give way as all others.
 
     Those of a puck do not: it may be deep in what it bounces from.
     """
-    bodies = model.sensor_objid[sensor], model.sensor_refid[sensor]
-    roots = model.body_rootid[model.geom_bodyid]
     collides = (model.geom_contype | model.geom_conaffinity) > 0
-    own = model.geom_solref[collides & np.isin(roots, bodies)]
-    return bool((own == SOLREF).all())
+    odd = collides & (model.geom_solref != SOLREF).any(axis=1)
+    return np.unique(model.body_rootid[model.geom_bodyid[odd]])
 
 
 def _short(model: mujoco.MjModel) -> dict[str, np.ndarray]:

@@ -31,7 +31,7 @@ from collaborative_gym.objects.table import table
 from collaborative_gym.objects.visual import add_wire_sphere
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
-from collaborative_gym.scene.collisions import is_decoration, set_collisions, set_stops
+from collaborative_gym.scene.collisions import set_collisions, set_stops
 from collaborative_gym.scene.contacts import add_depth_sensors
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.look import dress
@@ -248,8 +248,8 @@ class Scene:
     def compile(self) -> mujoco.MjModel:
         """Compile the world and resolve every handle.
 
-        Geoms that neither collide nor weigh anything are left out: they would take a
-        fifth of the physics' time.
+        What is only to be seen is left out, because it would take a fifth of the
+        physics' time: MuJoCo keeps the inertia of its bodies.
 
         Raises:
           ValueError: if MuJoCo cannot compile what was added.
@@ -261,13 +261,7 @@ class Scene:
         if not any(camera.name == CAMERA for camera in self.spec.cameras):
             add_overview(self.spec)
         physics = self.spec.copy()
-        for geom in list(physics.geoms):
-            if is_decoration(geom):
-                physics.delete(geom)
-        shapes = {geom.meshname for geom in physics.geoms}
-        for mesh in list(physics.meshes):
-            if mesh.name not in shapes:
-                physics.delete(mesh)
+        physics.compiler.discardvisual = True
         try:
             model = physics.compile()
         except ValueError as error:
