@@ -224,6 +224,40 @@ def test_the_strain_is_what_mujoco_finds(env, policy, steps, nonzero, monkeypatc
     assert all(found[name] > 0.0 for name in nonzero)
 
 
+@pytest.mark.parametrize("env_id", ["ReachPandas4-v0", "LiftMixed3-v0"])
+def test_the_clearance_is_the_least_of_all_pairs_of_shapes(env_id):
+    """Boxes and spheres rule out nobody who is nearest, wherever the arms are."""
+    count, plain = 24, []
+    env = made(make_task(env_id), count)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    least = np.where(np.arange(count) % 3, 1.0, 0.1)
+    for arm in env.scene.arms.values():
+        drawn = rng.uniform(*arm.joint_range, (count, arm.num_joints))
+        env.sim.qpos[:, arm.qpos] = drawn
+    env.sim.forward()
+    rows = {"strain: clearance": least.copy()}
+    moved = np.arange(count) != count - 1
+    env.strain.count_clearance(rows, moved)
+    model, data = env.model, mujoco.MjData(env.model)
+    names = [model.body(int(b)).name.split("/")[0] for b in model.geom_bodyid]
+    collides = model.geom_contype & model.geom_conaffinity
+    for qpos, bound in zip(env.sim.qpos[moved], least[moved], strict=True):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        gaps = [
+            mujoco.mj_geomDistance(model, data, one, other, bound, None)
+            for one, other in combinations(range(model.ngeom), 2)
+            if names[one] != names[other]
+            and {names[one], names[other]} <= set(env.agents)
+            and collides[one]
+            and collides[other]
+        ]
+        plain.append(min(gaps))
+    assert rows["strain: clearance"].tolist() == [*plain, 1.0]
+    assert len(set(plain)) > count / 2
+
+
 def test_the_internal_force_of_a_control_step_is_its_mean():
     env = made(make_task("BalanceTaskSawyers-v0"))
     plain = Plain(env)

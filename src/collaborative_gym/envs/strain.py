@@ -87,6 +87,9 @@ BLANK = {f"strain: {name}": value for name, value in _BLANK.items()} | {_HELD_ST
 _AT_LIMIT = 0.99
 """A joint with at least this share of its torque limit counts as at the limit."""
 
+_IN_A_BOX = 4
+"""How many shapes of an arm, one after the other, have a box around them together."""
+
 _RECORDS = (
     "actuator_force",
     "actuator_velocity",
@@ -169,7 +172,8 @@ class Strain:
         self._forces = {kind: _columns(model, f"{kind} net") for kind in DEPTHS}
         self._held = _held(scene, model)
         self._wrists = Wrists(scene, model, is_raw=False)
-        self._pairs, self._radii = _pairs(scene, model)
+        self._pairs, self._radii = _pairs(scene, model), model.geom_rbound
+        self._boxes = _Boxes(model, self._pairs)
         self._data = mujoco.MjData(model)
         self._centres = sim.geom_xpos
         self._records: dict[str, np.ndarray] = {}
@@ -282,22 +286,32 @@ class Strain:
     def count_clearance(self, rows: dict[str, Array], moved: Array) -> None:
         """Bring the rows of the clearance up to the present state; see `count`.
 
-        Most pairs of shapes are ruled out by the spheres around them.
+        Most parts of arms are ruled out by the boxes around them, and most pairs of
+        shapes by the spheres around those.
         """
         model, data = self._sim.model, self._data
         least = rows["strain: clearance"] = rows["strain: clearance"].copy()
-        one, other = self._pairs
-        gaps = math.distance(self._centres[:, one], self._centres[:, other])
-        gaps -= self._radii
-        nearer = (gaps < least[:, None]).any(axis=1) & (least > 0.0) & moved
-        for i in np.flatnonzero(nearer):
-            data.qpos[:] = self._sim.qpos[i]
-            mujoco.mj_kinematics(model, data)
-            for k in np.argsort(gaps[i]):
-                if gaps[i, k] >= least[i]:
-                    break
-                pair = int(one[k]), int(other[k])
-                least[i] = mujoco.mj_geomDistance(model, data, *pair, least[i], None)
+        bound = np.where((least > 0.0) & moved, least, -np.inf)
+        near, pairs = np.nonzero(self._boxes.apart(self._centres) < bound[:, None])
+        worlds = np.repeat(near, self._boxes.counts[pairs])
+        pairs = np.concatenate(
+            [*(self._boxes.pairs[k] for k in pairs), np.zeros(0, int)]
+        )
+        one, other = self._pairs[:, pairs]
+        gaps = math.distance(self._centres[worlds, one], self._centres[worlds, other])
+        gaps -= self._radii[one] + self._radii[other]
+        closer = np.flatnonzero(gaps < bound[worlds])
+        closer = closer[np.lexsort((gaps[closer], worlds[closer]))]
+        parts = (part[closer].tolist() for part in (worlds, gaps, one, other))
+        now, nearest = -1, 0.0
+        for i, gap, *pair in zip(*parts, strict=True):
+            if i != now:
+                data.qpos[:] = self._sim.qpos[i]
+                mujoco.mj_kinematics(model, data)
+                now, nearest = i, float(least[i])
+            if gap < nearest:
+                nearest = mujoco.mj_geomDistance(model, data, *pair, nearest, None)
+                least[i] = nearest
 
 
 def internal_force(forces: Sequence[Array]) -> Array:
@@ -345,8 +359,47 @@ def _held(scene: Scene, model: mujoco.MjModel) -> list[_Held]:
     return list(held.values())
 
 
-def _pairs(scene: Scene, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return ids of shapes that can touch, (2, pairs), and their spheres' radii."""
+class _Boxes:
+    """Boxes around parts of arms, along the axes of the world.
+
+    Attributes:
+      pairs: indices of the pairs of shapes, for each pair of boxes.
+      counts: how many these are.
+    """
+
+    def __init__(self, model: mujoco.MjModel, pairs: np.ndarray):
+        roots = model.body_rootid[model.geom_bodyid]
+        shapes = np.unique(pairs)
+        self._shapes = shapes = shapes[np.argsort(roots[shapes], kind="stable")]
+        _, first, arms = np.unique(
+            roots[shapes], return_index=True, return_inverse=True
+        )
+        begins = (np.arange(len(shapes)) - first[arms]) % _IN_A_BOX == 0
+        self._starts, boxes = np.flatnonzero(begins), np.zeros(model.ngeom, int)
+        boxes[shapes] = np.cumsum(begins) - 1
+        self._radii = model.geom_rbound[shapes, None]
+        self._boxes, which = np.unique(boxes[pairs], axis=1, return_inverse=True)
+        count = self._boxes.shape[1]
+        self.pairs = [np.flatnonzero(which.ravel() == k) for k in range(count)]
+        self.counts = np.array([len(own) for own in self.pairs], int)
+
+    def apart(self, centres: np.ndarray) -> np.ndarray:
+        """Return at least how far apart each pair of boxes is, (worlds, pairs), in m.
+
+        Centres are those of all shapes, (worlds, shapes, 3).
+        """
+        if not len(self.pairs):
+            return np.zeros((len(centres), 0))
+        middles, (one, other) = centres[:, self._shapes], self._boxes
+        low = np.minimum.reduceat(middles - self._radii, self._starts, axis=1)
+        high = np.maximum.reduceat(middles + self._radii, self._starts, axis=1)
+        gaps = np.maximum(low[:, one] - high[:, other], low[:, other] - high[:, one])
+        # Rounding must rule out nobody.
+        return math.norm(np.maximum(gaps, 0.0)) - 1e-9
+
+
+def _pairs(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
+    """Return ids of shapes of different arms that can touch, (2, pairs)."""
     agents = [model.body(int(body)).name.split("/")[0] for body in model.geom_bodyid]
     excluded = {divmod(int(pair), 1 << 16) for pair in model.exclude_signature}
     pairs = []
@@ -359,5 +412,4 @@ def _pairs(scene: Scene, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]
             and not {bodies, bodies[::-1]} & excluded
         ):
             pairs.append((one, other))
-    ids = np.array(pairs, int).reshape(-1, 2).T
-    return ids, model.geom_rbound[ids].sum(axis=0)
+    return np.array(pairs, int).reshape(-1, 2).T
