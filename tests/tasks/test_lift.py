@@ -57,6 +57,7 @@ def facts(pot_pose=((0.0, 0.0, 1.0), LEVEL), far=0.3):
         to_target=math.distance(place, target),
         tilt=np.abs(roll) + np.abs(pitch),
         speed=np.zeros(2),
+        **dict.fromkeys(("stage", "idle", "handle_spread"), np.zeros(2)),
     )
 
 

@@ -61,6 +61,7 @@ def test_rewards_of_a_worked_example():
         for name, own in {**flags, **numbers}.items()
     }
     rest = ("joints", "tcps", "velocities", "elbows", "goals", "distance")
+    rest += "stage", "idle"
     facts = ReachFacts(**given, **{name: {} for name in rest})
     moves = np.array([[0.6, 0.8], [0.0, 0.0]])
     commands = dict.fromkeys(task.agents, Command(moves, np.zeros(2, bool)))

@@ -147,7 +147,7 @@ class Evaluate(Measured, _Policy):
 
     def run(self) -> None:
         """Print a table and write the files."""
-        from collaborative_gym.cli.tables import reports_table, strain_table
+        from collaborative_gym.cli import tables
         from collaborative_gym.evaluation import evaluate, report
         from collaborative_gym.policies.policy import SHIPPED, shipped_kinds, split_word
 
@@ -183,8 +183,11 @@ class Evaluate(Measured, _Policy):
         delay = f", delay {self.delay}" if self.delay else ""
         action = f", action {self.action}" if self.action else ""
         title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
-        show(reports_table(reports, title), besides=(self.json, self.csv))
-        show(strain_table(reports), besides=(self.json, self.csv))
+        show(tables.reports_table(reports, title), besides=(self.json, self.csv))
+        if measured := [each for each in reports if each.coordination]:
+            table = tables.coordination_table(measured)
+            show(table, besides=(self.json, self.csv))
+        show(tables.strain_table(reports), besides=(self.json, self.csv))
         put(self.json, report.reports_to_json(reports))
         put(self.csv, report.reports_to_csv(reports))
 

@@ -18,6 +18,7 @@ from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.evaluation.report import (
     Report,
     Statistic,
+    coordination_lines,
     format_episodes,
     format_number,
     format_statistic,
@@ -72,6 +73,21 @@ def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
 
 def _played(report: Report) -> str:
     return report.title.replace(" with ", "\nwith ")
+
+
+def coordination_table(reports: Sequence[Report]) -> Table:
+    """Return how arms work together in the tasks that say how to measure it."""
+    return new_table(
+        ["environment", "coordination", "mean", "median"],
+        [
+            [head, *(cells or ())[:3]]
+            for report in reports
+            for head, cells in zip_longest(
+                _played(report).split("\n"), coordination_lines(report), fillvalue=""
+            )
+        ],
+        words=2,
+    )
 
 
 def strain_table(reports: Sequence[Report]) -> Table:

@@ -15,7 +15,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks.task import Task
+from collaborative_gym.tasks.task import Task, named_facts
 
 _NUMBERS = "bool", "integral", "real floating"  # kinds of which a block may be
 _HAND = 0.3  # what a hand, and what it holds, add to an arm's rated reach, in m
@@ -60,6 +60,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Defini
     if performing is not None:
         trial.check_masks("performing", performing)
     trial.check_score(task.score(facts))
+    trial.check_coordination(facts)
     if over is not None:
         trial.check_over(over)
     layout = Layout(
@@ -158,6 +159,16 @@ class _Trial:
             )
         for what, gained in self._by_side("score", points):
             self._check_numbers(what, f"is {_kind(gained)}", gained)
+
+    def check_coordination(self, facts: Any) -> None:
+        facts, what = named_facts(facts), f"{self._name}.coordination"
+        if self._task.coordination and len(self.sides) > 1:
+            raise ValueError(f"{what} is for tasks of one side; leave it out")
+        for name in self._task.coordination:
+            if name not in facts:
+                raise ValueError(f"{what}: {unknown('fact', name, facts)}")
+            shape = np.shape(facts[name])
+            self._check_numbers(f"{what}: {name}", f"has shape {shape}", facts[name])
 
     def check_over(self, over: Any) -> None:
         self.check_masks("over", over)

@@ -37,10 +37,11 @@ class Metrics(Mapping[str, Any]):
         sums: Mapping[str, Mapping[str, str]],
         rows: Mapping[str, Array],
     ):
-        self._from_start = task.performance_from_start
+        self._from_start, self._kept = task.performance_from_start, task.coordination
         self._sides, self._sums, self._rows = sides, sums, rows
         self._names = _OF_SIDES[: 6 if len(sides) > 1 else 5]
         self._names += "returns", "reward_terms", "length", "episode", "seed"
+        self._names += ("coordination",) * bool(self._kept)
         if strain.BLANK.keys() <= rows.keys():
             self._names += ("strain",)
         self._found: dict[str, Any] = {}
@@ -71,6 +72,13 @@ class Metrics(Mapping[str, Any]):
         if name == "strain":
             return strain.measured(rows)
         xp = array_namespace(rows["length"])
+        if name == "coordination":
+            first = rows["side_1: first_success"]
+            steps = xp.maximum(xp.where(first < 0, rows["length"], first), 1)
+            return {
+                own: rows[f"coordination: {own}"] / (steps if kept == "mean" else 1)
+                for own, kept in self._kept.items()
+            }
         if name == "reward_terms":
             return {
                 agent: {term: xp.asarray(rows[row], copy=True) for term, row in own}

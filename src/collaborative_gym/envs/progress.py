@@ -9,7 +9,7 @@ from collaborative_gym.envs import strain
 from collaborative_gym.envs.metrics import Metrics
 from collaborative_gym.envs.world import World
 from collaborative_gym.math import Array
-from collaborative_gym.tasks.task import Terms
+from collaborative_gym.tasks.task import Terms, named_facts
 
 
 class Progress:
@@ -44,6 +44,7 @@ class Progress:
                 blank[f"{side}: met_steps"] = 0
         for names in self._sums.values():
             blank |= dict.fromkeys(names.values(), 0.0)
+        blank |= {f"coordination: {name}": 0.0 for name in world.task.coordination}
         if world.has_strain:
             blank |= strain.BLANK
         kinds = {bool: xp.bool, int: xp.int64, float: xp.float64}
@@ -105,6 +106,8 @@ class Progress:
         for agent, names in self._sums.items():
             for name, row in names.items():
                 rows[row] = rows[row] + terms[agent][name]
+        if task.coordination:
+            self._count_coordination(facts, counts & moved)
         met, performing = task.success(facts), task.performing(facts)
         performing = met if performing is None else performing
         points = task.score(facts) if self._is_divided else None
@@ -135,6 +138,15 @@ class Progress:
         is_late = (is_late | diverged) & ~rows["terminated"]
         rows["truncated"] = rows["truncated"] | is_late
         return successes if self._is_divided else successes[side]
+
+    def _count_coordination(self, facts: Any, counts: Array) -> None:
+        """Bring the coordination up to a control step, until the goal is first met."""
+        rows, xp, facts = self.rows, self._xp, named_facts(facts)
+        counts = counts & (rows["side_1: first_success"] < 0)
+        for name, kept in self._task.coordination.items():
+            row, now = f"coordination: {name}", xp.where(counts, facts[name], 0.0)
+            before = rows[row]
+            rows[row] = before + now if kept == "mean" else xp.maximum(before, now)
 
     def _lasting(self, side: str, met: Array) -> Array:
         """Return where a side's goal has been met for long enough."""

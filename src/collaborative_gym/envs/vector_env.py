@@ -48,7 +48,8 @@ class VectorEnv:
     `ended`: `return` (summed over agents), `returns` by agent, `completion`,
     `performance`, `at_goal` (share of its steps at which the goal was met), `length`,
     `time_to_success` (s, NaN if never), `reward_terms` (sums), `episode` and `seed`. If
-    asked for, they also have the `strain`, as `envs.strain` describes it. Performance
+    asked for, they also have the `strain`, as `envs.strain` describes it. Many tasks
+    have measures of how their arms work together, the `coordination`. Performance
     is a share of the steps that were played, from the first success on or from the
     start, even if the end is early.
 

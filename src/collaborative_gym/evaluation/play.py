@@ -132,6 +132,10 @@ def evaluate(
         episodes=tuple(rows),
         steps_per_second=rate,
         strain={name: Worst.of(name, rows) for name in (*STRAIN, ACTION_CHANGE)},
+        coordination={
+            name: (task.units.get(name, ""), _statistic(different, name))
+            for name in task.coordination
+        },
     )
 
 
@@ -246,8 +250,9 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
         row[f"{agent}/return"] = float(total[i])
         for name, term in metrics["reward_terms"][agent].items():
             row[f"{agent}/{name}"] = float(term[i])
-    for name, values in metrics.get("strain", {}).items():
-        row[name] = float(values[i])
+    for kind in "coordination", "strain":
+        for name, values in metrics.get(kind, {}).items():
+            row[name] = float(values[i])
     return row
 
 

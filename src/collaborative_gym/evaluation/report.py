@@ -138,7 +138,8 @@ class Report:
     A row of `episodes` has `episode`, `seed`, `return`, `completion`, `performance`,
     `at_goal`, `time_to_success` (s, NaN if never), `length` (control steps),
     `diverged`, and by agent `robot_1/return` and the sum of each reward term, such as
-    `robot_1/distance`, the measures of the strain, and `action_change`. Where the task
+    `robot_1/distance`, the measures of the coordination and of the strain, and
+    `action_change`. Where the task
     has several sides, their names stand before what each has of its own, as in
     `side_1/return` and `side_1/score`; nothing is summed over opponents.
 
@@ -151,6 +152,8 @@ class Report:
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
       strain: of the arms, by the names in `envs.strain`.
+      coordination: of the arms, by the names in `Task.coordination`: the unit, none for
+        a share, and the statistic.
     """
 
     environment: str
@@ -160,6 +163,7 @@ class Report:
     episodes: tuple[dict[str, Any], ...]
     steps_per_second: float
     strain: dict[str, Worst] = field(default_factory=dict)
+    coordination: dict[str, tuple[str, Statistic]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -222,6 +226,7 @@ class Report:
             **own,
             "returns": plain["returns"],
             "strain": plain["strain"],
+            "coordination": plain["coordination"],
         }
 
     def to_json(self) -> str:
@@ -307,6 +312,7 @@ def markdown_tables(report: Report) -> str:
                         format_number(statistic.iqm, **form),
                     ]
                 )
+    lines += coordination_lines(report)
     heads = ["measure", "mean (95 % interval)", "median", "interquartile mean"]
     parts = [markdown_table(heads, lines), strain_table(report)]
     return "\n\n".join([*parts, *map(escaped, one_episode_notes([report]))]) + "\n"
@@ -316,6 +322,20 @@ def strain_table(report: Report) -> str:
     """Return a Markdown table of the strain."""
     heads = ["strain", "mean", "worst", "in episode"]
     return markdown_table(heads, strain_lines(report))
+
+
+def coordination_lines(report: Report) -> list[list[str]]:
+    """Return the coordination for people: measure, mean, median, interquartile mean."""
+    lines = []
+    for name, (unit, found) in report.coordination.items():
+        form: dict[str, Any] = {"unit": f" {unit}"} if unit else {"percent": True}
+        if unit == "m":
+            numbers = {each: 1e3 * value for each, value in vars(found).items()}
+            found, form = Statistic(**numbers), {"unit": " mm"}
+        middles = (format_number(x, **form) for x in (found.median, found.iqm))
+        text = format_statistic(found, **form)
+        lines.append([name.replace("_", " "), text, *middles])
+    return lines
 
 
 def one_episode_notes(reports: Sequence[Report]) -> list[str]:

@@ -28,6 +28,10 @@ Success: the pot's middle is within 0.15 m of the target, level within 15 degree
 slower than 0.3 m/s, while both arms grip it; with three arms and more, within 0.08 m
 and 4 degrees, while all arms grip it.
 
+Coordination, until success: `stage` is the greatest share of arms that gripped, `idle`
+the mean share that waited, with nothing in hand and no joint faster than 2 % of its
+limit, `handle_spread` the greatest difference of the handles' heights, in m.
+
 The pot's mass follows from the arms, so that all but one cannot hold it. `lift_mass`
 and `team_mass` say how, and `benchmarks/lift_capacity.py` measures it in simulation for
 two. The distance alone is not enough for success: one of two arms can swing the pot
@@ -44,8 +48,8 @@ first:
 | 8 | 137 kg | 119 kg | 1.15 | 1.33 | 128 kg |
 
 "At best" is the ratio of arms that carry the same everywhere. With one arm that idles,
-grips and idles, is limp, or stops once it holds, the expert never succeeds, by
-`benchmarks/teams.py --faults`.
+grips and idles, is limp, or stops once it holds, the expert never succeeds
+(`benchmarks/teams.py --faults`).
 """
 
 from collections.abc import Mapping
@@ -85,6 +89,7 @@ from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
     Blocks,
+    Kept,
     Randomization,
     Task,
     TaskConfig,
@@ -116,8 +121,7 @@ _SUCCESS = {2: (0.15, float(np.radians(15.0)))}
 """Radius in m and tilt in rad within which a pot is there and level, by arms."""
 
 _TEAM_SUCCESS = 0.08, float(np.radians(4.0))
-"""Those of teams of three and more. Within more, all but one arm of a large team could
-have the pot there."""
+"""Those of larger teams. Within more, all arms but one could have the pot there."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +172,9 @@ class LiftFacts:
     to_target: Array  # distance of the pot to the target, in m
     tilt: Array  # |roll| + |pitch| of the pot, in rad
     speed: Array  # of the pot's middle, in m/s
+    stage: Array  # share of the arms that grip
+    idle: Array  # share of the arms that wait
+    handle_spread: Array  # from the lowest handle's height to the highest, in m
 
 
 class Lift(Task[LiftConfig, LiftFacts]):
@@ -185,17 +192,17 @@ class Lift(Task[LiftConfig, LiftFacts]):
     gripping = True
     randomizations = presets(Randomization(joint_noise=0.12))
     units: ClassVar[Mapping[str, str]] = {
-        "to_handle": "m",
-        "to_target": "m",
-        "tilt": "rad",
-        "speed": "m/s",
+        **dict.fromkeys(("to_handle", "to_target", "handle_spread"), "m"),
+        **{"tilt": "rad", "speed": "m/s"},
+    }
+    coordination: ClassVar[Mapping[str, Kept]] = {
+        "stage": "greatest",
+        "idle": "mean",
+        "handle_spread": "greatest",
     }
     block_units: ClassVar[Mapping[str, str]] = {
-        "joints": "rad",
-        "handle": POSE,
-        "tcp": POSE,
-        "pot": POSE,
-        "target": "m",
+        **{"joints": "rad", "target": "m"},
+        **dict.fromkeys(("handle", "tcp", "pot"), POSE),
     }
     styles = player.STYLES
     expert, styled = player.expert, player.styled
@@ -333,10 +340,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         agents, moves = self.agents, self.config.randomization.moves
         pot_moved = rng.within(moves * [1.0, 1.0, 0.0, 1.0], 4)
         misses = rng.uniform(0, len(agents)).astype(int)
-        angle, least = (
-            rng.uniform(0, np.pi),
-            _LEAST_MISS * self.config.picking_threshold,
-        )
+        angle, least = rng.uniform(0, np.pi), self.config.picking_threshold
+        least *= _LEAST_MISS
         far = rng.uniform(least, max(least, _FARTHEST_MISS))[:, None]
         # Along or above the bar; below it, fingers meet the table.
         along, up = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
@@ -367,21 +372,29 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}
         tcps = {agent: sim.pose(f"{agent}/tcp") for agent in self.agents}
-        to_handle = {a: math.distance(tcps[a][0], handles[a][0]) for a in self.agents}
-        pose, (target, _) = sim.pose("pot"), sim.pose("target")
+        pose, (target, _), xp = sim.pose("pot"), sim.pose("target"), sim.xp
+        here, there = ([place for place, _ in x.values()] for x in (tcps, handles))
+        # All distances at once, which takes hardly longer than one.
+        here, there = xp.stack([*here, pose[0]]), xp.stack([*there, target])
+        *to_handle, to_target = math.distance(here, there)
         roll, pitch = math.roll_pitch(pose[1])
-        xp = array_namespace(roll)
+        gripping = {agent: self.scene.holds(sim, agent) for agent in self.agents}
+        grips = xp.stack(list(gripping.values()))
+        spread = xp.max(there[:-1], axis=0) - xp.min(there[:-1], axis=0)
         return LiftFacts(
             joints=self.joints(sim),
-            gripping={agent: self.scene.holds(sim, agent) for agent in self.agents},
+            gripping=gripping,
             handles=handles,
             tcps=tcps,
             pot=pose,
             target=target,
-            to_handle=to_handle,
-            to_target=math.distance(pose[0], target),
+            to_handle=dict(zip(self.agents, to_handle, strict=True)),
+            to_target=to_target,
             tilt=xp.abs(roll) + xp.abs(pitch),
             speed=math.norm(sim.velocity("pot")[0]),
+            stage=xp.mean(1.0 * grips, axis=0),
+            idle=self.share_idle(sim, gripping.values()),
+            handle_spread=spread[:, 2],
         )
 
     def observe(self, facts: LiftFacts) -> dict[str, Blocks]:
@@ -416,11 +429,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         for mate in mates_of(self.agents, agent):
             apart = frames.direction(agent, facts.handles[mate][0] - place)
             gap = facts.to_handle[mate][:, None]
-            rows.append(
-                xp.concat(
-                    [grips[mate], gap, apart[:, 2:], apart[:, :2] / radius], axis=1
-                )
-            )
+            parts = [grips[mate], gap, apart[:, 2:], apart[:, :2] / radius]
+            rows.append(xp.concat(parts, axis=1))
         return {
             "joints": alike(facts.joints[agent]),
             "gripping": grips[agent],

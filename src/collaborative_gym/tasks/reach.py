@@ -20,6 +20,9 @@ Reward of each agent:
 Success: every arm has reached all its goals, and none has touched another. The episode
 ends then.
 
+Coordination: `stage` is the share of all goals that were reached, `idle` the mean share
+of the arms that waited, as in Lift.
+
 The observation is the same for teams of all sizes. `mates` is a set of seven elements,
 one for each mate in the order of the ring and zeros for the others: 1, and the places
 of its tcp, its elbow and its goal. All but the joints is in the frame of the robot's
@@ -64,6 +67,7 @@ from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
     Blocks,
+    Kept,
     Randomization,
     Task,
     TaskConfig,
@@ -133,6 +137,8 @@ class ReachFacts:
     reached: dict[str, Array]  # whether a goal has just been reached
     done: dict[str, Array]  # how many goals have been reached
     touches: dict[str, Array]  # whether the arm touches another one
+    stage: Array  # share of all goals that have been reached
+    idle: Array  # share of the arms that wait
 
 
 class Reach(Task[ReachConfig, ReachFacts]):
@@ -147,6 +153,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
     config_class = ReachConfig
     randomizations = presets(_STARTS)
     units: ClassVar[Mapping[str, str]] = {"distance": "m", "nearer": "m"}
+    coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         "tcp": "m",
@@ -300,6 +307,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
             reached=reached,
             done=done,
             touches=self._touches(sim),
+            stage=xp.mean(xp.stack(list(done.values())), axis=0) / config.goals,
+            idle=self.share_idle(sim),
         )
 
     def _touches(self, sim: Sim) -> dict[str, Array]:

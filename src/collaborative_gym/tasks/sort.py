@@ -27,9 +27,12 @@ of those that it reaches or will reach; distances count up to 1 m.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
   another action mode, of what the action asks of the joints.
 
-Success: every cube lies in the tote of its colour, in no hand. `sorted` is the share of
-those that do. A tote can be filled by its own arm alone, so without an arm its cubes,
-and the one that it should move for the next arm, are lost.
+Success: every cube lies in the tote of its colour, in no hand. A tote can be filled by
+its own arm alone, so without an arm its cubes, and the one that it should move for the
+next arm, are lost.
+
+Coordination: `sorted` is the greatest share of the cubes that lay so, `idle` the mean
+share of the arms that waited, as in Lift.
 """
 
 from collections.abc import Mapping
@@ -64,7 +67,7 @@ from collaborative_gym.tasks.experts.sort import HEIGHT, MIDDLE, SIZE
 from collaborative_gym.tasks.handing import PICKING, either_way, of
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import Blocks, Kept, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
     MOST_MATES,
     Frames,
@@ -129,6 +132,7 @@ class SortFacts:
     near: dict[str, Array]  # and which of these it could take now
     own: dict[str, Array]  # the index of the agent's cube, (num_envs,)
     sorted: Array  # share of `put`, (num_envs,)
+    idle: Array  # share of the arms that wait, (num_envs,)
 
 
 class Cube(NamedTuple):
@@ -152,7 +156,8 @@ class Sort(Task[SortConfig, SortFacts]):
     robot_counts = range(2, MOST_MATES + 2)
     gripping = True
     config_class = SortConfig
-    units: ClassVar[Mapping[str, str]] = {"sorted": ""}
+    units: ClassVar[Mapping[str, str]] = {"sorted": "", "idle": ""}
+    coordination: ClassVar[Mapping[str, Kept]] = {"sorted": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         "tcp": POSE,
@@ -280,6 +285,7 @@ class Sort(Task[SortConfig, SortFacts]):
             near=near,
             own=own,
             sorted=xp.mean(xp.astype(put, x.dtype), axis=1),
+            idle=self.share_idle(sim, (xp.any(own, axis=1) for own in grips.values())),
         )
 
     def _grips(self, sim: Sim) -> dict[str, Array]:

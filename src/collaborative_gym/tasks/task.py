@@ -1,11 +1,11 @@
 """What a task is: a world to build, facts to measure, rewards and a goal."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 
 import numpy as np
 
@@ -26,9 +26,14 @@ Blocks = Mapping[str, Array]
 Terms = Mapping[str, Array]
 """Named parts of a reward, (num_envs,) each."""
 
+Kept = Literal["mean", "greatest"]
+"""What metrics keep of a fact's values in the steps of an episode."""
 
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
+
+_STILL = 0.02
+"""Share of its speed limit below which a joint stands still; our choice."""
 
 STYLE_DRAWS = 3
 """How many numbers each episode draws for the styles of an expert."""
@@ -126,6 +131,9 @@ class Task(Generic[ConfigT, FactsT]):
         instead of from the step at which the goal was first reached.
       randomizations: how starts may be drawn, by the names of presets.
       units: of the facts that are single numbers, by their names; viewers show them.
+      coordination: facts of the task that say how the arms work together, (num_envs,)
+        numbers of at least 0, and what metrics keep of the steps until the goal is
+        first reached: "mean" or "greatest". Without a unit they are shares from 0 to 1.
       block_units: of the blocks of observations, by their names; "robot_1 joints" and
         "ball 2" also go by "joints" and "ball".
       agents: the agents' names, "robot_1" and so on.
@@ -143,6 +151,7 @@ class Task(Generic[ConfigT, FactsT]):
     styles: ClassVar[Mapping[str, str]] = {}
     randomizations: ClassVar[Mapping[str, Randomization]] = RANDOMIZATIONS
     units: ClassVar[Mapping[str, str]] = {}
+    coordination: ClassVar[Mapping[str, Kept]] = {}
     block_units: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
@@ -307,6 +316,33 @@ class Task(Generic[ConfigT, FactsT]):
         """Return copies of the arms' joint angles by agent, (num_envs, joints)."""
         arms, asarray = self.scene.arms.items(), sim.xp.asarray
         return {a: asarray(sim.qpos[:, arm.qpos], copy=True) for a, arm in arms}
+
+    def share_idle(self, sim: Sim, holds: Iterable[Array] = ()) -> Array:
+        """Return the share of the arms that wait now, (num_envs,).
+
+        They hold nothing, and each of their joints is slower than 2 % of its limit.
+
+        Args:
+          sim: the worlds.
+          holds: whether each arm holds something, (num_envs,), in the agents' order.
+        """
+        xp, (slowest, owners) = sim.xp, self._motion
+        moves = xp.astype(xp.abs(sim.qvel) > xp.asarray(slowest), xp.float64)
+        busy = moves @ xp.asarray(owners) > 0.0
+        if holds := list(holds):
+            busy = busy | xp.stack(holds, axis=1)
+        return 1.0 - xp.mean(xp.astype(busy, xp.float64), axis=1)
+
+    @cached_property
+    def _motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Speeds from which degrees of freedom move, and whose they are, (nv, arms)."""
+        slowest = np.full(self.model.nv, np.inf)
+        owners = np.zeros((self.model.nv, len(self.agents)))
+        for i, agent in enumerate(self.agents):
+            arm = self.scene.arms[agent]
+            slowest[arm.dof] = _STILL * np.array(arm.robot.velocity_limits)
+            owners[arm.dof, i] = 1.0
+        return slowest, owners
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         """Write what pushes the worlds during the coming control step.
