@@ -16,7 +16,7 @@ import os
 import pkgutil
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -119,15 +119,19 @@ def stale() -> dict[Path, bytes]:
     }
 
 
+def pages_to_make() -> dict[str, Callable[[], str]]:
+    """Return what makes the Markdown of each page that is made, by path in `docs/`."""
+    return {
+        "reference/command_line.md": _command_line_page,
+        "tables/certificates.md": lambda: f"# Certificates\n\n{_certificates()}",
+        **{f"tasks/{name.lower()}.md": partial(_task_page, name) for name in _TASKS},
+    }
+
+
 def made_pages() -> dict[str, str]:
     """Return the Markdown of each page that is made, by its path in `docs/`."""
-    pages = {
-        "reference/command_line.md": _command_line_page(),
-        "tables/certificates.md": f"# Certificates\n\n{_certificates()}",
-    }
-    for name in _TASKS:
-        pages[f"tasks/{name.lower()}.md"] = _task_page(name)
-    return {path: f"{_NOTE}\n\n{text}\n" for path, text in pages.items()}
+    makers = pages_to_make().items()
+    return {path: f"{_NOTE}\n\n{make()}\n" for path, make in makers}
 
 
 def filled(markdown: str, path: str) -> str:

@@ -116,7 +116,7 @@ def load(path):
 made_pages = load(ROOT / "docs" / "made_pages.py")
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 ROOT_PAGES = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
-MADE = [ROOT / "docs" / path for path in made_pages.made_pages()]
+MADE = [ROOT / "docs" / path for path in made_pages.pages_to_make()]
 RUNNING = [
     page
     for page in (*ROOT_PAGES, *PAGES)
