@@ -124,6 +124,17 @@ def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
     assert len(files[1].read_text().splitlines()) == 4
 
 
+def test_settings_of_the_task_are_options(carry_id, capsys):
+    arguments = ["evaluate", carry_id, "--episodes", "1", "--policy", "idle"]
+    settings = ["--settings", "max_episode_steps=7", "wrench=raw", "--json", "-"]
+    assert main([*arguments, *settings]) == 0
+    printed = capsys.readouterr()
+    (report,) = json.loads(printed.out).values()
+    config = report["settings"]["identity"]["config"]
+    assert (config["max_episode_steps"], config["wrench"]) == (7, "raw")
+    assert "idle on default, max_episode_steps=7, wrench=raw" in printed.err
+
+
 def test_thesis_and_we_count_200_episodes(carry_id):
     commands = Evaluate(), Reproduce(table="table11")
     assert [command.episodes for command in commands] == [200, 200]
@@ -293,6 +304,13 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("reproduce table12", "did you mean 'table11'?); tables: table11"),
         ("benchmark Cary", "did you mean 'Carry'?"),
         ("evalute Carry", "no command 'evalute' (did you mean 'evaluate'?); commands"),
+        (
+            "evaluate Carry --settings wrench",
+            "its value, such as wrench=raw, got",
+        ),
+        ("evaluate Carry --settings wrnch=raw", "'wrnch' (did you mean 'wrench'?); op"),
+        ("evaluate Carry --settings wrench=rw", "no wrench mode 'rw' (did you mean 'r"),
+        ("evaluate Carry --settings max_episode_steps=x", "max_episode_steps must be"),
         ("evaluate Carry --polcy idle", "not take --polcy (did you mean --policy?); e"),
         ("train Carry --leage-reset 1", "(did you mean --league-reset?); train --help"),
         (

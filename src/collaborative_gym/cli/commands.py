@@ -182,7 +182,9 @@ class Evaluate(Measured, _Policy):
                 )
         delay = f", delay {self.delay}" if self.delay else ""
         action = f", action {self.action}" if self.action else ""
-        title = f"{' '.join(self.policy)} on {self.randomization}{action}{delay}"
+        played = "".join(f", {each}" for each in self.settings)
+        how = f"{self.randomization}{action}{played}{delay}"
+        title = f"{' '.join(self.policy)} on {how}"
         show(tables.reports_table(reports, title), besides=(self.json, self.csv))
         if measured := [each for each in reports if each.coordination]:
             table = tables.coordination_table(measured)

@@ -1,5 +1,6 @@
 """Arguments that the commands share, and their output to the terminal."""
 
+import ast
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -80,6 +81,14 @@ Action = Annotated[
         help_behavior_hint="(default: its own, joints)",
     ),
 ]
+Settings = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        metavar="NAME=VALUE ...",
+        help="other settings of the task, as `cg.make` takes them, such as wrench=raw",
+        help_behavior_hint="(default: its own)",
+    ),
+]
 Robots = Annotated[
     tuple[str, ...],
     tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
@@ -117,9 +126,21 @@ def chosen_task(
     num_robots: int | None,
     randomization: str | None,
     action: str | None,
+    settings: Sequence[str],
 ) -> Task:
     """Return the task that options choose, which are empty where they are not given."""
     own: dict[str, Any] = {} if action is None else {"action": action}
+    for word in settings:
+        name, _, value = word.partition("=")
+        if not value:
+            raise ValueError(
+                "--settings takes each name with its value, such as wrench=raw, got"
+                f" {word!r}"
+            )
+        try:
+            own[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):  # A word, such as raw.
+            own[name] = value
     arms = robots[0] if len(robots) == 1 else robots or None
     own |= {"num_robots": num_robots, "randomization": randomization}
     return make_task(env, arms, **own)
@@ -137,6 +158,7 @@ class Worlds(Command):
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
       action: what actions mean, by the name of an action mode.
+      settings: other settings of the task.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 
@@ -144,12 +166,17 @@ class Worlds(Command):
     num_robots: NumRobots = None
     randomization: Randomization = "default"
     action: Action = None
+    settings: Settings = ()
     seed: int = 0
 
     def task(self, env: str) -> Task:
         """Return what to do in an environment of this name."""
-        chosen = self.robots, self.num_robots, self.randomization, self.action
-        return chosen_task(env, *chosen)
+        return chosen_task(env, self.robots, *self._how)
+
+    @property
+    def _how(self) -> tuple[Any, ...]:
+        """What is chosen besides the arms."""
+        return self.num_robots, self.randomization, self.action, self.settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +221,7 @@ class Watched(Played):
             replace(robot, look=files.get(robot.name, robot.look))
             for robot in task.robots.values()
         ]
-        return chosen_task(env, robots, None, self.randomization, self.action)
+        return chosen_task(env, robots, None, *self._how[1:])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from collaborative_gym.cli.terminal import (
     Folder,
     NumRobots,
     Robots,
+    Settings,
     chosen_task,
     show,
 )
@@ -144,6 +145,7 @@ class Train(Command):
     num_robots: NumRobots = None
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
     action: Action = None
+    settings: Settings = ()
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
@@ -205,7 +207,8 @@ class Train(Command):
 
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""
-        chosen = self.robots, self.num_robots, self.randomization, self.action
+        how = self.num_robots, self.randomization, self.action, self.settings
+        chosen = self.robots, *how
         is_given = any(each not in (None, ()) for each in chosen)
         return chosen_task(env, *chosen) if is_given else env
 

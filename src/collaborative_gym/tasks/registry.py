@@ -248,10 +248,8 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     valid = [option.name for option in fields(task.config_class)]
     for option in settings:
         if option not in valid:
-            raise UnknownOption(
-                f"got an unexpected keyword argument {option!r}:"
-                f" {unknown('option', option, [*valid, 'robots'])}"
-            )
+            names = [*valid, "robots"]
+            raise UnknownOption(unknown("option", option, names))
     return task.config_class(**settings)
 
 

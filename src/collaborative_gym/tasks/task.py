@@ -70,7 +70,7 @@ class TaskConfig:
         check_kind("action", self.action, str, "the name of an action mode")
         get_mode(self.action)
         check_kind("wrench", self.wrench, str, "the name of a kind of wrench")
-        look_up("wrench", self.wrench, dict.fromkeys(WRENCHES))
+        look_up("wrench mode", self.wrench, dict.fromkeys(WRENCHES))
         if self.max_episode_steps is not None:  # Where a task has a rule of its own.
             check_count("max_episode_steps", self.max_episode_steps, 1, 10**9)
         how, placements = self.randomization, self.placements
