@@ -9,13 +9,14 @@ import sys
 import textwrap
 import tomllib
 from pathlib import Path
+from statistics import median
 
 import pytest
 from markdown_it import MarkdownIt
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.table11 import THESIS
-from collaborative_gym.tasks.registry import list_tasks
+from collaborative_gym.tasks.registry import get_env, list_tasks
 
 ROOT = Path(__file__).parents[1]
 
@@ -385,6 +386,22 @@ def test_the_readme_has_the_results_of_table_11_and_can_be_read_in_minutes():
         )
         (reward, *shares) = cells
         assert row and row[1].split(" | ") == [*shares[0], *shares[1], *reward]
+
+
+def test_pages_say_the_speeds_of_the_table():
+    page = (ROOT / "docs" / "performance.md").read_text()
+    rows = re.findall(r"^\| (\S+-v0) \| (.+) \|$", page, re.M)
+    cells = {env_id: row.replace(",", "").split(" | ") for env_id, row in rows}
+    pairs = [row for env_id, row in cells.items() if len(get_env(env_id).robots) == 2]
+    speeds = [int(row[i]) // 1000 for row in pairs for i in (1, 4)]
+    readme = (ROOT / "README.md").read_text()
+    assert f"Two cores make {min(speeds)},000 to {max(speeds)},000 control" in readme
+    expert, random = (
+        sorted(int(row[i].rstrip("%")) for row in cells.values()) for i in (2, 5)
+    )
+    text = " ".join(page.split())
+    assert f"{median(expert)} % of bare physics in the median, {expert[0]} % a" in text
+    assert f"with random ones {median(random)} and {random[0]} %" in text
 
 
 def test_pages_count_the_tasks_and_those_for_teams():
