@@ -109,8 +109,8 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     usual = env.expert if has_expert else env.idle
     return Speed(
         environment=env_id,
-        expert=_compare(env, num_threads, lambda _: usual()),
-        random=_compare(env, num_threads, lambda rng: _random(env, rng, num_envs)),
+        expert=compare_rates(env, num_threads, lambda _: usual()),
+        random=compare_rates(env, num_threads, lambda rng: _random(env, rng, num_envs)),
         single_rate=_single_rate(single),
         reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
         make_s=_in_fresh_process(_time_to_make, env_id),
@@ -118,10 +118,13 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     )
 
 
-def _compare(
-    env: VectorEnv, num_threads: int, act: Callable[[np.random.Generator], Actions]
+def compare_rates(
+    env: VectorEnv,
+    num_threads: int,
+    act: Callable[[np.random.Generator], Actions],
+    clock: Callable[[], float] = time.perf_counter,
 ) -> Rates:
-    """Return the rates of the bare physics and of the environment, and their ratio.
+    """Return the rates of the bare physics and of an environment, and their ratio.
 
     In each round both do the same control steps, from states that are spread over whole
     episodes. They take turns, so that another program's load slows both alike.
@@ -143,8 +146,11 @@ def _compare(
             env.sim.set_state(before)
             env.step(actions[-1])
         env.set_state(start)
-        env_times.append(_time(lambda own=actions: [env.step(each) for each in own]))
-        bare_times.append(sum(_roll(bare, *each) for each in rounds))
+        started = clock()
+        for each in actions:
+            env.step(each)
+        env_times.append(clock() - started)
+        bare_times.append(sum(_roll(bare, *each, clock=clock) for each in rounds))
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
     return Rates(
@@ -161,10 +167,17 @@ def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions
     }
 
 
-def _roll(bare: batch.Batch, state: np.ndarray, controls: np.ndarray) -> float:
+def _roll(
+    bare: batch.Batch,
+    state: np.ndarray,
+    controls: np.ndarray,
+    *,
+    clock: Callable[[], float],
+) -> float:
     """Return the time of the physics steps of a control step, in s."""
-    bare.state[:] = state
-    return _time(lambda: bare.rollout(controls.shape[1], controls, record=()))
+    bare.state[:], started = state, clock()
+    bare.rollout(controls.shape[1], controls, record=())
+    return clock() - started
 
 
 def _single_rate(env: PettingZooEnv) -> float:
@@ -193,14 +206,14 @@ def _time_to_make(env_id: str) -> float:
 def _memory_per_env(env_id: str) -> float:
     """Return how much this process grows per world of a large batch, in kB."""
     VectorEnv(make_task(env_id), 1, num_threads=1).reset(seed=0)
-    before = _resident_kb()
+    before = resident_kb()
     env = VectorEnv(make_task(env_id), _MEMORY_ENVS, num_threads=1)
     env.reset(seed=0)
     env.step(env.idle())
-    return (_resident_kb() - before) / _MEMORY_ENVS
+    return (resident_kb() - before) / _MEMORY_ENVS
 
 
-def _resident_kb() -> float:
+def resident_kb() -> float:
     """Return the memory of this process; NaN where the system does not say."""
     status = Path("/proc/self/status")
     found = re.search(r"VmRSS:\s*(\d+)", status.read_text() if status.exists() else "")

@@ -331,7 +331,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         for mate in mates_of(self.agents, agent):
             apart = xp.asarray(self._handles[mate][0] - own, dtype=place.dtype)
             apart = math.rotate(quat, xp.broadcast_to(apart, place.shape))
-            rows.append(frames.direction(agent, apart))
+            rows.append(apart)
         spin = xp.asarray(self._spins[agent], dtype=quat.dtype)
         turned = math.multiply(quat, xp.broadcast_to(spin, quat.shape))
         linear, angular = facts.ball_velocity
@@ -341,7 +341,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             "ball linear velocity": frames.direction(agent, linear),
             "ball angular velocity": frames.direction(agent, angular),
             "board": math.pose(*frames.pose(agent, (place, turned))),
-            "mates": mates_block(rows),
+            "mates": mates_block(frames.directions(agent, rows)),
         }
 
     def reward(

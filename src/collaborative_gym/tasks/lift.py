@@ -425,9 +425,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
         place, turn = facts.handles[agent][0], facts.pot[1]
         spin = xp.asarray(self._spins[agent], dtype=kind)
         turn = math.multiply(turn, xp.broadcast_to(spin, turn.shape))
-        rows = []
-        for mate in mates_of(self.agents, agent):
-            apart = frames.direction(agent, facts.handles[mate][0] - place)
+        rows, mates = [], mates_of(self.agents, agent)
+        ways = frames.directions(agent, [facts.handles[m][0] - place for m in mates])
+        for mate, apart in zip(mates, ways, strict=True):
             gap = facts.to_handle[mate][:, None]
             parts = [grips[mate], gap, apart[:, 2:], apart[:, :2] / radius]
             rows.append(xp.concat(parts, axis=1))

@@ -415,12 +415,11 @@ class Pass(Task[PassConfig, PassFacts]):
         own, goal = [of(x, which) for x in facts.cubes], of(facts.targets, which)
         if i < len(self.meetings):
             goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
-        rows = []
-        for mate in mates_of(self.agents, agent):
-            place = facts.tcp[mate][0]
-            gap = math.distance(place, own[0])[:, None]
+        rows, mates = [], mates_of(self.agents, agent)
+        ways = frames.directions(agent, [facts.tcp[m][0] - tcp[0] for m in mates])
+        for mate, apart in zip(mates, ways, strict=True):
+            gap = math.distance(facts.tcp[mate][0], own[0])[:, None]
             seats = gap * 0.0 + (self.agents.index(mate) - i) / MOST_MATES
-            apart = frames.direction(agent, place - tcp[0])
             rows.append(xp.concat([seats, grips[mate], apart, gap], axis=1))
         return {
             "joints": alike(facts.joints[agent]),

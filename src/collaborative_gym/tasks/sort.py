@@ -336,10 +336,10 @@ class Sort(Task[SortConfig, SortFacts]):
                 todo = xp.astype(facts.to_do[agent][:, j], kind)[:, None]
                 place = frames.place(agent, facts.cubes[:, j])
                 seen[name] = xp.concat([place * todo, todo], axis=1)
-        rows = []
-        for mate in mates_of(self.agents, agent):
+        rows, mates = [], mates_of(self.agents, agent)
+        ways = frames.directions(agent, [facts.tcp[m][0] - tcp[0] for m in mates])
+        for mate, apart in zip(mates, ways, strict=True):
             seats = nothing + (self.agents.index(mate) - i) / MOST_MATES
-            apart = frames.direction(agent, facts.tcp[mate][0] - tcp[0])
             rows.append(xp.concat([seats, grips[mate], apart], axis=1))
         spot = xp.asarray(self.totes[agent], dtype=kind)
         return {

@@ -101,6 +101,12 @@ class Frames:
         turn = xp.asarray(self._turns[agent], dtype=vector.dtype)
         return math.rotate(xp.broadcast_to(turn, (len(vector), 4)), vector)
 
+    def directions(self, agent: str, vectors: Sequence[Array]) -> list[Array]:
+        """Return several directions, (num_envs, 3) each, all turned at once."""
+        xp = array_namespace(vectors[0])
+        turned = self.direction(agent, xp.concat(list(vectors), axis=0))
+        return list(xp.reshape(turned, (len(vectors), *vectors[0].shape)))
+
     def place(self, agent: str, position: Array) -> Array:
         """Return places (num_envs, 3), in m, in the frame of the agent's base."""
         xp = array_namespace(position)
