@@ -79,9 +79,9 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
             {"randomization": "papr"},
             "no randomization 'papr' .*mean 'paper'.*: default, hard, lost, paper,",
         ),
-        (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(panda, p"),
+        (ValueError, {"robots": ("panda",) * 3}, r"needs 2 robots, got 3 \(3 panda"),
         (KeyError, {"robots": "pandas"}, "no robot 'pandas'"),
-        (ValueError, {"num_robots": 3}, r"needs 2 robots, got 3 \(panda, p"),
+        (ValueError, {"num_robots": 3}, r"needs 2 robots, got 3 \(3 panda"),
         (ValueError, {"num_robots": 0}, "num_robots must be at least 1"),
         (
             ValueError,

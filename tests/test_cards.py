@@ -40,7 +40,7 @@ def test_a_card_is_made_of_evaluations_and_a_tournament(card, carry):
 def test_the_page_tells_what_was_found(card):
     page = card.to_markdown(["a.png"])
     assert page.startswith(
-        "# Carry with panda, panda\n\n![a.png](a.png)\n\n## expert\n\n3 episodes"
+        "# Carry with 2 panda\n\n![a.png](a.png)\n\n## expert\n\n3 episodes"
     )
     # Wilson's interval, not the bootstrap's.
     assert "| completion | 100 % (43.9 to 100) | 100 % | 100 % |" in page

@@ -55,7 +55,7 @@ RUNS = {
     ),
     "run_numpy_policy.py": Run(
         (
-            r"PokeTaskSawyers-v0 with sawyer, sawyer, mode collaborative",
+            r"PokeTaskSawyers-v0 with 2 sawyer, mode collaborative",
             r"robot_2 sees \(1, 21\), does \[",
             "torch was not imported",
         ),

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import groupby
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -107,6 +108,12 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
         left = len(names) - len(close)
         names = [*sorted(lower[name] for name in close), f"and {left} others"]
     return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names)}"
+
+
+def counted(names: Iterable[str]) -> str:
+    """Return names as a list, with a number for several of one kind in a row."""
+    runs = [(name, len(list(own))) for name, own in groupby(names)]
+    return ", ".join(name if count == 1 else f"{count} {name}" for name, count in runs)
 
 
 def told_by_mujoco(error: ValueError) -> str:

@@ -198,7 +198,7 @@ def test_bad_input_says_what_is_allowed(carry):
 def test_a_baseline_is_not_played_in_another_environment():
     task, alone = cg.task("Lift", ("sawyer", "sawyer")), {"num_threads": 1}
     message = (
-        "for LiftTaskSawyers-v0 with sawyer, sawyer; here placements is None, not .*;"
+        "for LiftTaskSawyers-v0 with 2 sawyer; here placements is None, not .*;"
         r" target is None, not \[0.0, 0.0, 1.5\]; picking_threshold is 0.03, not 0.02"
     )
     with pytest.raises(ValueError, match=message):

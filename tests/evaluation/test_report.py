@@ -57,7 +57,7 @@ def test_csv_has_a_row_per_episode_and_empty_cells_for_nan(carry, report):
 
 def test_markdown_is_a_table_of_all_statistics(report):
     title, table, strain = report.to_markdown().split("\n\n")
-    assert title == "Carry with panda, panda, 5 episodes of seed 0:"
+    assert title == "Carry with 2 panda, 5 episodes of seed 0:"
     assert format_episodes(1) == "1 episode"
     head, rule, *rows = table.splitlines()
     lines = [head, rule, *rows, *strain.splitlines()]

@@ -186,7 +186,7 @@ def test_it_must_be_for_the_environment(make_env):
     for settings, message in (
         (
             {"height": 0.7},
-            r"for Carry with panda, panda; here height is 0\.7, not 0\.6\..*--any-env",
+            r"for Carry with 2 panda; here height is 0\.7, not 0\.6\..*--any-env",
         ),
         ({"robots": ("panda", "jaco")}, "here robot_2 is jaco, not panda. Train one"),
     ):

@@ -179,7 +179,7 @@ def test_a_trained_policy_plays_a_pettingzoo_environment(saved, carry_id):
 
 
 def test_a_policy_for_another_environment_is_refused(saved, make_env):
-    with pytest.raises(ValueError, match="for Carry with panda, panda; here height is"):
+    with pytest.raises(ValueError, match="for Carry with 2 panda; here height is"):
         load_policy(saved, make_env(height=0.7))
     with pytest.raises(ValueError, match="here task is Poke, not Carry"):
         cg.evaluate("PokeTaskSawyers-v0", saved.parent, episodes=1)

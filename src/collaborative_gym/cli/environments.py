@@ -1,12 +1,10 @@
 """The table of environments. It imports little, so that `list` is quick."""
 
-from collections.abc import Sequence
-from itertools import groupby
-
 from rich.table import Table
 
 from collaborative_gym.cli.terminal import new_table
 from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.errors import counted
 from collaborative_gym.policies.policy import shipped_kinds
 from collaborative_gym.tasks.registry import get_env, list_envs, make_task
 
@@ -24,7 +22,7 @@ def environments_table(with_sizes: bool) -> Table:
     rows = []
     for env_id in list_envs():
         spec = get_env(env_id)
-        robots = _listed(spec.robots)
+        robots = counted(spec.robots)
         if with_sizes:
             env = VectorEnv(make_task(env_id), 1, num_threads=1)
             spaces = env.single_observation_spaces, env.single_action_spaces
@@ -34,9 +32,3 @@ def environments_table(with_sizes: bool) -> Table:
             shipped = ", ".join(shipped_kinds(env_id)) or "-"
             rows.append([env_id, spec.task.__name__, robots, shipped])
     return new_table(heads, rows, words=2 if with_sizes else 4)
-
-
-def _listed(robots: Sequence[str]) -> str:
-    """Return the names of robots, with a number for several of one kind in a row."""
-    runs = [(name, len(list(own))) for name, own in groupby(robots)]
-    return ", ".join(name if count == 1 else f"{count} {name}" for name, count in runs)

@@ -411,8 +411,13 @@ def new_table(
     )
     for i, head in enumerate(heads):
         # In a narrow terminal numbers go below one another; none is cut off.
-        side = "left" if i < words else "right"
-        table.add_column(head, justify=side, no_wrap=i < words, overflow="fold")
+        table.add_column(
+            head,
+            justify="left" if i < words else "right",
+            no_wrap=i < words,
+            overflow="fold",
+            min_width=max(map(len, head.split()), default=0),
+        )
     for row in rows:
         table.add_row(*row)
     return table

@@ -19,6 +19,7 @@ from xml.etree.ElementTree import ParseError, canonicalize
 import mujoco
 import numpy as np
 
+from collaborative_gym.errors import counted
 from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.task import Task
 
@@ -70,7 +71,7 @@ class Identity:
     @property
     def title(self) -> str:
         """What to call it."""
-        return f"{self.name} with {', '.join(self.robot_names)}"
+        return f"{self.name} with {counted(self.robot_names)}"
 
     @property
     def robot_names(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from collaborative_gym.errors import (
     check_kind,
     check_name,
     check_word,
+    counted,
     look_up,
     look_up_registered,
     shown,
@@ -155,7 +156,7 @@ def make_task(
     arms = _arms(spec, robots, num_robots)
     counts = spec.task.robot_counts
     if len(arms) not in counts:
-        given = ", ".join(arm.name for arm in arms)
+        given = counted(arm.name for arm in arms)
         is_own = robots is None and num_robots is None
         numbers = " or ".join(map(str, counts))
         if len(counts) > 2:
