@@ -17,10 +17,11 @@ def on_files(files, config):
 
 
 def on_page_content(html, page, config, files):
-    """Load pictures when they are near the screen, and keep names of options whole."""
+    """Load pictures late, keep names of options whole, and drop the files' anchors."""
     html = re.sub(
         r"<code>(--[a-z0-9-]+)</code>", r'<code class="whole">\1</code>', html
     )
+    html = re.sub(r'<a id="collaborative_gym[^"]*"></a>', "", html)
     here = posixpath.dirname(page.url)
 
     def lazy(match):

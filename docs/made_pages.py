@@ -31,6 +31,7 @@ from collaborative_gym.certificate.report import (
 )
 from collaborative_gym.cli.main import main as command_line
 from collaborative_gym.control import get_mode, list_modes
+from collaborative_gym.errors import counted
 from collaborative_gym.policies.policy import is_shipped, shipped_file
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
@@ -198,7 +199,7 @@ def _environments() -> str:
                 (
                     f"[`{env_id}`]({name.lower()}.md#{env_id.lower()})",
                     link,
-                    ", ".join(spec.robots),
+                    counted(spec.robots),
                     _sizes(env.single_observation_spaces),
                     _sizes(env.single_action_spaces),
                 )
@@ -251,7 +252,8 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
         paragraphs += ["### Baseline", card.read_text().partition("\n\n")[2].strip()]
         curve = f"media/baselines/{env_id}.png"
         if (ROOT / "docs" / curve).exists():
-            paragraphs.append(_picture("Learning curve", f"../{curve}", 600))
+            last = " of the last run" * ("command 1 of" in card.read_text())
+            paragraphs.append(_picture(f"Learning curve{last}", f"../{curve}", 600))
     if is_shipped("ego", env_id):
         paragraphs.append(
             "There is also [an ego](../strangers.md#an-ego-with-advice), which works"
@@ -389,10 +391,11 @@ def _films(tasks: Sequence[str]) -> str:
     paragraphs = []
     for name in tasks:
         for env_id, _ in _envs(name):
+            beside = " (robot_1) and the expert" * (name in _AGAINST)
             for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
-                    f"### [{env_id}]({page}), played by its {player}",
+                    f"### [{env_id}]({page}), played by its {player}{beside}",
                     f"[![{env_id}; click for its film]"
                     f"(docs/{film.removesuffix('.gif')}.jpg)](docs/{film})",
                 ]
@@ -414,7 +417,9 @@ def _names(page: str) -> str:
         if not callable(thing) and not inspect.ismodule(thing):
             continue  # A value has no docstring of its own.
         summary = inspect.getdoc(thing).partition("\n\n")[0]
-        rows.append((f"`{path}`", " ".join(summary.split())))
+        # Where links of the files lead; the site has full entries, and drops this.
+        anchor = f'<a id="collaborative_gym.{path}"></a>'
+        rows.append((f"{anchor}`{path}`", " ".join(summary.split())))
     return _table(("name", "what it is"), rows)
 
 
@@ -569,7 +574,9 @@ def _place(placement: cg.Placement) -> str:
 
 
 def _sizes(spaces) -> str:
-    return ", ".join(str(space.shape[0]) for space in spaces.values())
+    """Return the sizes of all agents' spaces, once where all are alike."""
+    sizes = [str(space.shape[0]) for space in spaces.values()]
+    return f"{sizes[0]} each" if len({*sizes}) == 1 else ", ".join(sizes)
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
