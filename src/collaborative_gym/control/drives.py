@@ -23,6 +23,10 @@ _RAMP = 0.03
 """Time in which a joint's reference speed goes from rest to full, in s. Shorter asks
 for more torque than the motors have; longer turns too little in one control step."""
 
+FULL = 0.1
+"""How far a finger is from its target, in m or rad, as its servo presses with all its
+force. Our choice."""
+
 _SPEED_MARGIN = 1.04  # reference over a joint's speed limit, to make up for the ramp
 _SLACK = 1.0 + 0.5 * _RAMP / CONTROL_DT  # a joint must also come to rest at a limit
 
@@ -60,7 +64,7 @@ def add_fingers(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         finger = spec.add_actuator(
             name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
-        finger.set_to_position(kp=force / 0.1, dampratio=1.0)
+        finger.set_to_position(kp=force / FULL, dampratio=1.0)
         finger.forcelimited = True
         finger.forcerange = [-force, force]
 

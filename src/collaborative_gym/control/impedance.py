@@ -102,13 +102,14 @@ class ImpedanceStiffness(Impedance):
     """
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
-        self._first = len(scene.grips)  # From there on, `userdata` has the number.
+        # From there on, `userdata` has the number.
+        self._first = sim.model.nuserdata - len(scene.arms)
         super().__init__(scene, sim, gripping)
 
     @classmethod
     def add_drives(cls, scene: Scene) -> None:
         super().add_drives(scene)
-        scene.spec.nuserdata = len(scene.grips) + len(scene.robots)
+        scene.spec.nuserdata += len(scene.robots)
 
     def num_moves(self, agent: str) -> int:
         return super().num_moves(agent) + 1

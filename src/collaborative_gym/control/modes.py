@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.blocks import Block
-from collaborative_gym.control.grips import Grips
+from collaborative_gym.control.grips import Fingers, Grips
 from collaborative_gym.errors import (
     check_kind,
     check_number,
@@ -90,7 +90,8 @@ class ActionMode:
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
         self.arms, self.gripping = scene.arms, gripping
         self._sim = sim
-        self._grips = Grips(scene, sim) if scene.grips else None
+        of_grasp = Fingers if scene.grasp.touches else Grips
+        self._grips = of_grasp(scene, sim) if scene.grips else None
         self.tears = None if self._grips is None else self._grips.tears
 
     @classmethod

@@ -112,7 +112,7 @@ class Torques(ActionMode):
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return torques by inverse dynamics, clipped; see `ActionMode.moves`."""
         sim, moves = self._sim, {}
-        felt = [self._felt(state) for state in sim.get_state()]
+        felt = [self._felt(i, state) for i, state in enumerate(sim.get_state())]
         for agent, arm in self.arms.items():
             motion, motors = motions[agent], self._motors[agent]
             rows = zip(*(row[agent] for row in felt), strict=True)
@@ -129,13 +129,15 @@ class Torques(ActionMode):
             moves[agent] = np.clip(torque / motors.limit, -1.0, 1.0)
         return moves, dict.fromkeys(self.arms, np.ones(sim.num_envs))
 
-    def _felt(self, state: np.ndarray) -> dict[str, tuple[np.ndarray, ...]]:
+    def _felt(
+        self, env_id: int, state: np.ndarray
+    ) -> dict[str, tuple[np.ndarray, ...]]:
         """Return what each arm of a world feels, by agent.
 
         It is its inertia (joints, joints), the levers of its tcp (3, joints), and two
         torques (joints,) in N m: what going on takes, and what holds it back.
         """
-        model, data, felt = self._sim.model, self._data, {}
+        model, data, felt = self._sim.own_model(env_id), self._data, {}
         with quiet():
             mujoco.mj_setState(model, data, state, STATE)
             mujoco.mj_forward(model, data)

@@ -119,8 +119,8 @@ def add_strain_sensors(scene: Scene) -> None:
     for kind in DEPTHS:
         for i, pair in enumerate(pairs[kind]):
             add_contact_sensor(spec, f"{kind} net {i}", *pair)
-    for site in {bond.name1 for bond in _bonds(scene)}:
-        body = spec.site(site).parent.name
+    sites = {spec.site(b.name1).parent.name: b.name1 for b in _bonds(scene)}
+    for body, site in sites.items():
         add_contact_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body))
         # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(

@@ -40,7 +40,8 @@ class World:
     """
 
     def __init__(self, task: Task, strain: bool = False):
-        self.task, self.scene, self.has_strain = copy(task), Scene(), strain
+        self.task, self.has_strain = copy(task), strain
+        self.scene = Scene(task.config.grasp)
         self.mode = get_mode(task.config.action)
         self.task.build(self.scene)
         self.mode.add_drives(self.scene)
@@ -87,7 +88,11 @@ class World:
 
     def feel(self, sim: CpuSim) -> dict[str, Array]:
         """Return the wrenches at the wrists by agent; none if nobody observes them."""
-        return {} if self.wrists is None else self.wrists.read(sim)
+        if self.wrists is None:
+            return {}
+        if self.scene.grips:
+            self.scene.hands.renew(sim)
+        return self.wrists.read(sim)
 
     def flat(self, facts: Any, felt: Mapping[str, Array], xp: Any) -> dict[str, Array]:
         """Return all blocks by agent, one after the other, (num_envs, k) float32."""

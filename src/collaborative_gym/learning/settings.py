@@ -168,11 +168,12 @@ class Settings:
 
     @property
     def _kind(self) -> list[str]:
-        """The action mode, algorithm and company that are not the usual ones."""
+        """The action mode, grasp, algorithm and company that are not the usual ones."""
         words = set(self.opponents or self.partners) - {SELF}
         known = [word for word in (LEAGUE, POPULATION) if word in words]
-        pairs = (self.identity.action, TaskConfig.action), (self.algorithm, "ppo")
-        own = [own for own, usual in pairs if own != usual]
+        usual = TaskConfig.action, TaskConfig.grasp, "ppo"
+        own = self.identity.action, self.identity.grasp, self.algorithm
+        own = [a for a, b in zip(own, usual, strict=True) if a != b]
         return own + (known or ["guests"] * bool(words))
 
     def to_dict(self) -> dict[str, Any]:

@@ -163,7 +163,13 @@ def _task(env: str | Task, started: Checkpoint | None) -> Task:
         return as_task(env)
     own = started.settings.identity
     starts = Randomization(**own.config["randomization"])
-    return make_task(env, own.robot_names, randomization=starts, action=own.action)
+    return make_task(
+        env,
+        own.robot_names,
+        randomization=starts,
+        action=own.action,
+        grasp=own.grasp,
+    )
 
 
 @contextmanager

@@ -34,6 +34,10 @@ with an arm that only holds on, by `benchmarks/teams.py`."""
 LEAST_SHARE = 0.6
 """The pot weighs at least this share of what all carry."""
 
+IN_MOTION = 0.75
+"""Share of what a hand holds that it carries: in motion and beside other arms it must
+hold more than the weight. Our choice, by `benchmarks/grasps.py`."""
+
 _GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 
 
@@ -79,6 +83,7 @@ def weigh(
     target: np.ndarray,
     handles: np.ndarray,
     radius: float,
+    grasps: Sequence[float],
 ) -> Weighing:
     """Return what two arms carry, alone and together.
 
@@ -89,12 +94,16 @@ def weigh(
       target: (3,) where the pot is to go.
       handles: from the pot's middle to where each arm holds it, (2, 3), in m.
       radius: distance of the pot to the target that counts as there, in m.
+      grasps: what each hand holds, in kg.
     """
     ways, alone = [], []
-    for robot, placement, line in zip(robots, placements, ends, strict=True):
+    for robot, placement, line, held in zip(
+        robots, placements, ends, grasps, strict=True
+    ):
         [middle] = from_base(placement, target[None])
-        ways.append(mounted_way(robot, placement, line))
-        alone.append(greatest_load(robot, _places(np.array(middle), radius)))
+        ways.append(mounted_way(robot, placement, line).at_most(IN_MOTION * held))
+        lifted = greatest_load(robot, _places(np.array(middle), radius))
+        alone.append(min(lifted, held))
     first, second = (way.load for way in ways)
     # The contents lie nearer to the stronger arm, but still inside the pot.
     share = second / (first + second)

@@ -42,6 +42,10 @@ class Way:
     angles: np.ndarray  # at each waypoint, (waypoints, joints), in rad
     approach: np.ndarray  # direction of the tcp's z axis at the first waypoint, (3,)
 
+    def at_most(self, load: float) -> "Way":
+        """Return the same way, on which the hand holds no more than a load, in kg."""
+        return replace(self, load=min(self.load, load))
+
     def at(self, progress: Array) -> np.ndarray:
         """Return joint angles (n, joints) at shares (n,) of the way."""
         place = np.clip(progress, 0.0, 1.0) * (len(self.angles) - 1)

@@ -19,8 +19,9 @@ _GAIN, _BRAKE = 0.45, 0.1
 asks for. With actions that are done at once, a miss falls to 0.61 in a step, and with
 actions that are a control step late to 0.58; no other pair has both as small."""
 
-_REACHING, _CARRYING = 0.2, 0.8
-"""Gains of `reach` and `carry` towards the posture; `settling` leaves a part."""
+_REACHING, _CARRYING, _CALM = 0.2, 0.8, 0.2
+"""Gains towards the posture: of `reach`, of `carry`, and of `carry` where it is calm;
+`settling` leaves a part."""
 
 _NEAR = 0.05
 """Distance of a tcp to its goal, in m, below which a posture counts less and less."""
@@ -125,6 +126,7 @@ def carry(
     goal: Array,
     posture: Array,
     is_loaded: Array,
+    is_calm: bool = False,
 ) -> np.ndarray:
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
@@ -139,12 +141,14 @@ def carry(
       goal: (num_envs, 3) where it should go, in m.
       posture: (num_envs, joints) angles to keep to, in rad.
       is_loaded: (num_envs,) where the tcp bears a load.
+      is_calm: whether it comes to the posture slowly. As joints turn, a tcp leaves its
+        line a little, and arms that hold one thing push one another.
 
     Returns:
       (num_envs, joints) in rad, not limited.
     """
     rows = sim.jacobian(arm.hand, tcp)[0][:, :, arm.dof]
     nearness = np.minimum(1.0, math.distance(goal, tcp) / _NEAR)
-    share = _CARRYING * np.where(is_loaded, 1.0, nearness)
+    share = (_CALM if is_calm else _CARRYING) * np.where(is_loaded, 1.0, nearness)
     change = _with_posture(sim, arm, rows, goal - tcp, posture, share)
     return settling(sim, arm, change=change)

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.motion.lift_mass import LEAST_SHARE, Weighing
+from collaborative_gym.motion.lift_mass import IN_MOTION, LEAST_SHARE, Weighing
 from collaborative_gym.motion.loads import (
     from_base,
     greatest_loads,
@@ -64,6 +64,7 @@ def weigh_team(
     handles: np.ndarray,
     radius: float,
     tilt: float,
+    grasps: Sequence[float],
 ) -> Weighing:
     """Return what three or more arms carry, all of them and without each.
 
@@ -75,6 +76,7 @@ def weigh_team(
       handles: from the pot's middle to where each arm holds it, (arms, 3), in m.
       radius: distance of the pot to the target that counts as there, in m.
       tilt: of the pot that counts as level, in rad.
+      grasps: what each hand holds, in kg.
     """
     # All handles of a pot that counts as lifted are moved alike.
     up, out = np.array([[0.0, 0.0, 1.0]]), handles * (1.0, 1.0, 0.0)
@@ -82,12 +84,12 @@ def weigh_team(
     moved = target + radius * np.concatenate([0.0 * up, up, -up, out])
     ways, held = [], []
     for i, (robot, place) in enumerate(zip(robots, placements, strict=True)):
-        ways.append(mounted_way(robot, place, ends[i]))
+        ways.append(mounted_way(robot, place, ends[i]).at_most(IN_MOTION * grasps[i]))
         # In an order that equal arms around the pot share, so as to be searched once.
         points = from_base(place, moved + handles[i])
         order = tuple(sorted(set(points)))
         loads = dict(zip(order, greatest_loads(robot, order), strict=True))
-        held.append([loads[point] for point in points])
+        held.append([min(loads[point], grasps[i]) for point in points])
     capacities, spots = np.array([way.load for way in ways]), handles[:, :2]
     # The weight of a tilted pot acts beside the middle of its handles.
     lean = handles[0, 2] * np.sin(tilt)

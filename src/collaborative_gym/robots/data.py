@@ -74,6 +74,17 @@ class Gripper:
             freeze(self, **{each.name: value})
         _check_gripper(self)
 
+    @property
+    def pad_force(self) -> float:
+        """What presses on a thing from each side, in N; 0 without fingers.
+
+        Where fingers turn, it follows from what their turn takes off the gap.
+        """
+        if not self.joints:
+            return 0.0
+        travel = abs(self.open_position - self.closed_position)
+        return 2.0 * self.force * travel / (self.open_gap - self.closed_gap)
+
     def position(self, gap: float) -> float:
         """Return the joint position at which the fingers are `gap` metres apart."""
         gap = check_number("gap", gap)

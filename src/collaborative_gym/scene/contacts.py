@@ -19,7 +19,7 @@ Place = tuple[mujoco.mjtObj, str]
 """A body, or a tree of bodies, as contact sensors name them."""
 
 _TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
-_DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
+DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
 _NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
 """What a contact sensor measures, and how it sums up many contacts: the distance of the
 deepest (`mindist`), or the force of all (`netforce`)."""
@@ -52,7 +52,7 @@ def add_depth_sensors(spec: mujoco.MjSpec, agents: Collection[str]) -> None:
     """Let `depth_sensors` read how deep contacts are."""
     for kind, pairs in contact_pairs(spec, agents).items():
         for i, pair in enumerate(pairs):
-            add_contact_sensor(spec, f"{kind} deep {i}", *pair, fields=_DEEPEST)
+            add_contact_sensor(spec, f"{kind} deep {i}", *pair, fields=DEEPEST)
 
 
 def add_contact_sensor(

@@ -59,7 +59,7 @@ class Arm:
 
 @dataclass(frozen=True)
 class Grip:
-    """A grip that an agent can take: its tcp held to a site by a constraint."""
+    """A grip that an agent can take: a site held in its hand, as `grasps` describes."""
 
     agent: str
     site: str  # full name of what can be gripped
@@ -76,6 +76,11 @@ class Grip:
         """The name of the body and site that bear the hand's grips, and its sensor."""
         # A model file is unlikely to give this name to a body of its own.
         return f"{self.agent}/palm of grips"
+
+    @property
+    def held(self) -> str:
+        """The name of the palm's site where a grasp remembers what it took."""
+        return f"{self.agent}/hold of {self.site}"
 
 
 def find_arm(model: mujoco.MjModel, agent: str, robot: Robot) -> Arm:

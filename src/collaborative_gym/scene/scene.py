@@ -8,8 +8,6 @@ world.
 """
 
 from collections.abc import Sequence
-from functools import reduce
-from operator import or_
 
 import mujoco
 import numpy as np
@@ -33,7 +31,9 @@ from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import set_collisions, set_stops
 from collaborative_gym.scene.contacts import add_depth_sensors
+from collaborative_gym.scene.grasps import get_grasp
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
+from collaborative_gym.scene.hands import Hands
 from collaborative_gym.scene.look import dress
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
@@ -43,6 +43,9 @@ from collaborative_gym.timing import SIM_DT
 class Scene:
     """A world under construction, and after `compile` the handles into it.
 
+    Args:
+      grasp: how hands hold things, by the name of one of `grasps`.
+
     Attributes:
       spec: the model under construction.
       robots: the arms that were added, by agent.
@@ -50,12 +53,16 @@ class Scene:
       grips: the grips that were added.
       tools: names of what was fixed to an arm, by agent.
       arms: after `compile`, each agent's arm in the compiled arrays.
+      hands: after `compile`, what holds things in hands; missing without grips.
       postures: after `compile`, joint angles that each arm keeps to where actions leave
         it open how it holds its tool, by agent, in rad; home unless a task's `setup`
         sets others.
     """
 
-    def __init__(self) -> None:
+    hands: Hands
+
+    def __init__(self, grasp: str = "magnet") -> None:
+        self.grasp = get_grasp(grasp)
         self.spec = mujoco.MjSpec()
         self.spec.compiler.degree = False
         self.robots: dict[str, Robot] = {}
@@ -181,10 +188,12 @@ class Scene:
         """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it.
 
         Raises:
-          ValueError: if there is no such arm or site.
+          ValueError: if there is no such arm or site, or the arm's hand cannot hold
+            anything by the scene's grasp.
         """
         self._check_arm(agent)
         self._check_site(site)
+        self.grasp.strength(self.robots[agent])
         threshold = check_number("threshold", threshold, at_least=0.0)
         width = check_number("width", width, at_least=0.0)
         grip = Grip(agent, site, threshold, width)
@@ -192,18 +201,8 @@ class Scene:
         if not any(agent == other.agent for other in self.grips):
             self._add_palm(grip)
         self.grips.append(grip)
-        self.spec.nuserdata = len(self.grips)
-        self.spec.add_equality(
-            name=grip.name,
-            type=mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=grip.palm,
-            name2=site,
-            active=False,
-            # The tcp and the site are apart when the grip starts, by the threshold at
-            # most. They come together in about two control steps, not with a jerk.
-            solref=[0.05, 1.0],
-        )
+        self.spec.nuserdata = len(self.grips) * (1 + self.grasp.memory)
+        self.grasp.add(self.spec, grip, self.robots[agent])
 
     def add_weld(self, site: str, other: str, *, turns: bool = False) -> None:
         """Hold two sites together in position, and in orientation unless it `turns`."""
@@ -256,7 +255,8 @@ class Scene:
         """
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
-        set_collisions(self.spec, self.robots, self._finger_bodies)
+        apart = set() if self.grasp.touches else self._finger_bodies
+        set_collisions(self.spec, self.robots, apart)
         add_depth_sensors(self.spec, self.robots)
         if not any(camera.name == CAMERA for camera in self.spec.cameras):
             add_overview(self.spec)
@@ -345,13 +345,11 @@ class Scene:
         Raises:
           ValueError: if the agent has no grip.
         """
-        if agent not in self._grip_ids:
+        if not any(agent == grip.agent for grip in self.grips):
             raise ValueError(
                 f"{agent} has no grip; give it one by add_grip when the world is built"
             )
-        ids = self._grip_ids[agent]
-        held = ids.values() if site is None else [ids[site]]
-        return reduce(or_, (sim.eq_active[:, i] > 0 for i in held))
+        return self.hands.holds(sim, agent, site)
 
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""
@@ -363,10 +361,8 @@ class Scene:
             agent: find_arm(model, agent, robot) for agent, robot in self.robots.items()
         }
         self.postures = {a: np.array(robot.home) for a, robot in self.robots.items()}
-        self._grip_ids: dict[str, dict[str, int]] = {}
-        for grip in self.grips:
-            ids = self._grip_ids.setdefault(grip.agent, {})
-            ids[grip.site] = int(model.equality(grip.name).id)
+        if self.grips:
+            self.hands = self.grasp.resolve(self.grips, model, self.arms)
         self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
         self._free = find_free(model, self._objects)
 

@@ -48,6 +48,7 @@ class CpuSim:
         self.memory: dict[str, Array] = {}
         self.refined: list[Refined] = []
         self._records = {name: np.empty((0, 0, 0)) for name in JUDGED}
+        self._own_model: mujoco.MjModel | None = None
 
     def _find_sensors(self) -> None:
         """Find the columns of `sensordata` that `pose` and `velocity` read."""
@@ -176,6 +177,15 @@ class CpuSim:
     def geom_xpos(self) -> np.ndarray:
         """Positions of all geoms, (num_envs, ngeom, 3); copied out from now on."""
         return self._batch.bind("geom_xpos")
+
+    def own_model(self, env_id: int) -> mujoco.MjModel:
+        places = self._batch.expanded("site_pos")
+        if places is None:
+            return self.model
+        model = self._own_model = self._own_model or copy(self.model)
+        model.site_pos[:] = places[env_id]
+        model.site_quat[:] = self._batch.expand("site_quat")[env_id]
+        return model
 
     def data(self, env_id: int) -> mujoco.MjData:
         data = self._batch.get_data(env_id)

@@ -199,6 +199,10 @@ class Sim(Protocol):
         """
         ...
 
+    def own_model(self, env_id: int) -> mujoco.MjModel:
+        """Return a world's model, its sites where that world has them, to be read."""
+        ...
+
     def data(self, env_id: int) -> mujoco.MjData:
         """Return one world as a fresh, forwarded `MjData`, to draw it or examine it."""
         ...

@@ -29,6 +29,9 @@ ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
 ON_STATE = ("name",)
 """What may differ between worlds that take each other's states: bits stay the same."""
 
+_EARLIER = {"action": "joints", "grasp": "magnet"}
+"""Settings of a time when there was no other choice."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -81,8 +84,12 @@ class Identity:
     @property
     def action(self) -> str:
         """The name of its action mode."""
-        # Without one it is of a time when all actions were joint changes.
-        return self.config.get("action", "joints")
+        return {**_EARLIER, **self.config}["action"]
+
+    @property
+    def grasp(self) -> str:
+        """The name of its grasp."""
+        return {**_EARLIER, **self.config}["grasp"]
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain dictionaries, lists, numbers and texts."""
@@ -121,7 +128,8 @@ class Identity:
         """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
 
         Settings that only one of them has are not compared: a later version brought
-        them. Without an action mode, actions are joint changes.
+        them. Without an action mode, actions are joint changes; without a grasp, it is
+        a magnet.
 
         Args:
           other: what this one should be.
@@ -145,7 +153,7 @@ class Identity:
         if self.robot_names != other.robot_names:
             # Other arms stand elsewhere, which says nothing more.
             ignore = {*ignore, "placements"}
-        own, others = ({**each.config, "action": each.action} for each in (self, other))
+        own, others = ({**_EARLIER, **each.config} for each in (self, other))
         own = {name: value for name, value in own.items() if name not in ignore}
         found += _differing("", own, others)
         if "versions" not in ignore:

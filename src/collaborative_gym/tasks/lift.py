@@ -79,6 +79,7 @@ from collaborative_gym.objects.pot import (
 )
 from collaborative_gym.objects.table import round_table, table
 from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import lift as player
@@ -253,7 +254,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return np.array(self.config.target or (0.0, 0.0, lowest + _HEIGHT))
 
     def build(self, scene: Scene) -> None:
-        self._weigh()
+        if scene.grasp.touches:
+            raise ValueError(
+                "Lift's handles collide with nothing, so fingers cannot press on them;"
+                f" give grasp='pinch', not {self.config.grasp!r}"
+            )
+        self._weigh(scene)
         self._frames = Frames(self.placements)
         self._spins = seat_turns(self.placements)
         self._add_arms(scene)
@@ -293,7 +299,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def _handles(self) -> dict[str, str]:
         return {agent: f"pot/handle_{i + 1}" for i, agent in enumerate(self.agents)}
 
-    def _weigh(self) -> None:
+    def _weigh(self, scene: Scene) -> None:
         """Find the target, the arms' ways to it and the mass of the pot."""
         placements = tuple(self.placements.values())
         self.target = self._target(min(place.position[2] for place in placements))
@@ -304,6 +310,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             "target": self.target,
             "handles": self.handles,
             "radius": self.config.success_radius,
+            "grasps": [scene.grasp.strength(r) / GRAVITY for r in team[0]],
         }
         if len(placements) == 2:
             self.weighing = weigh(*team, **where)
@@ -365,9 +372,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         )
         place, quat = START + moved[:, :3], math.from_yaw(moved[:, 3])
         self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
-        for i, grip in enumerate(self.scene.grips):
-            held = self.model.equality(grip.name).id
-            sim.eq_active[env_ids, held] = sim.xp.asarray(~misses[:, i])
+        sim.forward(env_ids)
+        self.scene.hands.hold(sim, sim.xp.asarray(~misses), env_ids)
 
     def measure(self, sim: Sim) -> LiftFacts:
         handles = {agent: sim.pose(site) for agent, site in self._handles.items()}

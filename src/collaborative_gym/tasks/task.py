@@ -16,6 +16,7 @@ from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.scene.grasps import get_grasp
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.settings import check_settings
@@ -57,6 +58,8 @@ class TaskConfig:
         describes: "off", "raw", or "compensated" for the weight of hand and tool.
       action: what actions mean, by the name of an action mode, such as "joints" or
         "tcp"; `list_modes` has them.
+      grasp: how hands hold things, where a task has grips: "magnet", "suction",
+        "pinch" or "friction"; `scene.grasps` describes them.
     """
 
     randomization: Randomization = field(default_factory=Randomization)
@@ -64,11 +67,14 @@ class TaskConfig:
     max_episode_steps: int = 200
     action: str = "joints"
     wrench: str = "off"
+    grasp: str = "magnet"
 
     def __post_init__(self) -> None:
         check_settings(self)
         check_kind("action", self.action, str, "the name of an action mode")
         get_mode(self.action)
+        check_kind("grasp", self.grasp, str, "the name of a grasp")
+        get_grasp(self.grasp)
         check_kind("wrench", self.wrench, str, "the name of a kind of wrench")
         look_up("wrench mode", self.wrench, dict.fromkeys(WRENCHES))
         if self.max_episode_steps is not None:  # Where a task has a rule of its own.
@@ -191,6 +197,11 @@ class Task(Generic[ConfigT, FactsT]):
             raise ValueError(
                 f"{type(self).__name__} has no mishap() after which episodes could"
                 ' begin; give another randomization, such as "default", or lost=0.0'
+            )
+        if config.grasp != TaskConfig.grasp and not self.gripping:
+            raise ValueError(
+                f"{type(self).__name__} has no grips, so grasp={config.grasp!r} would"
+                " change nothing; leave it out"
             )
         self.config = config
 

@@ -191,6 +191,8 @@ class Menu:
             robots,
             randomization=randomization if starts == _OWN else starts,
             action=own.config.action,
+            # Another environment may have no grips.
+            grasp=own.config.grasp if choice.env == own.name else "magnet",
         )
 
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:

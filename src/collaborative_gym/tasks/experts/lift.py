@@ -29,6 +29,7 @@ START = np.array([0.0, 0.0, 0.7])
 
 _STEP = 0.067  # m from the pot to its goal; it moves by 0.4 of this in a control step
 _CLOSE = 0.018  # m from the handle at which an arm grips
+_GENTLE, _NEAR = 0.02, 0.008  # m, the same where a thing stays where it is taken
 
 
 def expert(self: "Lift", sim: Sim, facts: "LiftFacts") -> dict[str, Motion]:
@@ -56,7 +57,7 @@ def _lift(
     task: "Lift", sim: Sim, facts: "LiftFacts", goals: dict[str, np.ndarray]
 ) -> dict[str, Motion]:
     """Return motions of arms that grip, and bring handles to these goals."""
-    holds, motions = facts.gripping, {}
+    holds, motions, gentle = facts.gripping, {}, not task.scene.grasp.draws
     lifting = reduce(and_, holds.values())
     # A pot that an arm has lost tips over. If all let go of it, it lands upright.
     stands = facts.pot[0][:, 2] < START[2] + 0.03
@@ -69,14 +70,17 @@ def _lift(
         # An arm that waits draws the pot to where others surely reach it.
         aside = (START + task.handles[i] - handle) * LEVEL
         drawn = handle + np.clip(aside, -0.02, 0.02)
-        goal = np.where(holds[agent][:, None], drawn, handle - gap * way.approach)
+        near = holds[agent] | (facts.to_handle[agent] < (_NEAR if gentle else _CLOSE))
+        # A hand that moves on as it grips pushes the pot.
+        stays, there = (near, tcp) if gentle else (holds[agent], drawn)
+        goal = np.where(stays[:, None], there, handle - gap * way.approach)
         goal = np.where(lifting[:, None], goals[agent], goal)
+        # The hand may turn about where it holds the handle.
+        held = tcp + task.scene.hands.ways(sim)[:, i] * lifting[:, None]
         mass = np.where(lifting, task.pot_mass * task.weighing.shares[i], 0.0)
         posture, is_loaded = way.at(progress), mass > 0.0
-        change = carry(
-            sim, arm, tcp=tcp, goal=goal, posture=posture, is_loaded=is_loaded
-        )
-        near = holds[agent] | (facts.to_handle[agent] < _CLOSE)
+        how = {"posture": posture, "is_loaded": is_loaded, "is_calm": gentle}
+        change = carry(sim, arm, tcp=held, goal=goal, **how)
         motions[agent] = Motion(change, near & (lifting | stands), mass=mass)
     return motions
 
@@ -85,7 +89,8 @@ def _lifted_handles(task: "Lift", facts: "LiftFacts") -> dict[str, np.ndarray]:
     """Return where each handle goes next on the pot's way to the target."""
     middle = sum(facts.handles[agent][0] for agent in task.agents) / len(task.agents)
     missing = facts.target + task.handles[0] * (0.0, 0.0, 1.0) - middle
-    middle, straight = middle + shortened(missing, _STEP), _straightened(facts)
+    step = _STEP if task.scene.grasp.draws else _GENTLE
+    middle, straight = middle + shortened(missing, step), _straightened(facts)
     return {
         agent: middle + math.rotate(straight, place * LEVEL)
         for agent, place in zip(task.agents, task.handles, strict=True)

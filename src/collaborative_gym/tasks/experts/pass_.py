@@ -25,6 +25,10 @@ _CLOSE = 0.8  # share of the greatest distance of a grip at which a hand grips
 # giver's fingers by less than 1 mm.
 _ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
 _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
+# Fingers that touch the cube must have it well between them, come straight from above,
+# and be calm with it, or it creeps out of them.
+_BETWEEN, _CALM = 0.01, 0.3  # m, and share of the usual motion
+_STRAIGHT = {"slack": 0.003, "least": 0.0, "most": 0.02}
 # A hand that goes back by more does not grip: with late actions, it would let go of the
 # cube as it gets it.
 _BACK = 0.01  # m
@@ -94,6 +98,7 @@ class _View:
         self.cube, self.target = self.own(facts.cubes[0]), self.own(facts.targets)
         self.holds = facts.holds[self.agent][:, None]
         self.angles, self.hands = task.angles[self.agent], task.hands[self.agent]
+        self.touches = task.scene.grasp.touches
 
     def own(self, rows: Array, behind: int = 0) -> Array:
         """Return of rows (num_envs, cubes, ...) what is of its cube, or one before."""
@@ -110,8 +115,10 @@ class _View:
 
     def grips(self, comes: Array | bool = True) -> Array:
         """Return where it holds a cube, or comes close enough to grip its own."""
-        most = self.task.thresholds[self.agent]
-        near = self.facts.to_cube[self.agent] < _CLOSE * most
+        most = _CLOSE * self.task.thresholds[self.agent]
+        if self.touches:
+            most = min(most, _BETWEEN)
+        near = self.facts.to_cube[self.agent] < most
         return self.facts.holds[self.agent] | (near & comes)
 
 
@@ -130,6 +137,8 @@ def _hand_over(
         straight = reach(sim, arm, tcp=facts.tcp[agent], goal=goal, posture=aim.angles)
         swing = settling(sim, arm, change=aim.angles - facts.joints[agent])
         change = np.where(aim.swings, swing, straight)
+        if view.touches:
+            change = change * np.where(view.holds, _CALM, 1.0)
         motions[agent] = Motion(change, grips & ~lets_go[:, 0])
     return motions
 
@@ -138,11 +147,19 @@ def _pick(view: _View) -> tuple[_Aim, Array, Array]:
     """Pick the cube up: return the aim, where it is lifted (num_envs, 1), and grips."""
     tcp, cube, holds = view.tcp, view.cube, view.holds
     above = standoff(tcp - cube, DOWN, **_ABOVE)
+    if view.touches:
+        above = 4.0 * standoff(tcp - cube, DOWN, **_STRAIGHT)
     lifted = tcp[:, 2:] > view.task.cube_start[2] + 0.03
     place = cube - np.where(holds, 0.1, above) * DOWN
     angles = np.where(holds, view.angles[-1], view.angles[0])
     draws_back = (above - _BACK)[:, 0] > math.dot(cube - tcp, DOWN)
-    aim = _Aim(place, view.hands[0], angles, np.zeros_like(holds))
+    hand = view.hands[0]
+    if view.touches:
+        # Along the sides of a cube that lies turned.
+        x, y, _ = np.moveaxis(math.axis_x(view.own(view.facts.cubes[1])), -1, 0)
+        yaw = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        hand = math.multiply(math.from_yaw(yaw), np.broadcast_to(hand, (len(yaw), 4)))
+    aim = _Aim(place, hand, angles, np.zeros_like(holds))
     return aim, holds & lifted, view.grips(~draws_back)
 
 

@@ -1,0 +1,46 @@
+"""A ladder of grasps, from a magnet down to what fingers do by contacts alone.
+
+`TaskConfig.grasp` chooses one for all hands of a world:
+
+- `magnet`: draws a thing's site to the tool centre point, and lets it turn there. It
+  bears the gripper's `holding_force`, and opens when it is torn.
+- `suction`: a cup of 40 mm at the tool centre point, which faces along its z axis. At a
+  vacuum of 60 % it sucks with 0.6 x 101,325 Pa x its area, 76 N. It bears what its cone
+  of friction allows: a force t along the cup and a pull p away from it with
+  t <= 0.5 (76 N - p). The formula, and 0.5 for wood, metal and glass, are Schmalz's
+  ("Theoretical holding force of a suction cup").
+- `pinch`: two pads that each press with the gripper's force F. They bear 2 mu F in any
+  direction; mu = 1 is MuJoCo's default and about that of rubber on what is dry.
+- `friction`: contacts alone. Fingers and things collide, the hand closes with all its
+  force, and holds what two of its fingers touch. At 10 ms and with an `impratio` of 10
+  a thing slips 0.01 mm/s at rest; in motion it creeps by about the acceleration along
+  the pads times 10 ms, whatever the force, so that a hand must move calmly.
+
+Cup and pads hold a thing where and as they took it. What is beyond their bound slips:
+nothing holds it for the rest of the control step, and then they take it anew where it
+is, if it is still within reach. A thing turns in them by at most 3 degrees before it
+slips round. These two, and how much they yield, are our choice.
+"""
+
+from collaborative_gym.errors import look_up
+from collaborative_gym.scene.friction import Friction
+from collaborative_gym.scene.hands import Grasp, Pinch, Suction
+
+_GRASPS: dict[str, Grasp] = {
+    "magnet": Grasp(),
+    "suction": Suction(),
+    "pinch": Pinch(),
+    "friction": Friction(),
+}
+
+GRASPS = tuple(_GRASPS)
+"""The names of the grasps."""
+
+
+def get_grasp(name: str) -> Grasp:
+    """Return a grasp by name.
+
+    Raises:
+      KeyError: if there is none of that name.
+    """
+    return look_up("grasp", name, _GRASPS)
