@@ -19,6 +19,9 @@ from collaborative_gym.sim.sim import EnvIds, Sim
 _TURN = np.radians(3.0)
 """By how much a held thing turns before it slips round."""
 
+_STIFFNESS = 20e3
+"""Of cups and pads, in N/m, which give way by a few mm as things slip. Our choice."""
+
 _YIELDS = 0.05
 """Time in s in which a bond gives way, as MuJoCo's `solref` has it."""
 
@@ -220,6 +223,12 @@ class Bonds(Hands):
         self._forces = columns(model, [grip.palm for grip in grips])
         if grasp.memory:
             self._held = np.array([model.site(grip.held).id for grip in grips], int)
+            # Constraints are as soft as what they hold is light; these are not.
+            ends = model.eq_obj1id[self.ids], model.eq_obj2id[self.ids]
+            bodies = model.site_bodyid[np.stack(ends)]
+            ease = model.body_invweight0[bodies, 0].sum(axis=0)
+            share = 1.0 / (_STIFFNESS * _YIELDS**2 * ease)
+            model.eq_solimp[self.ids, :2] = 1.0 / (1.0 + share[:, None])
             numbers = np.arange(len(grips) * grasp.memory)
             self._memory = len(grips) + numbers.reshape(len(grips), grasp.memory)
 

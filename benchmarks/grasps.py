@@ -1,0 +1,179 @@
+"""What each grasp does: completion, creep, depth, force at which it slips, and speed.
+
+    python benchmarks/grasps.py --output docs/tables/grasps.md
+
+Completion and time to success are the expert's, on episodes of seed 0 with `default`
+starts. The other columns are of the first environment's first arm, which picks the cube
+up. "Creep" is how far the cube moves in its hand in 20 s at rest, the most of 8 worlds,
+and "depth" how deep a finger is in it then. "Slips at" is the force, growing by 1 N in
+each control step, at which the hand loses the cube, or it has moved by 5 mm in it:
+along the approach, and along the pads across it. "Formula" is what `scene.grasps` gives
+for these, in N. "Speed" is that of a control step of 128 worlds with the expert's
+actions in one thread, as a share of the magnet's, by the processor's time: grasps take
+turns, and it is a median.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+import collaborative_gym as cg
+from collaborative_gym import math
+from collaborative_gym.cli.terminal import show
+from collaborative_gym.scene.grasps import GRASPS
+
+ENVS = (
+    "PassTaskSawyers-v0",
+    "PassTaskJacoSawyer-v0",
+    "LiftTaskSawyers-v0",
+    "LiftTaskJacos-v0",
+    "LiftPandas2-v0",
+)
+HEADS = (
+    "environment",
+    "grasp",
+    "completed",
+    "time",
+    "creep in 20 s",
+    "depth",
+    "slips at",
+    "formula",
+    "speed",
+)
+WORLDS, ROUNDS, STEPS = 128, 7, 4
+SLIPPED = 0.005  # m
+
+
+def main() -> None:
+    """Print the table, and write it if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--output", type=Path, help="file to write the table to")
+    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--envs", nargs="*", default=ENVS)
+    options = parser.parse_args()
+    rows = [list(HEADS), ["---"] * 2 + ["--:"] * (len(HEADS) - 2)]
+    for env_id in options.envs:
+        able = [each for each in GRASPS if holds(env_id, each)]
+        for grasp, share in zip(able, speeds(env_id, able), strict=True):
+            found = *completion(env_id, grasp, options.episodes), *[""] * 4
+            if env_id.startswith("Pass"):
+                found = *found[:2], *rest(env_id, grasp), *slips(env_id, grasp)
+            rows.append([env_id, f"`{grasp}`", *found, share])
+            show(" | ".join(rows[-1]))
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    if options.output:
+        options.output.write_text(table + "\n")
+
+
+def holds(env_id: str, grasp: str) -> bool:
+    """Return whether things of an environment can be held so."""
+    return not (grasp == "friction" and env_id.startswith("Lift"))
+
+
+def completion(env_id: str, grasp: str, episodes: int) -> tuple[str, str]:
+    """Return how often the expert completes episodes, and how soon."""
+    task = cg.task(env_id, grasp=grasp)
+    report = cg.evaluate(task, "expert", episodes=episodes, num_threads=1)
+    return (
+        f"{100 * report.completion.mean:.0f} %",
+        f"{report.time_to_success.mean:.1f} s",
+    )
+
+
+def picked(env_id: str, grasp: str, worlds: int) -> cg.VectorEnv:
+    """Return worlds whose first arm has picked up the cube, and stands still."""
+    env = cg.make_vec(env_id, worlds, num_threads=1, grasp=grasp, max_episode_steps=999)
+    env.reset(seed=0)
+    lifted = np.zeros(worlds, bool)
+    for _ in range(100):
+        height = env.sim.pose("cube/centre")[0][:, 2] - env.task.cube_start[2]
+        lifted |= env.facts.holds["robot_1"] & (height > 0.02)
+        actions = env.expert()
+        still = env.idle({"robot_1": True})
+        for agent, own in actions.items():
+            actions[agent] = np.where(lifted[:, None], still[agent], own)
+        env.step(actions)
+        if lifted.all():
+            break
+    for _ in range(10):
+        env.step(env.idle({"robot_1": True}))
+    return env
+
+
+def in_hand(env: cg.VectorEnv) -> np.ndarray:
+    """Return where the cubes are in the frames of the first hands, (worlds, 3)."""
+    place, quat = env.sim.pose("robot_1/tcp")
+    way = env.sim.pose("cube/centre")[0] - place
+    return math.rotate(math.conjugate(quat), way)
+
+
+def rest(env_id: str, grasp: str) -> tuple[str, str]:
+    """Return how far cubes creep in hands at rest, and how deep fingers are in them."""
+    env = picked(env_id, grasp, 8)
+    start, deepest = in_hand(env), 0.0
+    for _ in range(200):
+        env.step(env.idle({"robot_1": True}))
+        for i in range(1 if grasp == "friction" else 0):
+            deepest = max(deepest, -min(env.sim.data(i).contact.dist, default=0.0))
+    creep = np.linalg.norm(in_hand(env) - start, axis=1).max()
+    depth = f"{1e3 * deepest:.2f} mm" if grasp == "friction" else "-"
+    return f"{1e3 * creep:.3f} mm", depth
+
+
+def slips(env_id: str, grasp: str) -> tuple[str, str]:
+    """Return the forces at which a hand loses its cube, and those by formula, in N."""
+    env = picked(env_id, grasp, 2)
+    body, robot = env.model.body("cube/cube").id, env.task.robots["robot_1"]
+    ways = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    start, found = in_hand(env), np.full(2, np.nan)
+    for newtons in range(1, 900):
+        quat = env.sim.pose("robot_1/tcp")[1]
+        force = newtons * math.rotate(quat, ways)
+        force[:, 2] += 9.81 * env.model.body_mass[body]
+        env.sim.xfrc_applied[:, body, :3] = force
+        env.step(env.idle({"robot_1": True}))
+        gone = ~env.facts.holds["robot_1"]
+        gone |= np.linalg.norm(in_hand(env) - start, axis=1) > SLIPPED
+        found = np.where(np.isnan(found) & gone, newtons, found)
+        if not np.isnan(found).any():
+            break
+    strength = env.scene.grasp.strength(robot)
+    # A cup bears more along its axis than across it; see `strength` of the cup.
+    expected = 2 * [strength]
+    if grasp == "suction":
+        expected = [strength * 5**0.5, strength * 5**0.5 / 2]
+    told = (" and ".join(f"{x:.0f} N" for x in pair) for pair in (found, expected))
+    return tuple(told)
+
+
+def speeds(env_id: str, grasps: list[str]) -> list[str]:
+    """Return the speed of a control step with each grasp, as a share of the first's."""
+    envs = [
+        cg.make_vec(env_id, WORLDS, seed=0, num_threads=1, grasp=grasp)
+        for grasp in grasps
+    ]
+    for env in envs:
+        env.reset()
+    times = []
+    for _ in range(ROUNDS):
+        times.append([_time(env) for env in envs])
+    ratios = zip(*([row[0] / each for each in row] for row in times), strict=True)
+    return [f"{100 * median(each):.0f} %" for each in ratios]
+
+
+def _time(env: cg.VectorEnv) -> float:
+    """Return the time of some control steps, without that of the expert."""
+    spent = 0.0
+    for _ in range(STEPS):
+        actions = env.expert()
+        started = time.process_time()
+        env.step(actions)
+        spent += time.process_time() - started
+    return spent
+
+
+if __name__ == "__main__":
+    main()
