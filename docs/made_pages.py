@@ -33,6 +33,7 @@ from collaborative_gym.cli.main import main as command_line
 from collaborative_gym.control import get_mode, list_modes
 from collaborative_gym.errors import counted
 from collaborative_gym.policies.policy import is_shipped, shipped_file
+from collaborative_gym.scene import grasps
 from collaborative_gym.tasks.registry import EnvSpec, get_env
 
 ROOT = Path(__file__).parents[1]
@@ -186,6 +187,12 @@ def _modes() -> str:
         textwrap.fill(f"- `{name}`: {' '.join(words)}", 100, subsequent_indent="  ")
         for name, words in docs.items()
     )
+
+
+def _grasps() -> str:
+    """Return what each grasp does, by the docstring of their module."""
+    text = str(inspect.getdoc(grasps))
+    return text[text.index("- `") :]
 
 
 def _environments() -> str:
@@ -593,6 +600,7 @@ _MADE = {
     "action modes": _modes,
     "arms": _arms,
     "environments": _environments,
+    "grasps": _grasps,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
     "films against": partial(_films, _AGAINST),
     "names": partial(_names, "reference/python.md"),

@@ -8,7 +8,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.contacts import DEEPEST, add_contact_sensor
 from collaborative_gym.scene.handles import Arm, Grip
-from collaborative_gym.scene.hands import Grasp, Hands, Pinch, columns
+from collaborative_gym.scene.hands import Hands, Pinch, columns
 from collaborative_gym.sim.sim import Sim
 
 _FRICTION = 1.0, 0.01, 0.0005  # along a pad, about its normal in m, and rolling in m
@@ -58,17 +58,10 @@ class Friction(Pinch):
 class Fingers(Hands):
     """Hands that hold what two of their fingers touch."""
 
-    def __init__(
-        self,
-        grasp: Grasp,
-        grips: Sequence[Grip],
-        model: mujoco.MjModel,
-        arms: Mapping[str, Arm],
-    ):
-        super().__init__(grasp, grips, model, arms)
+    def _find(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
         self._touches = []
-        for grip in grips:
-            count = len(arms[grip.agent].robot.gripper.joints)
+        for grip, robot in zip(self._grips, robots, strict=True):
+            count = len(robot.gripper.joints)
             names = [f"{grip.name} by {i}" for i in range(count)]
             self._touches.append(columns(model, names)[:, 0])
 

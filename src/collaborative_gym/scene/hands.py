@@ -160,6 +160,11 @@ class Hands:
             for own in names
             for what in ("position", "quat")
         )
+        self._find(model, [arms[grip.agent].robot for grip in grips])
+
+    def _find(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
+        """Find in the model what the hands of these robots, one a grip, hold by."""
+        raise NotImplementedError
 
     def is_held(self, sim: Sim) -> Array:
         """Return which grips hold, (num_envs, grips) booleans."""
@@ -208,15 +213,8 @@ class Bonds(Hands):
       strengths: what each grip bears in every direction, (grips,), in N.
     """
 
-    def __init__(
-        self,
-        grasp: Grasp,
-        grips: Sequence[Grip],
-        model: mujoco.MjModel,
-        arms: Mapping[str, Arm],
-    ):
-        super().__init__(grasp, grips, model, arms)
-        robots = [arms[grip.agent].robot for grip in grips]
+    def _find(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
+        grasp, grips = self.grasp, self._grips
         self.strengths = np.array([grasp.strength(robot) for robot in robots])
         self.ids = np.array([model.equality(grip.name).id for grip in grips], int)
         self._axes = math.axis_z(self._quats)
