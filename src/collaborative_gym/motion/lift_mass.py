@@ -21,6 +21,7 @@ from collaborative_gym.motion.loads import (
 )
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Placement
 
 _LEAST_RATIOS = {2: 1.44}
@@ -94,9 +95,10 @@ def weigh(
       target: (3,) where the pot is to go.
       handles: from the pot's middle to where each arm holds it, (2, 3), in m.
       radius: distance of the pot to the target that counts as there, in m.
-      grasps: what each hand holds, in kg.
+      grasps: what each hand bears, in N.
     """
     ways, alone = [], []
+    grasps = [force / GRAVITY for force in grasps]
     for robot, placement, line, held in zip(
         robots, placements, ends, grasps, strict=True
     ):

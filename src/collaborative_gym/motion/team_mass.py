@@ -22,6 +22,7 @@ from collaborative_gym.motion.loads import (
 )
 from collaborative_gym.objects.pot import greatest_balance
 from collaborative_gym.robots import Robot
+from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Placement
 
 _SHARES = np.array([0.36, 0.46, 0.56, 0.66, 0.75, 0.84])  # of the reach, tried
@@ -76,13 +77,14 @@ def weigh_team(
       handles: from the pot's middle to where each arm holds it, (arms, 3), in m.
       radius: distance of the pot to the target that counts as there, in m.
       tilt: of the pot that counts as level, in rad.
-      grasps: what each hand holds, in kg.
+      grasps: what each hand bears, in N.
     """
     # All handles of a pot that counts as lifted are moved alike.
     up, out = np.array([[0.0, 0.0, 1.0]]), handles * (1.0, 1.0, 0.0)
     out = out / math.norm(out)[:, None]
     moved = target + radius * np.concatenate([0.0 * up, up, -up, out])
     ways, held = [], []
+    grasps = [force / GRAVITY for force in grasps]
     for i, (robot, place) in enumerate(zip(robots, placements, strict=True)):
         ways.append(mounted_way(robot, place, ends[i]).at_most(IN_MOTION * grasps[i]))
         # In an order that equal arms around the pot share, so as to be searched once.

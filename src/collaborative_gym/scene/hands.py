@@ -176,7 +176,7 @@ class Hands:
         Args:
           sim: the worlds.
           holds: (worlds, grips) booleans.
-          env_ids: the worlds, whose sensors are current; None for all.
+          env_ids: the worlds; None for all, if their sensors are current.
         """
         raise NotImplementedError
 
@@ -238,7 +238,10 @@ class Bonds(Hands):
         return self.grasp.load(sensordata[..., self._forces], self._axes)
 
     def hold(self, sim: Sim, holds: Array, env_ids: EnvIds = None) -> None:
-        rows = np.arange(sim.num_envs) if env_ids is None else np.asarray(env_ids)
+        rows = np.arange(sim.num_envs)
+        if env_ids is not None:
+            rows = np.asarray(env_ids)
+            sim.forward(rows)
         if self.grasp.memory:
             places = rows[:, None, None], self._memory
             sim.userdata[places] = self._seen(sim, rows, sim.userdata[places])

@@ -79,7 +79,6 @@ from collaborative_gym.objects.pot import (
 )
 from collaborative_gym.objects.table import round_table, table
 from collaborative_gym.rng import EpisodeRandom
-from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import lift as player
@@ -255,10 +254,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
 
     def build(self, scene: Scene) -> None:
         if scene.grasp.touches:
-            raise ValueError(
-                "Lift's handles collide with nothing, so fingers cannot press on them;"
-                f" give grasp='pinch', not {self.config.grasp!r}"
-            )
+            raise ValueError("Lift's handles collide with nothing; give grasp='pinch'")
         self._weigh(scene)
         self._frames = Frames(self.placements)
         self._spins = seat_turns(self.placements)
@@ -310,7 +306,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             "target": self.target,
             "handles": self.handles,
             "radius": self.config.success_radius,
-            "grasps": [scene.grasp.strength(r) / GRAVITY for r in team[0]],
+            "grasps": [scene.grasp.strength(r) for r in team[0]],
         }
         if len(placements) == 2:
             self.weighing = weigh(*team, **where)
@@ -372,7 +368,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
         )
         place, quat = START + moved[:, :3], math.from_yaw(moved[:, 3])
         self.scene.place(sim, env_ids, name="pot", position=place, quat=quat)
-        sim.forward(env_ids)
         self.scene.hands.hold(sim, sim.xp.asarray(~misses), env_ids)
 
     def measure(self, sim: Sim) -> LiftFacts:
@@ -450,8 +445,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def reward(
         self, facts: LiftFacts, commands: dict[str, Command]
     ) -> dict[str, Terms]:
-        xp = array_namespace(facts.to_target)
-        terms = {}
+        xp, terms = array_namespace(facts.to_target), {}
         for agent in self.agents:
             command, near = commands[agent], facts.to_handle[agent]
             wants = command.grips & (near < self.config.picking_threshold)
