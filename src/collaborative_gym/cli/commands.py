@@ -180,18 +180,20 @@ class Evaluate(Measured, _Policy):
                         on_progress=progress(task.name),
                     )
                 )
-        delay = f", delay {self.delay}" if self.delay else ""
-        action = f", action {self.action}" if self.action else ""
-        played = "".join(f", {each}" for each in self.settings)
-        how = f"{self.randomization}{action}{played}{delay}"
-        title = f"{' '.join(self.policy)} on {how}"
-        show(tables.reports_table(reports, title), besides=(self.json, self.csv))
+        shown = [tables.reports_table(reports, self._title())]
         if measured := [each for each in reports if each.coordination]:
-            table = tables.coordination_table(measured)
+            shown.append(tables.coordination_table(measured))
+        for table in (*shown, tables.strain_table(reports)):
             show(table, besides=(self.json, self.csv))
-        show(tables.strain_table(reports), besides=(self.json, self.csv))
         put(self.json, report.reports_to_json(reports))
         put(self.csv, report.reports_to_csv(reports))
+
+    def _title(self) -> str:
+        """Return who plays in what, as far as it is not the usual."""
+        action = f", action {self.action}" if self.action else ""
+        delay = f", delay {self.delay}" if self.delay else ""
+        how = "".join([self.randomization, action, *(f", {s}" for s in self.settings)])
+        return f"{' '.join(self.policy)} on {how}{delay}"
 
 
 def _tasks(command: "Evaluate | Certify") -> list[Task]:

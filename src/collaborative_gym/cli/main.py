@@ -140,16 +140,7 @@ def _run(arguments: list[str]) -> None:
         kind, description, rest = _VERBS[verb], None, arguments[1:]
         if kind is Train and {"-h", "--help"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
-        command, left = tyro.cli(
-            kind,
-            prog=f"collaborative-gym {verb}",
-            description=description,
-            args=rest,
-            registry=PLAIN_WORDS,
-            return_unknown_args=True,
-        )
-        if left:
-            raise UnknownName(_unused(verb, left[0].partition("=")[0], command))
+        command = _read(kind, verb, rest, description)
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
@@ -164,6 +155,25 @@ def _run(arguments: list[str]) -> None:
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
+
+
+def _read(kind: Any, verb: str, words: list[str], description: str | None) -> Any:
+    """Return the command that words after a verb give.
+
+    Raises:
+      UnknownName: if it has no use for one of them.
+    """
+    command, left = tyro.cli(
+        kind,
+        prog=f"collaborative-gym {verb}",
+        description=description,
+        args=words,
+        registry=PLAIN_WORDS,
+        return_unknown_args=True,
+    )
+    if left:
+        raise UnknownName(_unused(verb, left[0].partition("=")[0], command))
+    return command
 
 
 def _unused(verb: str, word: str, command: Any) -> str:

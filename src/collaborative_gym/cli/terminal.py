@@ -33,9 +33,6 @@ from collaborative_gym.tasks.task import Task
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
-_WIDEST = 1000
-"""Largest width of a table where there is no terminal, in characters."""
-
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
@@ -438,8 +435,7 @@ def show(
         console.print(content, markup=False, highlight=False, soft_wrap=True)
         return
     if isinstance(content, Table) and not console.is_terminal:
-        # A file is as wide as the table.
-        wide = console.options.update(max_width=_WIDEST)
+        wide = console.options.update(max_width=1000)  # A file is as wide as needed.
         console.width = Measurement.get(console, wide, content).maximum
     console.print(content)
 

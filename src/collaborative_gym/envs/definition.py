@@ -56,13 +56,12 @@ def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Defini
     terms = task.reward(facts, mode.commands(idle))
     trial.check_terms(terms)
     trial.check_masks("success", task.success(facts))
-    performing, over = task.performing(facts), task.over(facts)
+    performing = task.performing(facts)
     if performing is not None:
         trial.check_masks("performing", performing)
     trial.check_score(task.score(facts))
     trial.check_coordination(facts)
-    if over is not None:
-        trial.check_over(over)
+    trial.check_over(task.over(facts))
     layout = Layout(
         {
             agent: {
@@ -171,6 +170,8 @@ class _Trial:
             self._check_numbers(f"{what}: {name}", f"has shape {shape}", facts[name])
 
     def check_over(self, over: Any) -> None:
+        if over is None:  # Only time ends an episode.
+            return
         self.check_masks("over", over)
         if self._sim.xp.any(over[self.rows]):
             raise ValueError(

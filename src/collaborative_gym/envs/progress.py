@@ -131,13 +131,17 @@ class Progress:
                 gained = is_first if points is None else points[i]
                 gained = xp.where(counts & moved, gained, 0)
                 rows[f"{side}: score"] = rows[f"{side}: score"] + gained
-        over = task.over(facts)
+        self._end(task.over(facts), counts & moved, diverged)
+        return successes if self._is_divided else successes[side]
+
+    def _end(self, over: Array | None, counts: Array, diverged: Array) -> None:
+        """End the episodes that are over, have lasted long enough, or diverged."""
+        rows = self.rows
         if over is not None:
-            rows["terminated"] = rows["terminated"] | (over & counts & moved)
-        is_late = rows["step"] >= task.config.max_episode_steps
+            rows["terminated"] = rows["terminated"] | (over & counts)
+        is_late = rows["step"] >= self._task.config.max_episode_steps
         is_late = (is_late | diverged) & ~rows["terminated"]
         rows["truncated"] = rows["truncated"] | is_late
-        return successes if self._is_divided else successes[side]
 
     def _count_coordination(self, facts: Any, counts: Array) -> None:
         """Bring the coordination up to a control step, until the goal is first met."""

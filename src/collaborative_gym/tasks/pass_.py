@@ -343,7 +343,7 @@ class Pass(Task[PassConfig, PassFacts]):
         sim.memory["handed"][env_ids, 0] = sim.xp.asarray(owners[drawn] + 1.0)
 
     def measure(self, sim: Sim) -> PassFacts:
-        xp, agents = sim.xp, self.agents
+        xp, agents, memory = sim.xp, self.agents, sim.memory
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
         sites = [f"{name}/centre" for name in self.cubes]
         poses = [sim.pose(site) for site in sites]
@@ -354,8 +354,7 @@ class Pass(Task[PassConfig, PassFacts]):
             for a in agents
         }
         holds = {agent: xp.any(held, axis=1) for agent, held in grips.items()}
-        handed = handed_on(sim.memory["handed"], [*grips.values()])
-        sim.memory["handed"] = handed
+        memory["handed"] = handed = handed_on(memory["handed"], [*grips.values()])
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
         near = ~is_held & (to_targets < self.config.success_radius)
         put = near & (handed == len(agents)) & self._lies(sim, places, targets)
