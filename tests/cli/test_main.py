@@ -133,6 +133,7 @@ def test_settings_of_the_task_are_options(carry_id, capsys):
     config = report["settings"]["identity"]["config"]
     assert (config["max_episode_steps"], config["wrench"]) == (7, "raw")
     assert "idle on default, max_episode_steps=7, wrench=raw" in printed.err
+    assert "Means over 1 episode;" in printed.err
 
 
 def test_thesis_and_we_count_200_episodes(carry_id):
@@ -311,6 +312,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --settings wrnch=raw", "'wrnch' (did you mean 'wrench'?); op"),
         ("evaluate Carry --settings wrench=rw", "no wrench mode 'rw' (did you mean 'r"),
         ("evaluate Carry --settings max_episode_steps=x", "max_episode_steps must be"),
+        ("view Carry --port 99999", "port must be at most 65535, got 99999"),
         ("evaluate Carry --polcy idle", "not take --polcy (did you mean --policy?); e"),
         ("train Carry --leage-reset 1", "(did you mean --league-reset?); train --help"),
         (

@@ -59,8 +59,9 @@ def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
     rates = [report.steps_per_second for report in reports]
     # Least and greatest, once if they read the same.
     ends = dict.fromkeys(f"{rate:,.0f}" for rate in (min(rates), max(rates)))
+    own = " and their 95 % intervals" * (episodes != "1")
     means = (
-        f"Means over {format_episodes(episodes)} and their 95 % intervals;"
+        f"Means over {format_episodes(episodes)}{own};"
         f" {' to '.join(ends)} steps per second."
     )
     return new_table(

@@ -50,6 +50,7 @@ def view(
       ValueError: if there are too many worlds.
     """
     check_count("num_envs", num_envs, 1, MOST_WORLDS)
+    check_count("port", (address or HERE)[1], 0, 65535)
     task = as_played(as_task(env), policy)
     say(f"building the world of {task.name} ...")
     world = VectorEnv(task, num_envs, seed=seed, num_threads=1, auto_reset=False)
