@@ -339,7 +339,7 @@ class Task(Generic[ConfigT, FactsT]):
         """
         xp, (slowest, owners) = sim.xp, self._motion
         moves = xp.astype(xp.abs(sim.qvel) > xp.asarray(slowest), xp.float64)
-        busy = moves @ xp.asarray(owners) > 0.0
+        busy = xp.matmul(moves, xp.asarray(owners)) > 0.0
         if holds := list(holds):
             busy = busy | xp.stack(holds, axis=1)
         return 1.0 - xp.mean(xp.astype(busy, xp.float64), axis=1)
