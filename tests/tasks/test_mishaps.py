@@ -119,6 +119,13 @@ def test_a_share_is_lost_and_the_others_start_as_ever():
     assert (env.facts.distance[~same] < 0.2).all()
 
 
+def test_a_batch_may_have_no_mishap():
+    rare = cg.task("PassTaskSawyers-v0", randomization=cg.Randomization(lost=1e-9))
+    usual = cg.task("PassTaskSawyers-v0", randomization=cg.Randomization())
+    starts = [cg.make_vec(each, 2, seed=0).reset()[0] for each in (rare, usual)]
+    assert (starts[0]["robot_1"] == starts[1]["robot_1"]).all()
+
+
 def test_a_start_is_the_same_in_any_batch():
     alone = lost("LiftTaskJacos-v0", 1)
     alone.reset(seed=11, episodes=[5])

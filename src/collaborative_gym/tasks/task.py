@@ -294,7 +294,8 @@ class Task(Generic[ConfigT, FactsT]):
         # Drawn last, so that other episodes start as they would without it.
         if lost := self.config.randomization.lost:
             rows = np.flatnonzero(rng.uniform(0.0, 1.0) < lost)
-            self.mishap(sim, env_ids[rows], rng=rng.rows(rows))
+            if rows.size:
+                self.mishap(sim, env_ids[rows], rng=rng.rows(rows))
 
     def start_arms(
         self,
