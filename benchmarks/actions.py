@@ -67,7 +67,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = [list(HEADS), ["---"] * 2 + ["--:"] * (len(HEADS) - 2)]
     for env_id in options.envs:
-        shares = speeds(env_id, options.modes)
+        shares = speeds(env_id, "action", options.modes, WORLDS, ROUNDS)
         for mode, share in zip(options.modes, shares, strict=True):
             task = cg.task(env_id, action=mode)
             found = *completion(task, options.episodes), *tool(task), *limits(task)
@@ -165,16 +165,18 @@ def limits(task: cg.Task) -> tuple[str, str, str]:
     return *found, f"{max(torques):.2f}"
 
 
-def speeds(env_id: str, modes: list[str]) -> list[str]:
-    """Return the speed of a control step in each mode, as a share of the first's."""
+def speeds(
+    env_id: str, setting: str, values: list[str], worlds: int, rounds: int
+) -> list[str]:
+    """Return the speed with each value of a setting, as a share of the first's."""
     envs = [
-        cg.make_vec(env_id, WORLDS, seed=0, num_threads=1, action=mode)
-        for mode in modes
+        cg.make_vec(env_id, worlds, seed=0, num_threads=1, **{setting: value})
+        for value in values
     ]
     for env in envs:
         env.reset()
     times: list[list[float]] = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         times.append([_time(env) for env in envs])
     ratios = zip(*([row[0] / each for each in row] for row in times), strict=True)
     return [f"{100 * median(each):.0f} %" for each in ratios]

@@ -13,13 +13,12 @@ the magnet's, by the processor's time: grasps take turns, and it is a median.
 """
 
 import argparse
-import time
 from pathlib import Path
-from statistics import median
 
 import numpy as np
 
 import collaborative_gym as cg
+from actions import speeds
 from collaborative_gym import math
 from collaborative_gym.cli.terminal import show
 from collaborative_gym.scene.grasps import GRASPS
@@ -41,7 +40,7 @@ HEADS = (
     "formula",
     "speed",
 )
-WORLDS, ROUNDS, STEPS = 64, 5, 4
+WORLDS, ROUNDS = 64, 5
 SLIPPED = 0.005  # m
 
 
@@ -55,7 +54,8 @@ def main() -> None:
     rows = [list(HEADS), ["---"] * 2 + ["--:"] * (len(HEADS) - 2)]
     for env_id in options.envs:
         able = [each for each in GRASPS if holds(env_id, each)]
-        for grasp, share in zip(able, speeds(env_id, able), strict=True):
+        shares = speeds(env_id, "grasp", able, WORLDS, ROUNDS)
+        for grasp, share in zip(able, shares, strict=True):
             found = *completion(env_id, grasp, options.episodes), *[""] * 4
             if env_id.startswith("Pass"):
                 found = *found[:2], *rest(env_id, grasp), *slips(env_id, grasp)
@@ -150,32 +150,6 @@ def slips(env_id: str, grasp: str) -> tuple[str, str]:
         expected = [strength * 5**0.5, strength * 5**0.5 / 2]
     told = (" and ".join(f"{x:.0f} N" for x in pair) for pair in (found, expected))
     return tuple(told)
-
-
-def speeds(env_id: str, grasps: list[str]) -> list[str]:
-    """Return the speed of a control step with each grasp, as a share of the first's."""
-    envs = [
-        cg.make_vec(env_id, WORLDS, seed=0, num_threads=1, grasp=grasp)
-        for grasp in grasps
-    ]
-    for env in envs:
-        env.reset()
-    times = []
-    for _ in range(ROUNDS):
-        times.append([_time(env) for env in envs])
-    ratios = zip(*([row[0] / each for each in row] for row in times), strict=True)
-    return [f"{100 * median(each):.0f} %" for each in ratios]
-
-
-def _time(env: cg.VectorEnv) -> float:
-    """Return the time of some control steps, without that of the expert."""
-    spent = 0.0
-    for _ in range(STEPS):
-        actions = env.expert()
-        started = time.process_time()
-        env.step(actions)
-        spent += time.process_time() - started
-    return spent
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ _MEASURED = "measured"
 """Title of the chart of measures."""
 
 _LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
-"""Texts by which a tab finds the panel and a box in it."""
+"""The panel's title, and the text by which a tab finds a box in it."""
 
 _SCRIPT = """
 document.title = %s;
