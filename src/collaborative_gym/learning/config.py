@@ -312,6 +312,9 @@ _OFTEN: Mapping[str, Any] = {"num_envs": 128}
 """Half of the worlds give twice as many updates, each of which moves the policy as far
 as `target_kl` says, so that a policy succeeds sooner. 64 worlds are no better."""
 
+_PASSES = ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0")
+_PASSES += ("PassFrictionSawyers-v0",)
+
 _PASS: Mapping[str, Any] = {
     "total_steps": 2_500_000,
     **_OFTEN,
@@ -361,8 +364,7 @@ RECIPES: Mapping[str, Mapping[str, Any]] = {
     "BalanceTaskJacoSawyer-v0": {**_OFTEN, **_BALANCE, **_EXACT},
     "LiftTaskSawyers-v0": {"total_steps": 5_000_000, **_LIFT},
     "LiftTaskJacos-v0": {"total_steps": 2_500_000, **_LIFT, "range_penalty": 0.2},
-    "PassTaskSawyers-v0": _PASS,
-    "PassTaskJacoSawyer-v0": _PASS,
+    **dict.fromkeys(_PASSES, _PASS),
 }
 """The hyperparameters that suit an environment best, if not the defaults."""
 
@@ -391,8 +393,7 @@ ADVISED: Mapping[str, Mapping[str, Any]] = {
     "BalanceTaskJacoSawyer-v0": _ADVISED_BALANCE,
     "LiftTaskSawyers-v0": _ADVISED_LIFT,
     "LiftTaskJacos-v0": _ADVISED_LIFT,
-    "PassTaskSawyers-v0": _ADVISED_PASS,
-    "PassTaskJacoSawyer-v0": _ADVISED_PASS,
+    **dict.fromkeys(_PASSES, _ADVISED_PASS),
 }
 """Numbers of recipes that advice makes needless, taken back."""
 

@@ -491,6 +491,9 @@ _WITH_JACO = {
 register_task("Pass", Pass)
 register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))
+for grasp in ("pinch", "friction"):
+    own, name = {**_SAWYERS, "grasp": grasp}, f"Pass{grasp.title()}Sawyers-v0"
+    register_env(EnvSpec(name, Pass, ("sawyer", "sawyer"), own))
 for n in (3, 4, 6):
     register_env(EnvSpec(f"PassPandas{n}-v0", Pass, ("panda",) * n))
 register_env(EnvSpec("PassMixed3-v0", Pass, ("panda", "sawyer", "jaco")))

@@ -28,10 +28,12 @@ _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 # Fingers that touch the cube must have it well between them, come straight from above,
 # and be calm with it, or it creeps out of them.
 _BETWEEN, _CALM = 0.01, 0.3  # m, and share of the usual motion
+_SLOW = 0.4  # the most of its joints' speed with the cube
 _STRAIGHT = {"slack": 0.003, "least": 0.0, "most": 0.02}
 # A hand that goes back by more does not grip: with late actions, it would let go of the
 # cube as it gets it.
 _BACK = 0.01  # m
+_LIFT, _LIFTED = 0.1, 0.03  # m, how far a hand pulls a cube up, and which is enough
 _ARRIVED = 0.05  # m from the meeting at which the next arm follows the cube
 _SETTLED = 0.02  # m, in a relay, whose hands come faster
 _TURNED = np.cos(0.4)  # of half the angle by which a hand does not yet point downwards
@@ -99,6 +101,11 @@ class _View:
         self.holds = facts.holds[self.agent][:, None]
         self.angles, self.hands = task.angles[self.agent], task.hands[self.agent]
         self.touches = task.scene.grasp.touches
+        if self.touches:
+            # Contacts may miss a finger for a step, in which a hand must not open.
+            near = (facts.to_cube[self.agent] < _BETWEEN)[:, None]
+            others = sum(self.held_by(k) for k in range(len(task.agents))) > 0
+            self.holds = self.holds | (near & ~others & ~self.is_low())
 
     def own(self, rows: Array, behind: int = 0) -> Array:
         """Return of rows (num_envs, cubes, ...) what is of its cube, or one before."""
@@ -113,13 +120,32 @@ class _View:
         across = math.dot(self.cube - self.task.meetings[i], ACROSS)
         return (across > BEYOND)[:, None] & ~self.held_by(i)
 
+    def above(self) -> Array:
+        """Return how far above its cube its hand goes, (num_envs, 1), in m."""
+        way = self.tcp - self.cube
+        if self.touches:
+            return 4.0 * standoff(way, DOWN, **_STRAIGHT)
+        return standoff(way, DOWN, **_ABOVE)
+
+    def is_low(self) -> Array:
+        """Return where its hand is at the cubes on the tables, (num_envs, 1)."""
+        return self.tcp[:, 2:] <= self.task.cube_start[2] + _LIFTED
+
+    def along(self, hand: Array) -> Array:
+        """Return a hand above the table, along the sides of a cube that lies turned."""
+        if not self.touches:
+            return hand
+        x, y, _ = np.moveaxis(math.axis_x(self.own(self.facts.cubes[1])), -1, 0)
+        yaw = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
+        return math.multiply(math.from_yaw(yaw), np.broadcast_to(hand, (len(yaw), 4)))
+
     def grips(self, comes: Array | bool = True) -> Array:
         """Return where it holds a cube, or comes close enough to grip its own."""
         most = _CLOSE * self.task.thresholds[self.agent]
         if self.touches:
             most = min(most, _BETWEEN)
         near = self.facts.to_cube[self.agent] < most
-        return self.facts.holds[self.agent] | (near & comes)
+        return self.holds[:, 0] | (near & comes)
 
 
 def _hand_over(
@@ -138,7 +164,9 @@ def _hand_over(
         swing = settling(sim, arm, change=aim.angles - facts.joints[agent])
         change = np.where(aim.swings, swing, straight)
         if view.touches:
-            change = change * np.where(view.holds, _CALM, 1.0)
+            fastest = np.abs(change / arm.stride).max(axis=1, keepdims=True)
+            calm = np.minimum(_CALM, _SLOW / np.maximum(fastest, _SLOW))
+            change = change * np.where(view.holds, calm, 1.0)
         motions[agent] = Motion(change, grips & ~lets_go[:, 0])
     return motions
 
@@ -146,21 +174,12 @@ def _hand_over(
 def _pick(view: _View) -> tuple[_Aim, Array, Array]:
     """Pick the cube up: return the aim, where it is lifted (num_envs, 1), and grips."""
     tcp, cube, holds = view.tcp, view.cube, view.holds
-    above = standoff(tcp - cube, DOWN, **_ABOVE)
-    if view.touches:
-        above = 4.0 * standoff(tcp - cube, DOWN, **_STRAIGHT)
-    lifted = tcp[:, 2:] > view.task.cube_start[2] + 0.03
-    place = cube - np.where(holds, 0.1, above) * DOWN
+    above = view.above()
+    place = cube - np.where(holds, _LIFT, above) * DOWN
     angles = np.where(holds, view.angles[-1], view.angles[0])
     draws_back = (above - _BACK)[:, 0] > math.dot(cube - tcp, DOWN)
-    hand = view.hands[0]
-    if view.touches:
-        # Along the sides of a cube that lies turned.
-        x, y, _ = np.moveaxis(math.axis_x(view.own(view.facts.cubes[1])), -1, 0)
-        yaw = (np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4
-        hand = math.multiply(math.from_yaw(yaw), np.broadcast_to(hand, (len(yaw), 4)))
-    aim = _Aim(place, hand, angles, np.zeros_like(holds))
-    return aim, holds & lifted, view.grips(~draws_back)
+    aim = _Aim(place, view.along(view.hands[0]), angles, np.zeros_like(holds))
+    return aim, holds & ~view.is_low(), view.grips(~draws_back)
 
 
 def _take(view: _View) -> tuple[_Aim, Array, Array]:
@@ -174,15 +193,18 @@ def _take(view: _View) -> tuple[_Aim, Array, Array]:
     gap = standoff(tcp - cube, -ACROSS, **_ASIDE)
     place = np.where(offered, cube, meeting) + np.where(holds, 0.15, gap) * ACROSS
     picks = ~holds & view.is_beyond(i - 1)
-    above = standoff(tcp - cube, DOWN, **_ABOVE)
-    place = np.where(picks, cube - above * DOWN, place)
+    # From a table it lifts the cube first, but not where it puts it down.
+    is_far = (math.distance(tcp, view.target) > _NEAR_END)[:, None]
+    low = holds & view.is_low() & is_far
+    above = np.where(holds, _LIFT, view.above())
+    place = np.where(picks | low, cube - above * DOWN, place)
     (downwards, above_table), taking = view.task.picks[view.agent], view.angles[1]
-    hand = np.where(picks, downwards, view.hands[1])
+    hand = np.where(picks | low, view.along(downwards), view.hands[1])
     angles = np.where(picks, above_table, taking) if relay else taking
     # Wrists that take have no straight way to all that lies on the table.
     is_turned = np.abs(math.dot(view.quat, downwards)) < _TURNED
     aim = _Aim(place, hand, angles, relay & picks & is_turned[:, None])
-    has = holds & (math.distance(tcp, giver) > _APART)[:, None]
+    has = holds & ~low & (math.distance(tcp, giver) > _APART)[:, None]
     return aim, has, view.grips()
 
 
