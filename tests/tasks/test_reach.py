@@ -195,10 +195,23 @@ def test_what_a_robot_sees_has_one_shape_in_teams_of_all_sizes(make):
             blocks = env.observation_blocks[agent]
             spaces.add(tuple((b.name, b.shape) for b in blocks.values()))
             seen = env.task.observe(env.facts)[agent]["mates"]
-            assert seen.shape == (2, MOST_MATES, 10)
+            assert seen.shape == (2, MOST_MATES, 11)
             assert (seen[:, :, 0].sum(axis=1) == count - 1).all()
             assert not seen[:, count - 1 :].any()
     assert len(spaces) == 1
+
+
+def test_a_robot_sees_how_many_goals_its_mates_have_left(make):
+    # Who goes first depends on it.
+    env = make(4)
+    for _ in range(40):
+        env.step(env.expert())
+    seen, done = env.task.observe(env.facts), env.facts.done
+    assert all((0 < done[agent]).any() for agent in env.agents)
+    for agent, mate in zip(env.agents, env.agents[::-1], strict=True):
+        left = 1.0 - done[mate] / env.task.config.goals
+        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], left)
+        np.testing.assert_array_equal(seen[mate]["goals left"][:, 0], left)
 
 
 def test_equal_seats_of_a_ring_see_equal_worlds(make):

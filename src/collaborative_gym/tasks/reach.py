@@ -24,9 +24,9 @@ Coordination: `stage` is the share of all goals that were reached, `idle` the me
 of the arms that waited, as in Lift.
 
 The observation is the same for teams of all sizes. `mates` is a set of seven elements,
-one for each mate in the order of the ring and zeros for the others: 1, and the places
-of its tcp, its elbow and its goal. All but the joints is in the frame of the robot's
-own base, and `goal` and `mates` begin at its own tcp.
+one for each mate in the order of the ring and zeros for the others: 1, the share of its
+goals that is left, and the places of its tcp, its elbow and its goal. Places are in the
+frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
 
 Teamwork is what is hard. The expert lets one of two arms whose ways cross go first. If
 it looks at nobody, it touches another arm in most episodes. Each goal lies where
@@ -159,7 +159,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
         "tcp": "m",
         "tcp velocity": "m/s",
         "goal": "m",
-        "mates": "present; m",
+        "mates": "present; share; m",
     }
     expert = player.expert
 
@@ -326,31 +326,37 @@ class Reach(Task[ReachConfig, ReachFacts]):
         seen, own = {}, self._frames
         for agent in self.agents:
             tcp = facts.tcps[agent][0]
-            left = 1.0 - facts.done[agent] / self.config.goals
             seen[agent] = {
                 "joints": facts.joints[agent],
                 "tcp": own.place(agent, tcp),
                 "tcp velocity": own.direction(agent, facts.velocities[agent]),
                 "goal": own.direction(agent, facts.goals[agent] - tcp),
-                "goals left": left[:, None],
+                "goals left": self._left(facts, agent),
                 "mates": self._mates(agent, facts),
             }
         return seen
 
     def _mates(self, agent: str, facts: ReachFacts) -> Array:
-        """Return tcp, elbow and goal of each mate, as the agent sees them from its tcp.
+        """Return the goals left, tcp, elbow and goal of each mate, places from its tcp.
 
-        They are (num_envs, 7, 10); see `mates_block`.
+        They are (num_envs, 7, 11); see `mates_block`.
         """
-        tcp = facts.tcps[agent][0]
+        tcp, mates = facts.tcps[agent][0], mates_of(self.agents, agent)
         places = [
             place - tcp
-            for mate in mates_of(self.agents, agent)
+            for mate in mates
             for place in (facts.tcps[mate][0], facts.elbows[mate], facts.goals[mate])
         ]
         turned = self._frames.directions(agent, places)
-        xp, three = array_namespace(tcp), range(0, len(turned), 3)
-        return mates_block([xp.concat(turned[i : i + 3], axis=1) for i in three])
+        xp, rows = array_namespace(tcp), []
+        for i, mate in enumerate(mates):
+            left = self._left(facts, mate)
+            rows.append(xp.concat([left, *turned[3 * i : 3 * i + 3]], axis=1))
+        return mates_block(rows)
+
+    def _left(self, facts: ReachFacts, agent: str) -> Array:
+        """Return the share of an agent's goals that are left, (num_envs, 1)."""
+        return (1.0 - facts.done[agent] / self.config.goals)[:, None]
 
     def reward(
         self, facts: ReachFacts, commands: dict[str, Command]
