@@ -29,7 +29,7 @@ _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 # and be calm with it, or it creeps out of them.
 _BETWEEN, _CALM = 0.01, 0.3  # m, and share of the usual motion
 _SLOW = 0.4  # the most of its joints' speed with the cube
-_STRAIGHT = {"slack": 0.003, "least": 0.0, "most": 0.02}
+_STRAIGHT = {"slack": 0.005, "least": 0.0, "most": 0.02}
 # A hand that goes back by more does not grip: with late actions, it would let go of the
 # cube as it gets it.
 _BACK = 0.01  # m
@@ -124,7 +124,7 @@ class _View:
         """Return how far above its cube its hand goes, (num_envs, 1), in m."""
         way = self.tcp - self.cube
         if self.touches:
-            return 4.0 * standoff(way, DOWN, **_STRAIGHT)
+            return 2.0 * standoff(way, DOWN, **_STRAIGHT)
         return standoff(way, DOWN, **_ABOVE)
 
     def is_low(self) -> Array:
