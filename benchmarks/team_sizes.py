@@ -3,8 +3,9 @@
     python benchmarks/team_sizes.py POLICY [--stranger OTHER] [--sizes 2 3 4 5 6 8]
 
 Each line is a team of the policy's own task and arms, on held-out starts of `default`:
-completion with the expert, with the policy, and with one robot, each in turn, that
-plays another policy of the same kind, such as another seed's. Its own size is marked.
+completion, with 95 % intervals, of the expert, of the policy, and of teams in
+which one robot, each in turn, plays another policy of the same kind, such as another
+seed's. Its own size is marked.
 """
 
 import argparse
@@ -13,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 import collaborative_gym as cg
+from collaborative_gym.evaluation.report import format_statistic
 from collaborative_gym.evaluation.table import markdown_table
 
-SEED = 4242
 COLUMNS = "robots", "expert", "policy", "with one stranger, mean (least)"
 
 
@@ -25,7 +26,7 @@ def main() -> None:
     parser.add_argument("policy", type=Path)
     parser.add_argument("--stranger", type=Path)
     parser.add_argument("--sizes", type=int, nargs="+", default=[2, 3, 4, 5, 6, 8])
-    parser.add_argument("--episodes", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=200)
     options = parser.parse_args()
     policy = cg.load_policy(options.policy)
     if not policy.suits_any_team:
@@ -38,14 +39,16 @@ def main() -> None:
         task = cg.task(identity.task, arm, num_robots=size, action=action, **own)
 
         def completion(team, task=task):
-            how = {"episodes": options.episodes, "seed": SEED, "any_env": True}
-            return cg.evaluate(task, team, **how).completion.mean
+            how = {"episodes": options.episodes, "any_env": True}
+            return cg.evaluate(task, team, **how).completion
 
         shares = [completion("expert"), completion(options.policy)]
-        cells = [f"{share:.0%}" for share in shares]
+        cells = [format_statistic(share, percent=True) for share in shares]
         if options.stranger:
             mixed = [
-                completion(dict.fromkeys(task.agents, options.policy) | {agent: other})
+                completion(
+                    dict.fromkeys(task.agents, options.policy) | {agent: other}
+                ).mean
                 for agent in task.agents
                 for other in [options.stranger]
             ]

@@ -27,7 +27,7 @@ _ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.06}
 _ASIDE = {"slack": 0.002, "least": 0.0, "most": 0.1}
 # Fingers that touch the cube must have it well between them, come straight from above,
 # and be calm with it, or it creeps out of them.
-_BETWEEN, _CALM = 0.01, 0.3  # m, and share of the usual motion
+_BETWEEN, _CALM = 0.014, 0.3  # m, and share of the usual motion
 _SLOW = 0.4  # the most of its joints' speed with the cube
 _STRAIGHT = {"slack": 0.005, "least": 0.0, "most": 0.02}
 # A hand that goes back by more does not grip: with late actions, it would let go of the
