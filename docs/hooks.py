@@ -16,6 +16,16 @@ def on_files(files, config):
         files.append(File.generated(config, f"{name.lower()}.md", content=text))
 
 
+def on_page_markdown(markdown, page, config, files):
+    """Put the whole docstrings below each list of Python's names."""
+
+    def whole(made):
+        names = re.findall(r'^- <a id="(collaborative_gym[^"]*)"', made[0], re.M)
+        return "\n\n".join((made[0], *(f"::: {name}" for name in names)))
+
+    return re.sub(r"<!-- made: names .*?<!-- end -->", whole, markdown, flags=re.S)
+
+
 def on_page_content(html, page, config, files):
     """Load pictures late, keep names of options whole, and drop the files' anchors."""
     html = re.sub(

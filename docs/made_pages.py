@@ -140,8 +140,8 @@ def filled(markdown: str, path: str) -> str:
     """Return a page with what is made between its comments made anew.
 
     `<!-- made: NAME -->` names one of `_MADE`; a file of the repository, such as
-    `docs/tables/table11.md`; a section of one, such as `README.md, Licence`; or lines
-    of Python, such as `examples/it.py:1:11`.
+    `docs/tables/table11.md`; a section of one, such as `README.md, Licence`; lines of
+    Python, such as `examples/it.py:1:11`; or names of Python, `names make task`.
 
     Args:
       markdown: the page.
@@ -170,6 +170,8 @@ def python_lines(what: str) -> str:
 def _make(what: str) -> str:
     if what in _MADE:
         return _MADE[what]()
+    if what.startswith("names "):
+        return _names(what.removeprefix("names "))
     if ".py:" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -415,19 +417,24 @@ def _film(env_id: str) -> dict[str, str]:
     return {who: film for who, film in films.items() if (DOCS / film).exists()}
 
 
-def _names(page: str) -> str:
-    """Return a table of a reference page's names, each with its docstring's start."""
-    text = (DOCS / page).read_text()
-    rows = []
-    for path in re.findall(r"^::: collaborative_gym\.(\S+)$", text, re.M):
-        thing = pkgutil.resolve_name(f"collaborative_gym.{path}")
-        if not callable(thing) and not inspect.ismodule(thing):
-            continue  # A value has no docstring of its own.
-        summary = inspect.getdoc(thing).partition("\n\n")[0]
-        # Where links of the files lead; the site has full entries, and drops this.
-        anchor = f'<a id="collaborative_gym.{path}"></a>'
-        rows.append((f"{anchor}`{path}`", " ".join(summary.split())))
-    return _table(("name", "what it is"), rows)
+def _names(names: str) -> str:
+    """Return a list of names, each with what it takes and its docstring's start."""
+    return "\n".join(map(_name, names.split()))
+
+
+def _name(name: str) -> str:
+    """Return a line on a name; where it is, the site puts its whole docstring."""
+    path = f"collaborative_gym.{name}"
+    thing = pkgutil.resolve_name(path)
+    takes, says = "", f"the value {thing}"
+    if callable(thing) and not inspect.isclass(thing):
+        empty = inspect.Parameter.empty
+        taken = inspect.signature(thing).parameters.values()
+        bare = [each.replace(annotation=empty, default=empty) for each in taken]
+        takes = str(inspect.Signature(bare))
+    if callable(thing) or inspect.ismodule(thing):
+        says = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
+    return f'- <a id="{path}"></a>`{name}{takes}`: {says}'
 
 
 def _chart() -> str:
@@ -603,8 +610,6 @@ _MADE = {
     "grasps": _grasps,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),
     "films against": partial(_films, _AGAINST),
-    "names": partial(_names, "reference/python.md"),
-    "names for tasks": partial(_names, "reference/tasks.md"),
 }
 """What is made in a page, by the name of what makes it."""
 

@@ -167,6 +167,22 @@ def test_other_arms_play_in_the_same_action_mode():
     assert other.task.robots["robot_1"].name == "panda"
 
 
+def test_settings_go_along_to_whatever_takes_them():
+    settings = {"grasp": "pinch", "wrench": "raw", "max_episode_steps": 50}
+    env = cg.make_vec("PassTaskSawyers-v0", 1, num_threads=1, **settings)
+    menu = Menu(env, {"robot_1": "expert"})
+    choice = Choice(env.task.name, SAWYERS, ("idle",) * 2, "default")
+    pinching = menu.load(menu.armed(choice, "panda", 0), env)[0].task.config
+    assert {name: getattr(pinching, name) for name in settings} == settings
+    config = menu.load(menu.moved(choice, "PokeTaskSawyers-v0"), env)[0].task.config
+    # It has no grips.
+    assert (config.grasp, config.wrench, config.max_episode_steps) == (
+        "magnet",
+        "raw",
+        50,
+    )
+
+
 def test_as_many_worlds_play_after_another_choice(menu):
     env = cg.make_vec("PokeTaskSawyers-v0", 3, num_threads=1)
     env.reset(seed=2, episodes=[4, 5, 6])

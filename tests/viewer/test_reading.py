@@ -6,6 +6,8 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.policies.match import name_players
+from collaborative_gym.tasks.reach import ReachFacts
+from collaborative_gym.tasks.sort import SortFacts
 from collaborative_gym.viewer import reading
 
 
@@ -170,6 +172,31 @@ def test_measures_are_the_facts_that_are_one_number_each(make_env):
     assert measures["is held"] is True
     env._facts = {"of": "another kind"}
     assert read(env, infos, None).measures == {}
+
+
+def test_counts_and_shares_have_no_needless_decimals(make_env):
+    env = make_env()
+    env.task.units = {"far": "m"}
+    _, infos = env.reset()
+    env._facts = {
+        "own": np.array([4]),
+        "stage": np.array([2.0]),
+        "idle": np.array([1 / 3]),
+        "far": np.array([2.0]),
+    }
+    rows = dict(read(env, infos, None).rows)
+    assert [rows[f"  {name}"] for name in env._facts] == ["4", "2", "0.333", "2.000 m"]
+
+
+def test_terms_and_measures_are_explained_by_their_task():
+    sort, reach = cg.task("Sort"), cg.task("Reach")
+    said = reading.meanings(type(sort), SortFacts)
+    assert said["reward waiting"].startswith("-3 for each of its cubes that it has not")
+    assert said["own"] == "the index of the agent's cube"
+    said = reading.meanings(type(reach), ReachFacts)
+    assert said["distance"] == "from tcp to goal, in m"
+    assert said["reward distance"].startswith("10 times the distance, in m, by which")
+    assert reading.meanings(type("Mine", (cg.Task,), {}), SimpleNamespace) == {}
 
 
 def test_an_episode_is_summed_up_at_its_end(played):

@@ -238,7 +238,8 @@ def benchmark_table(benchmark: Benchmark) -> Table:
         for rates in played:
             row += [f"{rates.bare:,.0f}", f"{rates.env:,.0f}", f"{rates.ratio:.0%}"]
         row += [f"{speed.single_rate:,.0f}", f"{speed.reset_ms:.2f}"]
-        rows.append([*row, f"{speed.make_s:.2f}", f"{speed.kb_per_env:.0f}"])
+        makes = "\n".join(f"{seconds:.2f}" for seconds in speed.make_s)
+        rows.append([*row, makes, f"{speed.kb_per_env:.0f}"])
     machine, threads = benchmark.machine, benchmark.num_threads
     expert, random = (
         f"{median(each):.0%} ({min(each):.0%} at least)"
@@ -254,7 +255,8 @@ def benchmark_table(benchmark: Benchmark) -> Table:
         f" {benchmark.num_envs} worlds on {threads}"
         f" {'thread' if threads == 1 else 'threads'}, with the expert's and with random"
         f" actions, which keep {expert} and {random} of bare physics in the median;"
-        " single: one PettingZoo environment.\n"
+        " single: one PettingZoo environment; make: the first of a process, and the"
+        " second.\n"
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}",
     )

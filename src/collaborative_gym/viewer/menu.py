@@ -1,7 +1,9 @@
 """The choices of a viewer: environments, arms, policies and starts."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 from urllib.parse import parse_qs, urlencode
 
@@ -72,6 +74,7 @@ class Menu:
         self.robots = tuple(self._robots)
         presets = self._task.randomizations.values()
         self._has_own = self._task.config.randomization not in presets
+        self._settings = _changed(self._task)
 
     def randomizations(self, env: str) -> tuple[str, ...]:
         """Return the names of an environment's starts."""
@@ -186,14 +189,15 @@ class Menu:
         if names == (own.name, _arms(own), randomization):
             return own
         robots = [self._robots[name] for name in choice.robots]
-        return make_task(
-            choice.env,
-            robots,
-            randomization=randomization if starts == _OWN else starts,
-            action=own.config.action,
-            # Another environment may have no grips.
-            grasp=own.config.grasp if choice.env == own.name else "magnet",
-        )
+        drawn = randomization if starts == _OWN else starts
+        make = partial(make_task, choice.env, robots, randomization=drawn)
+        kept: dict[str, Any] = {}
+        for name, value in self._settings.items():
+            # What another task does not take, such as a grasp without grips, stays.
+            with suppress(LookupError, TypeError, ValueError):
+                make(**kept, **{name: value})
+                kept[name] = value
+        return make(**kept)
 
     def _able(self, choice: Choice, given: Iterable[str] = ()) -> Choice:
         """Return the choice with the expert for each policy that cannot play there.
@@ -225,6 +229,16 @@ class Menu:
         if choice.robots == self._usual(choice.env):
             playing.update(shipped_kinds(choice.env))
         return [kind for kind in SHIPPED if kind in playing]
+
+
+def _changed(task: Task) -> dict[str, Any]:
+    """Return the settings of a task that are not those of its name, but its starts."""
+    usual = type(task.config)()
+    with suppress(LookupError):  # A task of the user's may have no name to make it by.
+        usual = make_task(task.name, list(task.robots.values())).config
+    given = {each.name: getattr(task.config, each.name) for each in fields(usual)}
+    del given["randomization"]
+    return {name: own for name, own in given.items() if own != getattr(usual, name)}
 
 
 def _without_states(task: Task, policies: Mapping[str, AnyPolicy]) -> Task:

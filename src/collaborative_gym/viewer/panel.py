@@ -14,7 +14,7 @@ import viser
 
 from collaborative_gym.pictures.rendering import CAMERA
 from collaborative_gym.viewer.menu import Choice, Menu
-from collaborative_gym.viewer.reading import Reading
+from collaborative_gym.viewer.reading import Reading, meanings
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
 
@@ -112,7 +112,8 @@ class Panel:
         self._said = reading
         self._heading.content = _heading(session)
         self._worlds.value = self._worlds.options[session.world]
-        self._table.content = _table(reading.rows)
+        said = meanings(type(session.env.task), type(session.env.facts))
+        self._table.content = _table(reading.rows, said)
         self._time.value = max(each.time for each in session.readings)
         offered = session.env, session.policies, reading.trouble
         if self._offered != offered:
@@ -271,13 +272,19 @@ def _heading(session: Session) -> str:
     return _STYLE % "<br>".join(lines)
 
 
-def _table(rows: Iterable[tuple[str, str]]) -> str:
-    """Return rows of names and values as HTML."""
-    lines = "".join(
-        f'<tr><td style="padding-left:{name.startswith(" "):d}em">{html.escape(name)}'
-        f'<td style="text-align:right;white-space:nowrap">{html.escape(value)}'
-        for name, value in rows
-    )
+def _table(rows: Iterable[tuple[str, str]], meanings: Mapping[str, str]) -> str:
+    """Return rows of names and values as HTML; the pointer shows a name's meaning."""
+    lines, of_part = "", ""
+    for name, value in rows:
+        if is_heading := not name.startswith(" "):
+            of_part = "reward " if name.startswith("reward") else ""
+        word = of_part + name.strip()
+        title = meanings.get(word) or meanings.get(word.rpartition(" ")[0], "")
+        lines += (
+            f'<tr><td style="padding-left:{1 - is_heading}em"'
+            f' title="{html.escape(title)}">{html.escape(name)}'
+            f'<td style="text-align:right;white-space:nowrap">{html.escape(value)}'
+        )
     # Figures of equal width, so that nothing trembles.
     style = "width:100%;font-variant-numeric:tabular-nums"
     return _STYLE % f'<table style="{style}">{lines}</table>'

@@ -1,14 +1,18 @@
 """The texts and numbers of a viewer's panel."""
 
+import inspect
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.policies.match import result
-from collaborative_gym.tasks.task import named_facts
+from collaborative_gym.tasks.task import Task, named_facts
 from collaborative_gym.timing import CONTROL_DT
 
 
@@ -51,7 +55,7 @@ class Reading:
         if self.measures:
             rows.append(("measured", ""))
             rows += [
-                (f"  {name}", f"{_word(value)} {self.units.get(name, '')}".rstrip())
+                (f"  {name}", _word(value, self.units.get(name, "")))
                 for name, value in self.measures.items()
             ]
         return [*rows, ("ended last", ""), (f"  {self.previous or 'none'}", "")]
@@ -136,15 +140,35 @@ def _measures(
         for agent, part in parts:
             if getattr(part, "ndim", None) == 1:
                 name = f"{fact.replace('_', ' ')} {agent}".rstrip()
-                is_truth = np.asarray(part).dtype == bool
-                value = bool(part[world]) if is_truth else float(part[world])
-                yield name, units.get(fact, ""), value
+                yield name, units.get(fact, ""), np.asarray(part)[world].item()
 
 
-def _word(value: float | bool) -> str:
+def _word(value: float | bool, unit: str = " ") -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:z.3f}"
+    # What has no unit is a count or a share.
+    return f"{value:z.3f} {unit}".rstrip() if unit else f"{value:z.3g}"
+
+
+@lru_cache
+def meanings(task: type[Task], facts: type) -> Mapping[str, str]:
+    """Return what reward terms and measures are, as far as the task's file says it.
+
+    Its docstring has a line on each term, and its facts have comments. The keys are the
+    names in a reading's rows without agents, of terms after "reward ".
+    """
+    page = inspect.getdoc(inspect.getmodule(task)) or ""
+    lines = re.findall(r"^- `(\w+)`((?:[^\n]|\n  )+)", page, re.M)
+    said = {f"reward {term}": line.lstrip(" :,") for term, line in lines}
+    for kind in facts.__mro__[-2::-1]:
+        with suppress(OSError, TypeError):  # It may have no file.
+            source = inspect.getsource(kind)
+            comments = re.findall(r"^    (\w+):.*  # (.+)$", source, re.M)
+            said |= {fact.replace("_", " "): text for fact, text in comments}
+    words = (
+        (name, text.replace("(num_envs,)", "").split()) for name, text in said.items()
+    )
+    return {name: " ".join(own).strip(", ") for name, own in words}
 
 
 def _sum_up(
