@@ -107,8 +107,12 @@ def test_lines_tell_the_progress_where_there_is_no_terminal(capsys, monkeypatch)
     with progress_bars() as progress:
         progress("quick")(0.5)
         monkeypatch.setattr(terminal, "_LINE_INTERVAL", 0.0)
-        progress("slow")(0.25)
-    assert capsys.readouterr() == ("", "slow: 25%\n")
+        slow = progress("slow")
+        slow(0.25)
+        monkeypatch.setattr(terminal, "_LINE_INTERVAL", 10.0)
+        slow(0.5)
+        slow(1.0)
+    assert capsys.readouterr() == ("", "slow: 25%\nslow: 100%\n")
 
 
 def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
@@ -366,11 +370,42 @@ def test_benchmark_takes_a_tasks_name(capsys):
     assert "2 worlds on 1 thread" in printed
 
 
-def test_a_size_is_two_numbers(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["record", "Poke", "--output", "a.mp4", "--size", "640"])
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        ("record Poke --output a.mp4 --size 640", "--size takes 2 values"),
+        (
+            "record Poke --output a.mp4 --size 9 big",
+            "--size: 'big' is not a whole numb",
+        ),
+        ("evaluate Poke --episodes ten", "--episodes: 'ten' is not a whole number; wr"),
+        (
+            "train Poke --mode colaborative",
+            "no mode 'colaborative' (did you mean 'coll",
+        ),
+        ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; folders"),
+        ("view", "view needs ENV, environment id, or a task's name\n"),
+        ("--frobnicate", "no option --frobnicate; --help lists what there is\n"),
+    ],
+)
+def test_the_parsers_complaints_are_one_sentence(capsys, words, answer):
+    assert main(words.split()) == 2
     message = capsys.readouterr().err
-    assert "'--size'. Expected 2 values" in message and "NoneType" not in message
+    assert message.startswith(f"error: {answer}") and message.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["view", "compare", "certify", "benchmark"])
+def test_help_fits_into_the_columns_of_a_file(capsys, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit, match="0"):
+        main([command, "--help"])
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+
+
+def test_names_of_policies_come_before_ids(capsys):
+    assert main(["evaluate", "Poke", "--policy", "bogus"]) == 2
+    names = "; policies: baseline, ego, expert, random, idle, gripping, frozen, limp,"
+    assert names in capsys.readouterr().err
 
 
 def test_version_is_that_of_the_package(capsys):
@@ -419,7 +454,7 @@ def test_the_help_of_train_is_short_and_names_all_options(capsys):
         with pytest.raises(SystemExit, match="0"):
             main(["train", asked])
         told[asked] = capsys.readouterr().out
-    assert told["--help"].count("\n") < 120
+    assert told["--help"].count("\n") < 130
     assert "penalty of torque" in told["--help-all"]
     options = {f"--{each.name.replace('_', '-')}" for each in fields(Hyperparameters)}
     for text in told.values():

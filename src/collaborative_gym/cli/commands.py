@@ -79,7 +79,7 @@ class Record(Watched, _Policy):
 
     Attributes:
       env: environment id, or a task's name.
-      output: the video, .mp4 or .gif.
+      output: the video, .mp4 or .gif; folders that it lacks are made.
       beside: other policies to show beside it in the same episodes; each is named as
         for --policy.
       seconds: how long the film lasts at least. A second after a success, or after the

@@ -5,13 +5,17 @@ import difflib
 import functools
 import operator
 import os
+import re
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from importlib.metadata import version
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,6 +99,14 @@ _INSTEAD = {
 }
 """Options that other commands have, and what a command has in their place."""
 
+_PLAINLY = {
+    r"^Error parsing ": "",
+    r"^Missing from \S+ (\w+): ((?:--\S+ )?\S+) (.*?)\.? \(.*": r"\1 needs \2, \3",
+    r"^Unrecognized options: (.*)$": r"no option \1; --help lists what there is",
+    r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
+}
+"""Patterns of the parser's errors, and our words in their place."""
+
 _DESCRIPTION = """Robot arms that must work together: watch, train, measure.
 
 COMMAND --help lists the options of a command; --version shows the version."""
@@ -145,7 +157,7 @@ def _run(arguments: list[str]) -> None:
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
         arguments = arguments or ["--help"]
-        command = tyro.cli(
+        command = _parse(
             _any_command(),
             prog="collaborative-gym",
             description=_DESCRIPTION,
@@ -157,13 +169,50 @@ def _run(arguments: list[str]) -> None:
     command.run()
 
 
+def _fitted(text: str) -> str:
+    """Break lines that the terminal, or a file, has no room for."""
+    fit = functools.partial(textwrap.fill, break_on_hyphens=False)
+    columns, frames = shutil.get_terminal_size().columns, re.compile("^$|[╭│╰\x1b]")
+    lines = text.splitlines()
+    return "".join(
+        f"{line if frames.search(line) else fit(line, columns)}\n" for line in lines
+    )
+
+
+def _parse(kind: Any, **how: Any) -> Any:
+    """Return what `tyro.cli` does, but raise ValueError where it would print a box."""
+    shown = sys.stdout  # The parser looks at it for how to draw.
+    like = {"encoding": shown.encoding, "isatty": lambda _: shown.isatty()}
+    page = type("Page", (StringIO,), like)()
+    with redirect_stderr(StringIO()) as box, redirect_stdout(page):
+        try:
+            return tyro.cli(kind, **how)
+        except SystemExit as end:
+            status = end.code
+    if status != _BAD_INPUT:
+        is_help = {"-h", "--help"} & {*how["args"]}
+        sys.stdout.write(_fitted(page.getvalue()) if is_help else page.getvalue())
+        raise SystemExit(status)
+    # Between its first two rules are the words; what follows repeats the help.
+    parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box.getvalue(), flags=re.M)
+    text = " ".join(parts[1].replace("│", " ").split())
+    if wrong := re.search(
+        r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
+    ):
+        given, kind, names = wrong.groups()
+        raise UnknownName(unknown(kind, given, re.findall(r"'(.+?)'", names)))
+    for pattern, plain in _PLAINLY.items():
+        text = re.sub(pattern, plain, text)
+    raise ValueError(text)
+
+
 def _read(kind: Any, verb: str, words: list[str], description: str | None) -> Any:
     """Return the command that words after a verb give.
 
     Raises:
       UnknownName: if it has no use for one of them.
     """
-    command, left = tyro.cli(
+    command, left = _parse(
         kind,
         prog=f"collaborative-gym {verb}",
         description=description,

@@ -262,12 +262,12 @@ def _numbers(
     info: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[tuple[int | float, ...]] | None:
     # Of the ways to write tuple[int, ...], tyro takes one of its own.
-    kind = next((k for k in (int, float) if get_args(info.type) == (k, ...)), None)
-    if kind is None:
+    kind, *more = *get_args(info.type), None
+    if kind not in (int, float) or more[0] not in (kind, ...):
         return None
     name = kind.__name__.upper()
     return tyro.constructors.PrimitiveConstructorSpec(
-        nargs="*",
+        nargs="*" if more[0] is ... else len(more),
         metavar=f"[{name} [{name} ...]]",
         instance_from_str=lambda words: tuple(_read_number(w, kind) for w in words),
         is_instance=lambda value: isinstance(value, tuple),
@@ -487,12 +487,13 @@ def progress_bars() -> Iterator[Progress]:
 
 
 def _lines(console: Console, name: str) -> Callable[[float], None]:
-    """Return what prints a share as a line, unless it printed one just now."""
-    printed = time.monotonic()
+    """Return what prints a share as a line, now and then, and the end of long work."""
+    started = printed = time.monotonic()
 
     def show(share: float) -> None:
         nonlocal printed
-        if time.monotonic() >= printed + _LINE_INTERVAL:
+        is_last = share >= 1 and printed > started
+        if is_last or time.monotonic() >= printed + _LINE_INTERVAL:
             printed = time.monotonic()
             console.print(f"{name}: {share:.0%}", markup=False, highlight=False)
 

@@ -311,9 +311,7 @@ class BriefTrain(Train):
         text = inspect.cleandoc(Train.__doc__ or "").partition("\n\nAttributes:")[0]
         for what, kind in (("resources", Resources), ("how to learn", Hyperparameters)):
             names = [_option(each.name) for each in fields(kind)]
-            more = f"More options, {what} (see --help-all): {', '.join(names)}."
-            lines = textwrap.wrap(more, 80, break_on_hyphens=False)
-            text += "\n\n" + "\n".join(lines)
+            text += f"\n\nMore options, {what} (see --help-all): {', '.join(names)}."
         return text
 
 

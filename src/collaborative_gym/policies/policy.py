@@ -304,7 +304,11 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
             f" {_FIRST}"
         )
     shipped = [each for each in list_envs() if is_shipped("baseline", each)]
-    raise UnknownName(unknown("policy", name, [*_NAMES, *shipped]))
+    wrong = unknown("policy", name, [*_NAMES, *shipped]).partition(";")[0]
+    raise UnknownName(
+        f"{wrong}; policies: {', '.join(_NAMES)}, a file, a training run's folder, or"
+        " the id of an environment with a baseline"
+    )
 
 
 def player_file(name: str) -> Path:
