@@ -39,7 +39,7 @@ _PLOT = 4.2, 3.2
 
 @dataclass(frozen=True)
 class ReportCard:
-    """How some policies do in one environment.
+    """A report card of policies in one environment.
 
     Attributes:
       environment: the environment's id or the task's name.

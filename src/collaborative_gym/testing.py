@@ -140,7 +140,7 @@ def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
 
 
 def _hindrances(env: VectorEnv, world: int) -> set[str]:
-    """Return what arms touch and which of their joints are at an end, in words."""
+    """Return the contacts of arms, and their joints at an end, in words."""
     data, model, found = env.sim.data(world), env.model, set()
     for contact in data.contact:
         names = [model.body(int(model.geom_bodyid[g])).name for g in contact.geom]
@@ -155,7 +155,7 @@ def _hindrances(env: VectorEnv, world: int) -> set[str]:
 
 
 def unusual(robot: Robot) -> list[str]:
-    """Return what of an arm's definition often keeps it from tasks, in sentences."""
+    """Return likely faults of an arm's definition, in sentences."""
     spec = robot.spec()
     site = spec.site(robot.tcp)
     probe = {"name": "probe of the tcp", "contype": 0, "conaffinity": 0, "mass": 0.0}

@@ -193,7 +193,7 @@ class Work:
         return self._certificate
 
     def blind_team(self) -> tuple[Results, Results]:
-        """Return what the team does blindly: by one motion, by a recorded episode."""
+        """Return the blind team's results, of one motion and of a recorded episode."""
         return self._play_blindly(TEAM), self._replay(TEAM)
 
     def _costs(self) -> dict[str, int]:
@@ -305,7 +305,7 @@ class Work:
 
     @cached_property
     def _records(self) -> np.ndarray:
-        """What the blind team begins with: episodes on which nothing else is tried."""
+        """Episodes that the blind team begins with; nothing else is tried on them."""
         return record_actions(
             self._env, training_seed(self._seed), self._budget.replays
         )

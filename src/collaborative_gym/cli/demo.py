@@ -31,7 +31,7 @@ two seconds of a core."""
 
 
 def program() -> str:
-    """Return what to type to call the command line again as it was called."""
+    """Return the words that call the command line again as it was called."""
     path = Path(sys.argv[0])
     is_script = path.name == "collaborative-gym"
     return str(path) if is_script else "python -m collaborative_gym"

@@ -36,7 +36,7 @@ from collaborative_gym.tournaments.result import (
 
 
 def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
-    """Return what evaluations found, with 95 % intervals below the means."""
+    """Return the results of evaluations, with 95 % intervals below the means."""
     has_score = any(len(report.sides) > 1 for report in reports)
     heads = ["environment", *["score"] * has_score, "mean reward", "completion"]
     rows = []

@@ -167,12 +167,12 @@ class Worlds(Command):
     seed: int = 0
 
     def task(self, env: str) -> Task:
-        """Return what to do in an environment of this name."""
+        """Return the task of this name, with these options."""
         return chosen_task(env, self.robots, *self._how)
 
     @property
     def _how(self) -> tuple[Any, ...]:
-        """What is chosen besides the arms."""
+        """The choices besides the arms."""
         return self.num_robots, self.randomization, self.action, self.settings
 
 
@@ -199,7 +199,7 @@ class Watched(Played):
     look: Looks = ()
 
     def task(self, env: str) -> Task:
-        """Return what to do in an environment of this name, with arms that look so."""
+        """Return the task of this name, with arms that look so."""
         task, files = super().task(env), {}
         names = [robot.name for robot in task.robots.values()]
         for word in self.look:

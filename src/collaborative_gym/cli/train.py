@@ -307,7 +307,7 @@ class BriefTrain(Train):
 
     @classmethod
     def description(cls) -> str:
-        """Return what stands above the options."""
+        """Return the text above the options."""
         text = inspect.cleandoc(Train.__doc__ or "").partition("\n\nAttributes:")[0]
         for what, kind in (("resources", Resources), ("how to learn", Hyperparameters)):
             names = [_option(each.name) for each in fields(kind)]

@@ -216,7 +216,7 @@ class Comparison:
 
     @cached_property
     def statement(self) -> str:
-        """How many runs were compared, and how they differ, as sentences."""
+        """The number of runs and their differences, as sentences."""
         runs = [run for group in self.groups for run in group.runs]
         seeds = sorted({run.seed for run in runs})
         first = f"{len(runs)} run{'s' * (len(runs) > 1)}, seed{'s' * (len(seeds) > 1)}"

@@ -30,7 +30,7 @@ _NAMELESS = "algorithm", "mode"
 """Settings that need no name beside their value."""
 
 _MOST_NAMED = 3
-"""Settings in a method's name, even if fewer would tell the groups apart."""
+"""Settings in a method's name, even if fewer would distinguish the groups."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What turns the joints of arms.
+"""Drives of the arms' joints.
 
 The law of the servos stands here alone: what they ask of their motors, how far they
 yield, and how their targets move when a joint is to turn.
@@ -126,13 +126,13 @@ class Servo:
         sim.act[env_ids, self._act] = sim.qpos[env_ids, self._arm.qpos]
 
     def torques(self, sim: Sim, gains: Gains | None = None) -> Array:
-        """Return what the servos ask of their motors, (num_envs, joints), in N m."""
+        """Return the torques that the servos ask for, (num_envs, joints), in N m."""
         angle, speed = sim.qpos[:, self._arm.qpos], sim.qvel[:, self._arm.dof]
         stiffness, damping = gains or self.gains
         return stiffness * (sim.act[:, self._act] - angle) - damping * speed
 
     def yields(self, before: Array, speed: Array, dt: float, env_ids: EnvIds) -> Array:
-        """Return what torque the servos lose in a step; see `ActionMode.yields`."""
+        """Return the torque that servos lose in a step; see `ActionMode.yields`."""
         rows = [each if len(each) == 1 else each[env_ids] for each in self.gains]
         stiffness, damping = (each[:, None] for each in rows)
         return stiffness * dt * speed + damping * (speed - before)
@@ -178,7 +178,7 @@ class Servo:
 
 
 def lost_load(change: Array, xp: Any = np) -> Array:
-    """Return what share of its load an arm lets go of in a control step, (num_envs, 1).
+    """Return the share of its load that an arm drops in a step, (num_envs, 1).
 
     An arm that is not asked to move keeps the torques that it exerts. An arm that moves
     lets go of a part. If it kept all, two arms that push against each other on a thing

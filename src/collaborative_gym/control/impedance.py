@@ -136,7 +136,7 @@ class ImpedanceStiffness(Impedance):
 
 
 def _inertias(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
-    """Return what each joint turns in the arms' postures, (nv,), in kg m2."""
+    """Return each joint's inertia in the arms' postures, (nv,), in kg m2."""
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     for agent, arm in scene.arms.items():
         data.qpos[arm.qpos] = scene.postures[agent]

@@ -104,7 +104,7 @@ class ActionMode:
         raise NotImplementedError
 
     def torques(self, sim: Sim, agent: str) -> Array:
-        """Return what the drives ask of an arm's motors, (num_envs, joints), in N m.
+        """Return the torques that the drives ask for, (num_envs, joints), in N m.
 
         It may be more than the motors have.
         """
@@ -113,7 +113,7 @@ class ActionMode:
     def yields(
         self, torque: Array, before: Array, speed: Array, dt: float, env_ids: EnvIds
     ) -> Array:
-        """Return what torque the drives lose as joints turn during a step, in N m.
+        """Return the torque that drives lose as joints turn in a step, in N m.
 
         Args:
           torque: of the joints of all arms, in the order of the agents, at the step's
@@ -180,7 +180,7 @@ class ActionMode:
         return action, self._sim.xp.zeros(action.shape[0], dtype=bool)
 
     def commands(self, actions: Mapping[str, Array]) -> dict[str, Command]:
-        """Return what each agent's action asks of its arm in the present state.
+        """Return each agent's command to its arm in the present state.
 
         Args:
           actions: by agent, (num_envs, size), each component in [-1, 1].
@@ -343,6 +343,6 @@ def list_modes() -> tuple[str, ...]:
 
 
 def describe_modes() -> str:
-    """Return what actions are in each mode, by the first line of its docstring."""
+    """Return the meaning of actions in each mode, by its docstring's first line."""
     lines = {n: str(m.__doc__).partition(".")[0] for n, m in _MODES.items()}
     return "; ".join(f"{n}, {line[0].lower()}{line[1:]}" for n, line in lines.items())

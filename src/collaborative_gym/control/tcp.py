@@ -82,7 +82,7 @@ class TcpChanges(ServoMode):
         )
 
     def _way(self, angles: Array, change: Array) -> Array:
-        """Return what joint changes do to the tools, as an action has it, (6, ...)."""
+        """Return the tools' motion by joint changes, as an action has it, (6, ...)."""
         start, end = (self._kinematics(each)[0] for each in (angles, angles + change))
         way = travel(start, end) / self._farthest
         for axis in {*range(6)}.difference(self.axes):

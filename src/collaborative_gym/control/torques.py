@@ -132,7 +132,7 @@ class Torques(ActionMode):
     def _felt(
         self, env_id: int, state: np.ndarray
     ) -> dict[str, tuple[np.ndarray, ...]]:
-        """Return what each arm of a world feels, by agent.
+        """Return the dynamics of each arm, by agent.
 
         It is its inertia (joints, joints), the levers of its tcp (3, joints), and two
         torques (joints,) in N m: what going on takes, and what holds it back.

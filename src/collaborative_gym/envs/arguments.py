@@ -1,4 +1,4 @@
-"""What callers give to an environment, checked before any world is changed."""
+"""Checks of a caller's arguments, before any world is changed."""
 
 from typing import Any
 

@@ -33,7 +33,7 @@ class Definition:
 
 
 def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Definition:
-    """Return what follows from a task's definition, tried out at an episode's start.
+    """Return the consequences of a task's definition, tried at an episode's start.
 
     Raises:
       ValueError: if the task's methods return something that cannot be used, something
@@ -125,7 +125,7 @@ class _Trial:
             self._check_finite(what, rows)
 
     def block(self, name: str, rows: Array) -> Block:
-        """Return what a checked block is."""
+        """Return the kind of a checked block."""
         task = self._task
         is_real = self._sim.xp.isdtype(rows.dtype, "real floating")
         dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
@@ -218,7 +218,7 @@ class _Trial:
                 yield f"{method}: {kind} {name!r} of {agent}", array
 
     def _by_side(self, method: str, given: Any) -> list[tuple[str, Any]]:
-        """Return what to call the array of each side, and the array."""
+        """Return the name of each side's array, and the array."""
         what, sides = f"{self._name}.{method}()", self.sides
         if len(sides) == 1 or method == "over":
             return [(what, given)]
@@ -247,7 +247,7 @@ class _Trial:
 
 
 def _kind(thing: Any) -> str:
-    """Return what something is, without what may be hundreds of numbers in it."""
+    """Return a short description of a value, without hundreds of numbers."""
     if isinstance(thing, Mapping):
         return "an empty dictionary"
     shape = f" of shape {thing.shape}" if hasattr(thing, "shape") else ""

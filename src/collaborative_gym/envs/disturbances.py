@@ -126,7 +126,7 @@ class Disturbances:
             self._wrong[env_ids] = self._draw_wrong(rng)
 
     def _draw_wrong(self, rng: EpisodeRandom) -> np.ndarray:
-        """Return what sensors in wrists are off by, (episodes, steps, agents, 6)."""
+        """Return the errors of sensors in wrists, (episodes, steps, agents, 6)."""
         bounds, shape = self._bounds, self._wrong.shape[1:]
         bias = np.repeat([bounds.force_bias, bounds.torque_bias], 3)
         noise = np.repeat([bounds.force_noise, bounds.torque_noise], 3)
@@ -198,7 +198,7 @@ class Disturbances:
         return {agent: w + wrong[:, i] for i, (agent, w) in enumerate(wrenches.items())}
 
     def _now(self, drawn: np.ndarray) -> np.ndarray:
-        """Return what was drawn for the present step of each world."""
+        """Return the draws for the present step of each world."""
         steps = np.asarray(self._progress.rows["step"])
         # The worlds that rest at their episode's end have no next step.
         steps = np.minimum(steps, drawn.shape[1] - 1)

@@ -1,4 +1,4 @@
-"""What the contracts of other libraries for one world have in common."""
+"""The common part of other libraries' contracts for one world."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,10 +9,10 @@ from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.timing import CONTROL_DT
 
 RENDERING = {"render_modes": ["rgb_array"], "render_fps": round(1 / CONTROL_DT)}
-"""What the metadata of an environment says of its pictures."""
+"""Metadata of an environment's pictures."""
 
 STEP_INFO = ("success", "diverged", "reward_terms", "metrics")
-"""What the infos of every reset and step have."""
+"""Keys of the infos of every reset and step."""
 
 
 def fresh_seed() -> int:

@@ -159,7 +159,7 @@ class SingleAgent:
         return split_columns(actions, self._sizes)
 
     def shared(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return what is the same for all agents."""
+        """Return the value that all agents share."""
         return next(iter(values.values()))
 
     def describe_action(self) -> str:

@@ -1,4 +1,4 @@
-"""How the episodes of worlds went so far, worked out when somebody asks."""
+"""Measures of the worlds' episodes so far, computed when somebody asks."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""How far the episode of each world has come and what it has earned."""
+"""Step, return and first success of each world's episode."""
 
 from collections.abc import Mapping
 from typing import Any

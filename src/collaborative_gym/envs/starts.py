@@ -14,10 +14,10 @@ no other is refused, in m. What lies or is held is less than a tenth of a millim
 deep; from a few mm on, a contact throws an arm out of what it is in."""
 
 OVERLAP = "mm deep in one another"
-"""What every error about such a start says."""
+"""Words of every error about such a start."""
 
 _DRAWS = 100
-"""How often a start is drawn, before the task is told that it has none."""
+"""Draws of a start, before an error says that there is none."""
 
 
 def draw_starts(

@@ -1,4 +1,4 @@
-"""What arms do to one another, to things and to themselves, in every physics step.
+"""Contacts, forces, torques and energy of arms, in every physics step.
 
 It is read from MuJoCo's own sensors and fields, and changes no bit of the physics. An
 episode has these measures, each the greatest over its physics steps unless said
@@ -82,7 +82,7 @@ STRAIN = tuple(_BLANK)
 _HELD_STEPS = "strain: held steps"
 
 BLANK = {f"strain: {name}": value for name, value in _BLANK.items()} | {_HELD_STEPS: 0}
-"""What an episode's rows begin with."""
+"""Names at the beginning of an episode's rows."""
 
 _AT_LIMIT = 0.99
 """A joint with at least this share of its torque limit counts as at the limit."""
@@ -256,7 +256,7 @@ class Strain:
     def _found_held(
         self, records: dict[str, np.ndarray], env_ids: EnvIds
     ) -> dict[str, np.ndarray]:
-        """Return what `_found` does of what arms hold; nothing if they never do."""
+        """Return the internal forces, as `_found` does; nothing if arms never hold."""
         if not self._held:
             return {}
         forces, is_held = [], []
@@ -272,7 +272,7 @@ class Strain:
     def _internal_force(
         self, held: _Held, records: dict[str, np.ndarray], env_ids: EnvIds
     ) -> np.ndarray:
-        """Return what arms spend against each other on a thing, (worlds, steps)."""
+        """Return the internal force on a thing, (worlds, steps), in N."""
         outer, forces = records["cfrc_ext"][:, :, :, 3:], []
         applied = self._sim.xfrc_applied[env_ids]
         for _, hand, contact in held.bonds:
@@ -315,7 +315,7 @@ class Strain:
 
 
 def internal_force(forces: Sequence[Array]) -> Array:
-    """Return what arms spend against each other, by their forces (..., 3) in N."""
+    """Return the internal force of arms' forces (..., 3), in N."""
     total = np.sum(forces, axis=0)
     square = np.maximum(math.dot(total, total), 1e-12)
     spent = []

@@ -1,4 +1,4 @@
-"""Who may use an environment now, and what happens if a call fails."""
+"""Turns in which threads use an environment, and the end of a call that fails."""
 
 import os
 import threading

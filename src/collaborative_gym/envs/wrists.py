@@ -1,4 +1,4 @@
-"""What arms feel at their wrists: the wrench of all that is beyond the last joint.
+"""Wrenches at the arms' wrists: of all that is beyond the last joint.
 
 A wrench is the force that hand, tool and what they hold or touch exert on the arm, in
 N, and after it the torque, in N m: along the axes of the tcp, and about it. So a mass m

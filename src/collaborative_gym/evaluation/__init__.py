@@ -1,4 +1,4 @@
-"""How well a policy does, over many episodes."""
+"""Evaluation of policies over many episodes."""
 
 from collaborative_gym.evaluation.play import evaluate
 from collaborative_gym.evaluation.report import Report, Score, Statistic

@@ -47,7 +47,7 @@ _FORMS: dict[str, dict[str, Any]] = {
     "at_goal": {"percent": True},
     "time_to_success": {"unit": " s"},
 }
-"""How `format_number` writes each measure, in the order of the table."""
+"""Formats of the measures for `format_number`, in the order of the table."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How fast the environments are, beside the bare physics they run on."""
+"""Speed of the environments, beside the bare physics they run on."""
 
 import math
 import re

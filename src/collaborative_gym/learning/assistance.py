@@ -54,7 +54,7 @@ class Assistance:
             self.demand = min(1.0, self.demand + _RISE)
 
     def state_dict(self) -> dict[str, float]:
-        """Return what changes."""
+        """Return the state that changes."""
         return {"share": self.share, "demand": self.demand}
 
     def load_state_dict(self, state: Mapping[str, float]) -> None:

@@ -203,7 +203,7 @@ class _Crew:
     def work(
         self, plans: Sequence[Plan], jobs: int, on_row: OnRow
     ) -> list[Outcome | None]:
-        """Return what became of the runs, None for those that Ctrl-C stopped."""
+        """Return the outcomes of runs, None for those that Ctrl-C stopped."""
         with ThreadPoolExecutor(jobs) as threads:
             runs = [threads.submit(self._train, plan) for plan in plans]
             for run in runs:

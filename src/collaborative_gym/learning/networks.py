@@ -163,7 +163,7 @@ class SetNetwork(nn.Module):
         self.trunk = perceptron(own + 2 * said, outputs, hyperparameters, gain)
 
     def forward(self, rows: Tensor) -> Tensor:
-        """Return what it says to each row."""
+        """Return its output for each row."""
         at = self._at
         before, inside = rows[:, : at.start], rows[:, at.start : at.stop]
         own = torch.cat([before, rows[:, at.stop :]], dim=1)
@@ -214,7 +214,7 @@ class TeamNetwork(nn.Module):
         self.team = perceptron(features, outputs, hyperparameters, gain=1.0)
 
     def forward(self, rows: Tensor) -> Tensor:
-        """Return what it says to each row."""
+        """Return its output for each row."""
         parts = zip(self._kinds, rows.split(self._widths, dim=1), strict=True)
         found = torch.stack([self.agents[kind](part) for kind, part in parts])
         return self.team(found.mean(dim=0))

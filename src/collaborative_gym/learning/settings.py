@@ -191,7 +191,7 @@ class Settings:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Settings":
-        """Return what `to_dict` was made of."""
+        """Return the settings that `to_dict` wrote."""
         own = {
             "identity": Identity.from_dict(content["identity"]),
             "hyperparameters": Hyperparameters(**content["hyperparameters"]),

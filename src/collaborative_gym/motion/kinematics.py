@@ -1,4 +1,4 @@
-"""Where the tcps of all arms of all worlds are, and how joints bring them elsewhere.
+"""Poses of the tcps of all arms of all worlds, and their Jacobians.
 
 Arrays have the worlds on their last axis, the arms on the one before it, and what they
 consist of in front. All is spelt out element by element: so many worlds cost little

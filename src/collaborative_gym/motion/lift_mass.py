@@ -44,7 +44,7 @@ _GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 
 @dataclass(frozen=True)
 class Weighing:
-    """What arms carry. Tuples have an entry for each arm."""
+    """Loads of arms. Tuples have an entry for each arm."""
 
     ways: tuple[Way, ...]  # of their handles, with approaches in the world frame
     fewer: tuple[float, ...]  # kg that the others hold near the target without it
@@ -86,7 +86,7 @@ def weigh(
     radius: float,
     grasps: Sequence[float],
 ) -> Weighing:
-    """Return what two arms carry, alone and together.
+    """Return the loads of two arms, alone and together.
 
     Args:
       robots: the arms.

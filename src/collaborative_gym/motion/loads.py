@@ -1,4 +1,4 @@
-"""How much an arm can hold, from its joint torque limits, and in which postures.
+"""Loads that an arm can hold by its torque limits, and in which postures.
 
 A load at the tcp asks each joint for a torque that is the load's weight times the
 joint's lever. The arm's links are gravity compensated, so that the whole torque limit
@@ -36,7 +36,7 @@ _CLEARANCE = 0.08  # m, least height of an elbow above what the arm stands on
 
 @dataclass(frozen=True)
 class Way:
-    """How an arm carries a load along a straight line."""
+    """The way of an arm that carries a load along a straight line."""
 
     load: float  # kg that it can hold all along
     angles: np.ndarray  # at each waypoint, (waypoints, joints), in rad
@@ -105,7 +105,7 @@ def greatest_load(robot: Robot, positions: Positions) -> float:
 
 
 def strength(robot: Robot) -> float:
-    """Return what an arm holds well within its reach, in kg, to compare it with others.
+    """Return the load of an arm well within its reach, in kg, to compare arms.
 
     Raises:
       ValueError: if it does not come there.
@@ -274,7 +274,7 @@ def way_loads(robot: Robot, lines: tuple[Positions, ...]) -> tuple[float, ...]:
 def _search_ways(
     robot: Robot, paths: Array
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `strong_paths` does, with loads of 0 on ways that do not fit.
+    """Return paths as `strong_paths` does, with loads of 0 on ways that do not fit.
 
     The paths (n, points, 3) all begin in the same direction from the arm's base.
     """

@@ -67,7 +67,7 @@ def weigh_team(
     tilt: float,
     grasps: Sequence[float],
 ) -> Weighing:
-    """Return what three or more arms carry, all of them and without each.
+    """Return the loads of three or more arms, of all and without each.
 
     Args:
       robots: the arms.

@@ -1,11 +1,11 @@
-"""How the models of things begin, and shapes that are there to be seen."""
+"""Empty models of things, and shapes that are only seen."""
 
 from collections.abc import Sequence
 
 import mujoco
 
 _SEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
-"""What makes a geom one that is only seen."""
+"""Settings of a geom that is only seen."""
 
 
 def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:

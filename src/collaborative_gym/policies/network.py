@@ -176,7 +176,7 @@ class NetworkPolicy:
     def _through(
         self, x: np.ndarray, layers: Sequence[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
-        """Return what layers make of rows."""
+        """Return the output of layers for rows."""
         # A product of its own for each row: in one of all rows, BLAS would add up in an
         # order that depends on how many there are.
         x = x[:, None]

@@ -1,4 +1,4 @@
-"""What can be wrong with an arm, checked when its value is made."""
+"""Checks of an arm, when its value is made."""
 
 from itertools import pairwise
 

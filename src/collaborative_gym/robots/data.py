@@ -1,4 +1,4 @@
-"""What a user says about an arm and its gripper, before its model file is read."""
+"""A user's data of an arm and its gripper, before the model file is read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields

@@ -90,7 +90,7 @@ def _check_tree(root: ElementTree.Element) -> None:
 
 
 def _read_by_mujoco(root: ElementTree.Element) -> mujoco.MjSpec:
-    """Return what MuJoCo makes of a URDF file; an error names the link or joint."""
+    """Return a URDF file as MuJoCo reads it; an error names the link or joint."""
     # Each link and joint is on a line of its own, so MuJoCo's line tells which it is.
     root.text = "\n"
     for part in root:

@@ -1,4 +1,4 @@
-"""What can touch what, and the sensors of how deep and how hard it does."""
+"""Pairs that can touch, and sensors of the depth and force of their contacts."""
 
 from collections.abc import Collection
 from itertools import combinations, product
@@ -28,7 +28,7 @@ deepest (`mindist`), or the force of all (`netforce`)."""
 def contact_pairs(
     spec: mujoco.MjSpec, agents: Collection[str]
 ) -> dict[str, list[tuple[Place, Place]]]:
-    """Return what can touch what, by kind. Bodies without a name get one."""
+    """Return the pairs of bodies that can touch, by kind. Each gets a name."""
     arms, loose, fixed = [], [], []
     for i, body in enumerate(spec.bodies):
         body.name = body.name or f"body {i}"

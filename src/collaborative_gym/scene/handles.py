@@ -1,4 +1,4 @@
-"""Where things are found in the arrays of a compiled world."""
+"""Indices of things in the arrays of a compiled world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Arm:
-    """Where one agent's arm is found in the arrays of the compiled world."""
+    """Indices of one agent's arm in the arrays of the compiled world."""
 
     robot: Robot
     qpos: slice  # its joint angles in `qpos`

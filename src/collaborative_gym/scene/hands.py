@@ -61,7 +61,7 @@ class Grasp:
         return robot.gripper.holding_force
 
     def load(self, force: Array, axis: Array) -> Array:
-        """Return what forces come to, (...), in N, to compare it with the strength.
+        """Return the load of forces, (...), in N, to compare with the strength.
 
         Args:
           force: of hands on what they hold, (..., 3), in N.
@@ -234,7 +234,7 @@ class Bonds(Hands):
         return sim.eq_active[:, self.ids] > 0
 
     def loads(self, sensordata: Array) -> Array:
-        """Return what compares with the strengths, (..., grips), in N."""
+        """Return the loads, to compare with the strengths, (..., grips), in N."""
         return self.grasp.load(sensordata[..., self._forces], self._axes)
 
     def hold(self, sim: Sim, holds: Array, env_ids: EnvIds = None) -> None:

@@ -1,4 +1,4 @@
-"""What every world has around its arms and objects."""
+"""Floor, wall and light of every world."""
 
 import mujoco
 

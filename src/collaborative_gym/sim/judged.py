@@ -17,13 +17,13 @@ from collaborative_gym.math import Array
 from collaborative_gym.sim.sim import Breaks, Refined, Refinement
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-"""What decides a world's future, as rollouts record it."""
+"""The state that decides a world's future, as rollouts record it."""
 
 CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
 """Up to where sensors of positions, velocities and contacts are current."""
 
 JUDGED = "qpos", "qvel", "sensordata"
-"""What must be recorded of steps that are judged."""
+"""The parts of judged steps that must be recorded."""
 
 
 class Worlds:

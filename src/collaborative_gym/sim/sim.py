@@ -1,4 +1,4 @@
-"""What a physics backend offers to environments and tasks."""
+"""The contract of physics backends with environments and tasks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -115,7 +115,7 @@ class BalanceConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class BalanceFacts:
-    """What Balance looks at; a pose is a position and a quaternion."""
+    """Facts of Balance; a pose is a position and a quaternion."""
 
     joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
     ball: tuple[Array, Array]  # pose
@@ -321,9 +321,9 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         return dict.fromkeys(self.agents, blocks)
 
     def _seen_by(self, agent: str, facts: BalanceFacts) -> Blocks:
-        """Return what an agent sees in the frame of its base.
+        """Return an agent's observation, in the frame of its base.
 
-        The ball's own turn tells nothing, and is left out.
+        The ball's turn says nothing and is left out.
         """
         frames, (place, quat) = self._frames, facts.board
         xp, own = array_namespace(place), self._handles[agent][0]

@@ -79,7 +79,7 @@ class BalancePathConfig(BalanceConfig):
 
 @dataclass(frozen=True)
 class BalancePathFacts(BalanceFacts):
-    """What BalancePath looks at; `distance` is from the ball to the target."""
+    """Facts of BalancePath; `distance` is from the ball to the target."""
 
     target: Array  # (num_envs, 3) its place, in m
     target_velocity: Array  # (num_envs, 3) in m/s

@@ -1,4 +1,4 @@
-"""How arms in a row stand and meet, pick things up, and which thing is whose."""
+"""Places of arms in a row, where they meet and pick up, and whose a thing is."""
 
 from collections.abc import Iterable, Mapping, Sequence
 

@@ -118,7 +118,7 @@ class HockeyConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class HockeyFacts:
-    """What Hockey looks at, in the frame of the table, whose origin is on the ice."""
+    """Facts of Hockey, in the frame of the table, whose origin is on the ice."""
 
     joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
     joint_speeds: dict[str, Array]  # likewise, in rad/s

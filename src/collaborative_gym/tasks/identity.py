@@ -1,4 +1,4 @@
-"""What an environment is, as one value that files keep and that can be compared.
+"""The identity of an environment, a value that files keep and that can be compared.
 
 A policy, a checkpoint or a state of one environment would fail silently on another. So
 each carries the `Identity` of its environment. Some differences do not matter:
@@ -24,10 +24,10 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.tasks.task import Task
 
 ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
-"""What may differ when a policy is played, because world and goal stay the same."""
+"""Settings that may differ when a policy plays: world and goal stay the same."""
 
 ON_STATE = ("name",)
-"""What may differ between worlds that take each other's states: bits stay the same."""
+"""Settings that may differ between worlds that take each other's states."""
 
 _EARLIER = {"action": "joints", "grasp": "magnet"}
 """Settings of a time when there was no other choice."""
@@ -53,7 +53,7 @@ class Identity:
 
     @classmethod
     def of(cls, task: Task) -> "Identity":
-        """Return what a task is, here and now."""
+        """Return the identity of a task, here and now."""
         return cls(
             name=task.name,
             task=type(task).__name__,
@@ -73,7 +73,7 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """What to call it."""
+        """Its name, for messages."""
         return f"{self.name} with {counted(self.robot_names)}"
 
     @property
@@ -97,7 +97,7 @@ class Identity:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Identity":
-        """Return what `to_dict` was made of.
+        """Return the identity that `to_dict` wrote.
 
         Raises:
           ValueError: if something is missing, or of another kind.
@@ -125,7 +125,7 @@ class Identity:
     def differences(
         self, other: "Identity", *, ignore: Collection[str] = ()
     ) -> list[str]:
-        """Return what differs, such as "pot_mass is 3.0, not None"; empty if nothing.
+        """Return the differences, such as "pot_mass is 3.0, not None".
 
         Settings that only one of them has are not compared: a later version brought
         them. Without an action mode, actions are joint changes; without a grasp, it is

@@ -160,7 +160,7 @@ class LiftConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class LiftFacts:
-    """What Lift looks at, (num_envs, ...) each; poses as in `Sim`."""
+    """Facts of Lift, (num_envs, ...) each; poses as in `Sim`."""
 
     joints: dict[str, Array]  # angles by agent, in rad
     gripping: dict[str, Array]  # whether the agent's grip holds
@@ -417,7 +417,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return dict.fromkeys(self.agents, blocks)
 
     def _seen_by(self, agent: str, facts: LiftFacts, grips: dict[str, Array]) -> Blocks:
-        """Return what an agent sees in the frame of its base.
+        """Return an agent's observation, in the frame of its base.
 
         Its own handle counts as the first, and mates are seen from there.
         """

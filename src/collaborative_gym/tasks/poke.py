@@ -87,7 +87,7 @@ Pose = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class PokeFacts:
-    """What Poke looks at; a pose is a position and a quaternion."""
+    """Facts of Poke; a pose is a position and a quaternion."""
 
     joints: dict[str, Array]  # angles by agent, (num_envs, joints), in rad
     stick: tuple[Array, Array]  # pose of its middle

@@ -1,4 +1,4 @@
-"""How far an episode may differ from the nominal one, and the presets of it."""
+"""Differences of episodes from the nominal one, and their presets."""
 
 import math
 from dataclasses import dataclass, replace

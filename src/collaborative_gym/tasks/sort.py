@@ -120,7 +120,7 @@ class SortConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class SortFacts:
-    """What Sort looks at, (num_envs, ...) each; the cubes are those of `Sort.cubes`."""
+    """Facts of Sort, (num_envs, ...) each; the cubes are those of `Sort.cubes`."""
 
     joints: dict[str, Array]  # angles by agent, in rad
     tcp: dict[str, tuple[Array, Array]]  # pose of each agent's tcp
@@ -317,7 +317,7 @@ class Sort(Task[SortConfig, SortFacts]):
         return {agent: self._seen_by(agent, facts) for agent in self.agents}
 
     def _seen_by(self, agent: str, facts: SortFacts) -> Blocks:
-        """Return what an agent sees in the frame of its base."""
+        """Return an agent's observation, in the frame of its base."""
         xp, frames = array_namespace(facts.cubes), self._frames
         i, tcp, kind = self.agents.index(agent), facts.tcp[agent], facts.cubes.dtype
         grips = {

@@ -1,4 +1,4 @@
-"""What a task is: a world to build, facts to measure, rewards and a goal."""
+"""The base of tasks: a world to build, facts to measure, rewards and a goal."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,7 +28,7 @@ Terms = Mapping[str, Array]
 """Named parts of a reward, (num_envs,) each."""
 
 Kept = Literal["mean", "greatest"]
-"""What metrics keep of a fact's values in the steps of an episode."""
+"""The value of a fact over an episode's steps that metrics keep."""
 
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
@@ -37,10 +37,10 @@ _STILL = 0.02
 """Share of its speed limit below which a joint stands still; our choice."""
 
 STYLE_DRAWS = 3
-"""How many numbers each episode draws for the styles of an expert."""
+"""Count of numbers that each episode draws for the styles of an expert."""
 
 WRENCHES = "off", "raw", "compensated"
-"""What `TaskConfig.wrench` may be."""
+"""Values of `TaskConfig.wrench`."""
 
 RANDOMIZATIONS = presets(Randomization())
 """The presets of tasks that have none of their own."""
@@ -99,7 +99,7 @@ def named_facts(facts: Any) -> Mapping[str, Any]:
 
 
 def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what every agent has as blocks of one name, such as "robot_1 joints"."""
+    """Return one array of each agent as blocks, such as "robot_1 joints"."""
     return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
 
 
@@ -439,7 +439,7 @@ class Task(Generic[ConfigT, FactsT]):
     def styled(
         self, sim: Sim, facts: FactsT, *, style: str, draws: np.ndarray
     ) -> dict[str, Motion]:
-        """Return what the expert does in one of its `styles`.
+        """Return the expert's motions in one of its `styles`.
 
         Args:
           sim: the worlds.

@@ -1,4 +1,4 @@
-"""What a robot of a team of any size sees: its own frame, and its team as a set."""
+"""Observations in teams of any size: a robot's own frame, and its team as a set."""
 
 from collections.abc import Mapping, Sequence
 
@@ -40,7 +40,7 @@ def mates_of(agents: Sequence[str], agent: str) -> tuple[str, ...]:
 
 
 def mates_block(rows: Sequence[Array]) -> Array:
-    """Return what a robot sees of its mates, as a block that is a set.
+    """Return a robot's observation of its mates, as a block that is a set.
 
     A block of two axes is a set: its rows are elements, whose first number is 1, and
     rows of zeros, which stand for nobody.

@@ -77,7 +77,7 @@ _FAR = 0.68
 nearer end in postures in which neither wins; so do Sawyers that are farther."""
 
 _SLOPE = np.radians(30.0)
-"""How far down hands point at the start; a Panda's hand cannot be level there."""
+"""Slope of the hands at the start; a Panda's hand cannot be level there."""
 
 _POINTS, _TRIES = 9, 96
 """Points of the way on which a strength is sought, and from how many postures."""
@@ -104,7 +104,7 @@ class TugConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class TugFacts:
-    """What Tug looks at, by agent but for the bar; (num_envs, ...) each."""
+    """Facts of Tug, by agent but for the bar; (num_envs, ...) each."""
 
     joints: dict[str, Array]  # angles, in rad
     speeds: dict[str, Array]  # of the joints, in rad/s

@@ -271,7 +271,7 @@ class _Drag(_Message, tag="SceneNodeDragMessage"):
 
 
 class _Camera(_Message, tag="ViewerCameraMessage"):
-    """Where a tab looks from; by its first one viser knows that the tab is there."""
+    """The view of a tab; by its first one viser knows that the tab is there."""
 
     wxyz: tuple[_Part, _Part, _Part, _Part]
     position: _Place

@@ -65,7 +65,7 @@ class Surface(NamedTuple):
 
 
 def surfaces(model: mujoco.MjModel, body: int) -> list[Surface]:
-    """Return what is seen of a body, in its frame; of one look there is one surface.
+    """Return the surfaces of a body, in its frame, one for each look.
 
     Raises:
       ValueError: if geoms of a kind cannot be drawn.

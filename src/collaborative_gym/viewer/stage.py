@@ -27,7 +27,7 @@ _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
 _HINT = "Ctrl-drag a thing to pull at it"
-"""What newcomers do not find out by themselves; on a Mac it is Cmd."""
+"""A hint that newcomers need; on a Mac it is Cmd."""
 
 NEWTONS_PER_METRE = 100.0
 """Contact force whose arrow is 1 m long."""

@@ -1,4 +1,4 @@
-"""How the scripted player of Hockey plays: where it wants its mallets, seen from above.
+"""The scripted player of Hockey: where it wants its mallets, seen from above.
 
 Everything is in the frame of the side that plays: it shoots towards +x, and its own
 goal is at -x. It foresees the puck's way for a second, cushions included. It blocks a

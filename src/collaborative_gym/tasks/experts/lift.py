@@ -1,4 +1,4 @@
-"""How Lift's expert plays: arms grip, wait for one another and lift together.
+"""Lift's expert: arms grip, wait for one another and lift together.
 
 If one arm loses its grip on the way, all let go and begin again.
 """

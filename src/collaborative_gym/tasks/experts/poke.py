@@ -1,4 +1,4 @@
-"""How Poke's expert plays: both arms meet, and one of them lines up and goes in."""
+"""Poke's expert: both arms meet, and one of them lines up and goes in."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""How Sort's expert plays: each arm takes what comes next, and brings it where it goes.
+"""Sort's expert: each arm takes the next cube, and brings it where it goes.
 
 An arm that has nothing to take waits above its lane.
 """

@@ -1,4 +1,4 @@
-"""How Tug's expert plays: it pulls, and goes to postures that pull harder."""
+"""Tug's expert: it pulls, and goes to postures that pull harder."""
 
 from typing import TYPE_CHECKING
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from collaborative_gym.tasks.tug import Tug, TugFacts
 
 _HAUL = 0.1
-"""How far in a step the expert asks its hand to go, in m: more than a bar gives way."""
+"""Change of the hand in a step, in m: more than a bar gives way."""
 
 _TO_STRONGER = 0.3
-"""How far in a step the expert asks its joints to go to a stronger posture, in rad."""
+"""Change of a joint in a step towards a stronger posture, in rad."""
 
 
 def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
