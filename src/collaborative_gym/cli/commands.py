@@ -97,7 +97,8 @@ class Record(Watched, _Policy):
         Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
     seconds: Annotated[
-        float | None, tyro.conf.arg(help_behavior_hint="(default: 10)")
+        float | None,
+        tyro.conf.arg(metavar="FLOAT", help_behavior_hint="(default: 10)"),
     ] = None
     only_episodes: Annotated[
         tuple[int, ...],

@@ -33,7 +33,7 @@ from collaborative_gym.cli.commands import (
     View,
 )
 from collaborative_gym.cli.studies import Compare, Report, Tournament
-from collaborative_gym.cli.terminal import PLAIN_WORDS, Command, show
+from collaborative_gym.cli.terminal import Command, show
 from collaborative_gym.cli.train import BriefTrain, Train, explain_hyperparameters
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
@@ -101,6 +101,10 @@ _INSTEAD = {
 
 _PLAINLY = {
     r"^Error parsing ": "",
+    r": .*int\(\) with base 10: ('.*')$": r": \1 is not a whole number; write it in"
+    " digits, such as 1000000",
+    r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
+    r": Could not .* arguments:? (\[.*?\]).*$": r" takes numbers, got \1",
     r"^Missing from \S+ (\w+): ((?:--\S+ )?\S+) (.*?)\.? \(.*": r"\1 needs \2, \3",
     r"^Unrecognized options: (.*)$": r"no option \1; --help lists what there is",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
@@ -144,7 +148,9 @@ def _run(arguments: list[str]) -> None:
         show(explain_hyperparameters())
         raise SystemExit(0)
     for word in arguments:
-        option = word.partition("=")[0]
+        option, _, value = word.partition("=")
+        if "None" in (word, value):
+            raise ValueError("None is no value; leave the option out")
         if (verb, option) in _INSTEAD:
             instead = _INSTEAD[verb, option]
             raise ValueError(f"{verb} has no {option}; give {instead}")
@@ -217,7 +223,6 @@ def _read(kind: Any, verb: str, words: list[str], description: str | None) -> An
         prog=f"collaborative-gym {verb}",
         description=description,
         args=words,
-        registry=PLAIN_WORDS,
         return_unknown_args=True,
     )
     if left:

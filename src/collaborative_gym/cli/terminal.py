@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich import box
@@ -234,76 +233,6 @@ class Measured(Played):
     num_envs: NumEnvs = None
     num_threads: int = 0
     json: File = None
-
-
-PLAIN_WORDS = tyro.constructors.ConstructorRegistry()
-"""Reads numbers and names so that errors about them are in plain words."""
-
-
-@PLAIN_WORDS.primitive_rule
-def _number(
-    info: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[int | float] | None:
-    # An option without a value of its own has None, which nobody types.
-    kind = next((k for k in (int, float) if info.type in (k, k | None)), None)
-    if kind is None:
-        return None
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=kind.__name__.upper(),
-        instance_from_str=lambda words: _read_number(words[0], kind),
-        is_instance=lambda value: value is None or isinstance(value, (int, kind)),
-        str_from_instance=lambda value: [str(value)],
-    )
-
-
-@PLAIN_WORDS.primitive_rule
-def _numbers(
-    info: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[tuple[int | float, ...]] | None:
-    # Of the ways to write tuple[int, ...], tyro takes one of its own.
-    kind, *more = *get_args(info.type), None
-    if kind not in (int, float) or more[0] not in (kind, ...):
-        return None
-    name = kind.__name__.upper()
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs="*" if more[0] is ... else len(more),
-        metavar=f"[{name} [{name} ...]]",
-        instance_from_str=lambda words: tuple(_read_number(w, kind) for w in words),
-        is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [str(each) for each in value],
-    )
-
-
-@PLAIN_WORDS.primitive_rule
-def _name_or_none(
-    info: tyro.constructors.PrimitiveTypeInfo,
-) -> tyro.constructors.PrimitiveConstructorSpec[str] | None:
-    """Offer the names of `Literal[...] | None`, but not None, which nobody types."""
-    kinds = [kind for kind in get_args(info.type) if kind is not NoneType]
-    if len(kinds) == len(get_args(info.type)) or get_origin(kinds[0]) is not Literal:
-        return None
-    names = get_args(kinds[0])
-    return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="NAME",
-        instance_from_str=lambda words: words[0],
-        is_instance=lambda value: value is None or value in names,
-        str_from_instance=lambda value: [str(value)],
-        choices=names,
-    )
-
-
-def _read_number(word: str, kind: type[int] | type[float]) -> int | float:
-    try:
-        return kind(word)
-    except ValueError:
-        # Python speaks of literals and bases. Many write a million as 1e6.
-        how = {
-            int: "a whole number; write it in digits, such as 1000000",
-            float: "a number; write it as 0.001 or 1e-3",
-        }
-        raise ValueError(f"{word!r} is not {how[kind]}") from None
 
 
 STANDARD_OUTPUT = Path("-")
