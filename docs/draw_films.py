@@ -23,8 +23,9 @@ TEAMS = (
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
-GAME, STEPS, EPISODE = "HockeyPandas-v0", 200, 3
-"""A typical game: of 64 of this length, the baseline won 41 and lost 8."""
+GAME, EPISODE = "HockeyPandas-v0", 10
+"""A close game, filmed whole at twice its speed: of the first 16, the baseline won 13,
+and lost 2."""
 
 
 def film(env_id: str) -> None:
@@ -34,8 +35,8 @@ def film(env_id: str) -> None:
     sides = cg.make_vec(env_id, 1, num_threads=1).sides
     policy = player if len(sides) == 1 else AGAINST
     if env_id == GAME:
-        game = cg.task(env_id, max_episode_steps=STEPS)
-        record(game, path, policy=policy, only_episodes=[EPISODE], size=SIZE)
+        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": (400, 226)}
+        record(env_id, path, policy=policy, **whole)
     else:
         record(env_id, path, policy=policy, size=SIZE)
     path.with_suffix(".jpg").unlink(missing_ok=True)

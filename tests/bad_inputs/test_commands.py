@@ -137,7 +137,7 @@ WHOLE = [
     ("train Poke --total-steps 1e6", "'1e6' is not a whole number"),
     ("train Poke --seed None", "None is no value"),
     ("train Poke --learning-rate x", "'x' is not a number; write it as 0.001"),
-    ("train Poke --hidden-sizes 64,64", "takes numbers, got ['64,64']"),
+    ("train Poke --hidden-sizes 64,64", "--hidden-sizes takes numbers, with spaces b"),
     ("train Poke --mode foo", "no mode 'foo'; modes: centralized, colla"),
     ("train Poke --algorithm None", "None is no value"),
     ("train --all --mode shared", "mode"),

@@ -376,7 +376,7 @@ def test_benchmark_takes_a_tasks_name(capsys):
         ("record Poke --output a.mp4 --size 640", "--size takes 2 values"),
         (
             "record Poke --output a.mp4 --size 9 big",
-            "--size takes numbers, got ['9', 'big']",
+            "--size takes numbers, with spaces between",
         ),
         ("evaluate Poke --episodes ten", "--episodes: 'ten' is not a whole number; wr"),
         (

@@ -104,7 +104,7 @@ _PLAINLY = {
     r": .*int\(\) with base 10: ('.*')$": r": \1 is not a whole number; write it in"
     " digits, such as 1000000",
     r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
-    r": Could not .* arguments:? (\[.*?\]).*$": r" takes numbers, got \1",
+    r": Could not .*$": " takes numbers, with spaces between them",
     r"^Missing from \S+ (\w+): ((?:--\S+ )?\S+) (.*?)\.? \(.*": r"\1 needs \2, \3",
     r"^Unrecognized options: (.*)$": r"no option \1; --help lists what there is",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
@@ -206,7 +206,7 @@ def _parse(kind: Any, **how: Any) -> Any:
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
         given, kind, names = wrong.groups()
-        raise UnknownName(unknown(kind, given, re.findall(r"'(.+?)'", names)))
+        raise UnknownName(unknown(kind, given, re.findall(r"'((?!None').+?)'", names)))
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
     raise ValueError(text)

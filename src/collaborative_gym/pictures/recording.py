@@ -345,7 +345,10 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
         text = text.replace("  ", "\n", 1)
     font = load(size=max(9, min(size, int(size * room / width()))))
     place = size // 2, size // 3
-    pen.text(place, text, "white", font, stroke_width=1, stroke_fill="black")
+    # Arms and floors are pale.
+    pen.text(
+        place, text, "white", font, stroke_width=1 + size // 9, stroke_fill="black"
+    )
     return np.asarray(picture)
 
 

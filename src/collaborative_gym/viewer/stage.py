@@ -188,7 +188,10 @@ class Stage:
             shown = data.site_xpos[[model.site(f"{a}/tcp").id for a in self._arms]]
         else:
             arms = [data.xpos[own] for own in self._arms.values()]
-            shown = np.concatenate([*arms, data.mocap_pos])
+            # Tables and totes, at the height at which arms work.
+            fixed = data.xpos[np.flatnonzero(model.body_weldid == 0)[1:]]
+            fixed = np.column_stack([fixed[:, :2], np.full(len(fixed), looked_at[2])])
+            shown = np.concatenate([*arms, data.mocap_pos, fixed])
         if len(places) > 1 and view == CAMERA:
             shown = np.concatenate([shown + place for place in places])
             target = (shown.min(axis=0) + shown.max(axis=0)) / 2
