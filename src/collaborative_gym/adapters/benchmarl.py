@@ -1,7 +1,6 @@
 """Every environment as a task of BenchMARL."""
 
-# Not installed everywhere where types are checked.
-# pyright: reportMissingImports=false
+# Not installed everywhere where types are checked. pyright: reportMissingImports=false
 
 from collections.abc import Callable
 from typing import Any

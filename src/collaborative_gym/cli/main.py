@@ -175,16 +175,6 @@ def _run(arguments: list[str]) -> None:
     command.run()
 
 
-def _fitted(text: str) -> str:
-    """Break lines that the terminal, or a file, has no room for."""
-    fit = functools.partial(textwrap.fill, break_on_hyphens=False)
-    columns, frames = shutil.get_terminal_size().columns, re.compile("^$|[╭│╰\x1b]")
-    lines = text.splitlines()
-    return "".join(
-        f"{line if frames.search(line) else fit(line, columns)}\n" for line in lines
-    )
-
-
 def _parse(kind: Any, **how: Any) -> Any:
     """Return what `tyro.cli` does, but raise ValueError where it would print a box."""
     shown = sys.stdout  # The parser looks at it for how to draw.
@@ -196,8 +186,14 @@ def _parse(kind: Any, **how: Any) -> Any:
         except SystemExit as end:
             status = end.code
     if status != _BAD_INPUT:
-        is_help = {"-h", "--help"} & {*how["args"]}
-        sys.stdout.write(_fitted(page.getvalue()) if is_help else page.getvalue())
+        # Sentences come in one line each; a script of completions is to stay as it is.
+        plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*how["args"]} else "$^"
+        fill = functools.partial(textwrap.fill, break_on_hyphens=False)
+        columns = shutil.get_terminal_size().columns
+        fit = re.sub(
+            plain, lambda line: fill(line[0], columns), page.getvalue(), flags=re.M
+        )
+        sys.stdout.write(fit)
         raise SystemExit(status)
     # Between its first two rules are the words; what follows repeats the help.
     parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box.getvalue(), flags=re.M)
@@ -206,7 +202,9 @@ def _parse(kind: Any, **how: Any) -> Any:
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
         given, kind, names = wrong.groups()
-        raise UnknownName(unknown(kind, given, re.findall(r"'((?!None').+?)'", names)))
+        raise UnknownName(
+            unknown(kind, given, {*re.findall(r"'(.+?)'", names)} - {"None"})
+        )
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
     raise ValueError(text)

@@ -55,9 +55,8 @@ class Sim(Protocol):
 
     The array attributes are live: reading them gives the state after the last call,
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
-    kept.
-    Velocities, positions and depths of contacts in `sensordata` are current after every
-    call; forces only after `feel`, and for those who judge steps.
+    kept. Velocities, positions and depths of contacts in `sensordata` are current after
+    every call; forces only after `feel`, and for those who judge steps.
 
     Attributes:
       model: the compiled world.

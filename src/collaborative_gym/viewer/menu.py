@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 from urllib.parse import parse_qs, urlencode
@@ -236,9 +236,8 @@ def _changed(task: Task) -> dict[str, Any]:
     usual = type(task.config)()
     with suppress(LookupError):  # A task of the user's may have no name to make it by.
         usual = make_task(task.name, list(task.robots.values())).config
-    given = {each.name: getattr(task.config, each.name) for each in fields(usual)}
-    del given["randomization"]
-    return {name: own for name, own in given.items() if own != getattr(usual, name)}
+    changed = {n: v for n, v in vars(task.config).items() if v != getattr(usual, n)}
+    return {name: own for name, own in changed.items() if name != "randomization"}
 
 
 def _without_states(task: Task, policies: Mapping[str, AnyPolicy]) -> Task:
