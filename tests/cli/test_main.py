@@ -385,7 +385,7 @@ def test_benchmark_takes_a_tasks_name(capsys):
         ),
         ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; folders"),
         ("view", "view needs ENV, environment id, or a task's name\n"),
-        ("--frobnicate", "no option --frobnicate; --help lists what there is\n"),
+        ("--frobnicate", "collaborative-gym does not take --frobnicate; coll"),
     ],
 )
 def test_the_parsers_complaints_are_one_sentence(capsys, words, answer):

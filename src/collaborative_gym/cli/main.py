@@ -1,7 +1,5 @@
 """The command line."""
 
-import dataclasses
-import difflib
 import functools
 import operator
 import os
@@ -106,8 +104,8 @@ _PLAINLY = {
     r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
     r": Could not .*$": " takes numbers, with spaces between them",
     r"^Missing from \S+ (\w+): ((?:--\S+ )?\S+) (.*?)\.? \(.*": r"\1 needs \2, \3",
-    r"^Unrecognized options: (.*)$": r"no option \1; --help lists what there is",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
+    r" 1 values$": " a value",
 }
 """Patterns of the parser's errors, and our words in their place."""
 
@@ -158,7 +156,12 @@ def _run(arguments: list[str]) -> None:
         kind, description, rest = _VERBS[verb], None, arguments[1:]
         if kind is Train and {"-h", "--help"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
-        command = _read(kind, verb, rest, description)
+        command = _parse(
+            kind,
+            prog=f"collaborative-gym {verb}",
+            description=description,
+            args=rest,
+        )
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
@@ -176,7 +179,12 @@ def _run(arguments: list[str]) -> None:
 
 
 def _parse(kind: Any, **how: Any) -> Any:
-    """Return what `tyro.cli` does, but raise ValueError where it would print a box."""
+    """Return what `tyro.cli` does, but raise an error where it would print a box.
+
+    Raises:
+      UnknownName: if it has no use for a word.
+      ValueError: if a value is wrong or missing.
+    """
     shown = sys.stdout  # The parser looks at it for how to draw.
     like = {"encoding": shown.encoding, "isatty": lambda _: shown.isatty()}
     page = type("Page", (StringIO,), like)()
@@ -195,9 +203,15 @@ def _parse(kind: Any, **how: Any) -> Any:
         )
         sys.stdout.write(fit)
         raise SystemExit(status)
-    # Between its first two rules are the words; what follows repeats the help.
+    # Between its first two rules are the words; then come like names, or the help.
     parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box.getvalue(), flags=re.M)
-    text = " ".join(parts[1].replace("│", " ").split())
+    text, more = (" ".join(p.replace("│", " ").split()) for p in parts[1:3])
+    if unused := re.match(r"Unrecognized options: ([^\s,=]+)", text):
+        verb, near = how["prog"].split()[-1], re.match(r".* meant: (--[\w-]+)", more)
+        hint = f" (did you mean {near[1]}?)" if near else ""
+        raise UnknownName(
+            f"{verb} does not take {unused[1]}{hint}; {verb} --help lists what it takes"
+        )
     if wrong := re.search(
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
@@ -208,42 +222,6 @@ def _parse(kind: Any, **how: Any) -> Any:
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
     raise ValueError(text)
-
-
-def _read(kind: Any, verb: str, words: list[str], description: str | None) -> Any:
-    """Return the command that words after a verb give.
-
-    Raises:
-      UnknownName: if it has no use for one of them.
-    """
-    command, left = _parse(
-        kind,
-        prog=f"collaborative-gym {verb}",
-        description=description,
-        args=words,
-        return_unknown_args=True,
-    )
-    if left:
-        raise UnknownName(_unused(verb, left[0].partition("=")[0], command))
-    return command
-
-
-def _unused(verb: str, word: str, command: Any) -> str:
-    """Return the message for a word that a command has no use for."""
-    names = dict.fromkeys(f"--{name}" for name in _fields(command))
-    near = difflib.get_close_matches(word.lower().replace("_", "-"), names, n=1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
-    return f"{verb} does not take {word}{hint}; {verb} --help lists what it takes"
-
-
-def _fields(command: Any, prefix: str = "") -> Iterator[str]:
-    """Return the options of a command, with those of the values in it."""
-    for field in dataclasses.fields(command):
-        name, value = field.name.replace("_", "-"), getattr(command, field.name)
-        yield prefix + name
-        if dataclasses.is_dataclass(value):
-            yield from _fields(value)
-            yield from _fields(value, f"{name}-")
 
 
 def _check_given(command: Any, arguments: list[str]) -> None:
