@@ -156,29 +156,19 @@ def _run(arguments: list[str]) -> None:
         kind, description, rest = _VERBS[verb], None, arguments[1:]
         if kind is Train and {"-h", "--help"} & {*rest}:
             kind, description = BriefTrain, BriefTrain.description()
-        command = _parse(
-            kind,
-            prog=f"collaborative-gym {verb}",
-            description=description,
-            args=rest,
-        )
+        command = _parse(kind, f"collaborative-gym {verb}", description, rest)
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
         arguments = arguments or ["--help"]
-        command = _parse(
-            _any_command(),
-            prog="collaborative-gym",
-            description=_DESCRIPTION,
-            args=arguments,
-        )
+        command = _parse(_any_command(), "collaborative-gym", _DESCRIPTION, arguments)
     _check_given(command, arguments)
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
 
 
-def _parse(kind: Any, **how: Any) -> Any:
+def _parse(kind: Any, prog: str, description: str | None, words: list[str]) -> Any:
     """Return what `tyro.cli` does, but raise an error where it would print a box.
 
     Raises:
@@ -190,12 +180,12 @@ def _parse(kind: Any, **how: Any) -> Any:
     page = type("Page", (StringIO,), like)()
     with redirect_stderr(StringIO()) as box, redirect_stdout(page):
         try:
-            return tyro.cli(kind, **how)
+            return tyro.cli(kind, prog=prog, description=description, args=words)
         except SystemExit as end:
             status = end.code
     if status != _BAD_INPUT:
         # Sentences come in one line each; a script of completions is to stay as it is.
-        plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*how["args"]} else "$^"
+        plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*words} else "$^"
         fill = functools.partial(textwrap.fill, break_on_hyphens=False)
         columns = shutil.get_terminal_size().columns
         fit = re.sub(
@@ -203,25 +193,30 @@ def _parse(kind: Any, **how: Any) -> Any:
         )
         sys.stdout.write(fit)
         raise SystemExit(status)
+    raise _complaint(box.getvalue(), prog.split()[-1])
+
+
+def _complaint(box: str, verb: str) -> Exception:
+    """Return the error of a box that the parser would print about a command."""
     # Between its first two rules are the words; then come like names, or the help.
-    parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box.getvalue(), flags=re.M)
+    parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box, flags=re.M)
     text, more = (" ".join(p.replace("│", " ").split()) for p in parts[1:3])
     if unused := re.match(r"Unrecognized options: ([^\s,=]+)", text):
-        verb, near = how["prog"].split()[-1], re.match(r".* meant: (--[\w-]+)", more)
+        near = re.match(r".* meant: (--[\w-]+)", more)
         hint = f" (did you mean {near[1]}?)" if near else ""
-        raise UnknownName(
+        return UnknownName(
             f"{verb} does not take {unused[1]}{hint}; {verb} --help lists what it takes"
         )
     if wrong := re.search(
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
         given, kind, names = wrong.groups()
-        raise UnknownName(
+        return UnknownName(
             unknown(kind, given, {*re.findall(r"'(.+?)'", names)} - {"None"})
         )
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
-    raise ValueError(text)
+    return ValueError(text)
 
 
 def _check_given(command: Any, arguments: list[str]) -> None:
