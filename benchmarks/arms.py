@@ -6,6 +6,7 @@
     done
     python benchmarks/arms.py arms
     python benchmarks/arms.py arms ur5e_airo fr3 --tasks Pass
+    python benchmarks/arms.py --package
 
 It prints the rows of docs/tables/arms.md: whether a file loads, how many of its lines
 had to be edited first, what `check_robot` finds, and the share of episodes that the
@@ -14,6 +15,9 @@ failures follow the table. Edited files are written beside the originals.
 
 Speeds, payloads and reaches are those of data sheets where a file has none; homes are
 ready poses as the makers or the packages have them.
+
+With `--package` it writes docs/tables/robots.md: how many of 50 episodes the experts
+complete with each arm of this package beside itself and beside a Panda.
 """
 
 import argparse
@@ -21,10 +25,13 @@ import importlib.metadata
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import collaborative_gym as cg
+from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.robots import Gripper, Robot
 from collaborative_gym.testing import try_robot, unusual
 
 TASKS = "Poke", "Lift", "Pass", "Reach"
+TABLE = Path(__file__).parents[1] / "docs" / "tables" / "robots.md"
 
 
 @dataclass(frozen=True)
@@ -437,14 +444,53 @@ def row(name, entry, folder, tasks, episodes):
     return [*cells, edits, checks, *shares], faults
 
 
+def completion(task, robots, episodes):
+    """Return a cell of the package's arms, and why it is not 100, if it is not."""
+    try:
+        task = cg.task(task, robots)
+        report = cg.evaluate(task, "expert", episodes=episodes)
+    except ValueError as error:
+        return "-", f"{' and '.join(robots)}: {error}"
+    return f"{100 * report.completion.mean:.3g}", ""
+
+
+def measure_package(tasks, episodes):
+    """Write the table of the package's arms."""
+    rows, refused = [], []
+    for name in cg.list_robots():
+        cells = []
+        for task in tasks:
+            teams = [(name, name), (name, "panda")]
+            both = [completion(task, team, episodes) for team in teams]
+            cells.append(" / ".join(cell for cell, _ in both))
+            refused += [f"- {task}, {why}" for _, why in both if why]
+        rows.append([name, *cells])
+        print(*rows[-1], sep="; ", flush=True)
+    TABLE.write_text(
+        "# Arms of the package\n\n"
+        f"Completion in % of {episodes} episodes of the expert, beside itself / beside"
+        " a Panda. `-`: the task refuses the team; why stands below the table."
+        " `python benchmarks/arms.py --package` measures it.\n\n"
+        + "\n".join([markdown_table(["arm", *tasks], rows), "", *refused]).strip()
+        + "\n"
+    )
+
+
 def main():
     """Print the table, and then why arms fail."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("names", nargs="*", default=list(ENTRIES))
-    parser.add_argument("--tasks", nargs="+", default=TASKS)
-    parser.add_argument("--episodes", type=int, default=8)
+    parser.add_argument("--package", action="store_true", help="this package's arms")
+    parser.add_argument("--tasks", nargs="+")
+    parser.add_argument("--episodes", type=int)
     given = parser.parse_args()
+    if given.package:
+        tasks = given.tasks or (*TASKS, "BalancePath", "Sort")
+        return measure_package(tasks, given.episodes or 50)
+    if not given.folder:
+        parser.error("give the folder of unpacked wheels, or --package")
+    given.tasks, given.episodes = given.tasks or TASKS, given.episodes or 8
     heads = "arm", "package", "format", "licence", "loads", "check_robot", *given.tasks
     print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}", flush=True)
     told = []

@@ -61,8 +61,8 @@ def is_team(env_id: str, task: str) -> bool:
 
 
 def random_teams(count: int, seed: int) -> list[tuple[str, ...]]:
-    """Return so many teams of three to eight arms of any kinds."""
-    rng, kinds = np.random.default_rng(seed), sorted(cg.list_robots())
+    """Return so many teams of three to eight Jacos, Pandas and Sawyers."""
+    rng, kinds = np.random.default_rng(seed), ("jaco", "panda", "sawyer")
     sizes = rng.integers(3, 9, count)
     return [tuple(rng.choice(kinds, size).tolist()) for size in sizes]
 

@@ -38,6 +38,6 @@ def picture(robot: cg.Robot) -> np.ndarray:
 
 if __name__ == "__main__":
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for name in ("sawyer", "panda", "jaco"):
+    for name in cg.list_robots():
         drawn = Image.fromarray(picture(cg.get_robot(name)))
         drawn.save(FOLDER / f"{name}.jpg", quality=88)

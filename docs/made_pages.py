@@ -360,7 +360,7 @@ def _attributes(owner: type) -> dict[str, str]:
 
 def _arms() -> str:
     """Return the sections about the arms."""
-    robots = [cg.get_robot(name) for name in ("sawyer", "panda", "jaco")]
+    robots = [cg.get_robot(name) for name in cg.list_robots()]
     rows = [
         (
             f"[`{robot.name}`](#{robot.name})",
@@ -491,13 +491,13 @@ def _arm(robot: cg.Robot) -> str:
     )
     rows = [
         (
-            joint.removeprefix("joint"),
+            re.sub("^joint_?|_joint$", "", joint).replace("_", " "),
             "{:.2f} to {:.2f}".format(*model.joint(joint).range),
             f"{robot.home[i]:.4g}",
             f"{robot.velocity_limits[i]:.4g}",
             f"{robot.torque_limits[i]:g}",
-            f"{robot.armature[i]:g}",
-            f"{robot.stiffness[i]:g}",
+            f"{robot.armature[i]:.3g}",
+            f"{robot.stiffness[i]:.4g}",
         )
         for i, joint in enumerate(robot.joints)
     ]

@@ -67,7 +67,7 @@ def test_the_location_of_an_error_is_the_users_line(wave):
         ("import no_such", "ModuleNotFoundError: No module named 'no_such' (", 1),
         (
             "cg.get_robot('pand')",
-            "no robot 'pand' (did you mean 'panda'?); robots: jaco, panda, sawyer",
+            "no robot 'pand' (did you mean 'panda'?); robots: fr3, gen3, iiwa14, jaco,",
             2,
         ),
     ],

@@ -123,7 +123,8 @@ def test_a_payload_is_held_at_rest_and_sinks_slowly_in_motion(name, nudge, least
     sim.qpos[:, arm.qpos] = robot.home
     for row in range(8):
         while True:
-            sim.qpos[row, arm.qpos] = robot.home + rng.uniform(-0.5, 0.5, 7)
+            drawn = rng.uniform(-0.5, 0.5, arm.num_joints)
+            sim.qpos[row, arm.qpos] = robot.home + drawn
             sim.forward()
             levers = sim.jacobian(arm.hand, sim.pose("arm/tcp")[0])[0][row, 2, arm.dof]
             torque = np.abs(levers) * robot.payload * 9.81
@@ -131,11 +132,10 @@ def test_a_payload_is_held_at_rest_and_sinks_slowly_in_motion(name, nudge, least
                 break
     mode.start(np.arange(8))
     sim.forward()
+    ask = np.full((8, arm.num_joints), nudge)
     heights = [sim.pose("arm/tcp")[0][:, 2].copy()]
     for i in range(16):
-        sim.step(
-            mode.prepare(mode.commands({"arm": np.full((8, 7), nudge * (-1) ** i)}))
-        )
+        sim.step(mode.prepare(mode.commands({"arm": ask * (-1) ** i})))
         heights.append(sim.pose("arm/tcp")[0][:, 2].copy())
     sunk = -np.diff(heights, axis=0)
     # The first steps take the load on; from then on the servos carry all or most of it.

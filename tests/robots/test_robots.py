@@ -1,7 +1,10 @@
 """The arms against published kinematics, limits and masses.
 
 `fk_samples.json` holds poses of flange and grip centre for random joint angles, from
-the makers' kinematics: position (m) and quaternion (w x y z) in the base frame.
+the makers' kinematics: position (m) and quaternion (w x y z) in the base frame. Without
+MuJoCo, UR5e's are from the URDF of airo-models 0.0.12, xArm7's from that of
+example-robot-data 6.0.0, Gen3's from the origins in ros2_kortex's gen3_macro.xacro, and
+those of FR3 and iiwa 14 from published Denavit-Hartenberg parameters.
 """
 
 import json
@@ -21,6 +24,25 @@ NAMES = sorted(SAMPLES)
 
 TURN = 2 * np.pi
 RANGES = {
+    "fr3": [
+        (-2.7437, 2.7437),
+        (-1.7837, 1.7837),
+        (-2.9007, 2.9007),
+        (-3.0421, -0.1518),
+        (-2.8065, 2.8065),
+        (0.5445, 4.5169),
+        (-3.0159, 3.0159),
+    ],
+    "gen3": [
+        (-TURN, TURN),
+        (-2.24973, 2.24973),
+        (-TURN, TURN),
+        (-2.5796, 2.5796),
+        (-TURN, TURN),
+        (-2.09963, 2.09963),
+        (-TURN, TURN),
+    ],
+    "iiwa14": [(-2.96706, 2.96706), (-2.0944, 2.0944)] * 3 + [(-3.05433, 3.05433)],
     "jaco": [
         (-TURN, TURN),
         (0.82030475, 5.4628806),
@@ -48,21 +70,47 @@ RANGES = {
         (-2.9761, 2.9761),
         (-4.7124, 4.7124),
     ],
+    "ur5e": [(-TURN, TURN)] * 2 + [(-np.pi, np.pi)] + [(-TURN, TURN)] * 3,
+    "xarm7": [
+        (-TURN, TURN),
+        (-2.059, 2.0944),
+        (-TURN, TURN),
+        (-0.19198, 3.927),
+        (-TURN, TURN),
+        (-1.69297, np.pi),
+        (-TURN, TURN),
+    ],
 }
 
 VELOCITIES = {
+    "fr3": (2.62,) * 4 + (5.26, 4.18, 5.26),
+    "gen3": (1.3963,) * 4 + (1.2218,) * 3,
+    "iiwa14": np.radians((85, 85, 100, 75, 130, 135, 135)),
     "jaco": (0.62831853,) * 4 + (0.83775804,) * 3,
     "panda": (2.175,) * 4 + (2.61,) * 3,
     "sawyer": (1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
+    "ur5e": (np.pi,) * 6,
+    "xarm7": (np.pi,) * 7,
 }
 
 TORQUES = {
+    "fr3": (87.0,) * 4 + (12.0,) * 3,
+    "gen3": (39.0,) * 4 + (9.0,) * 3,
+    "iiwa14": (320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
     "jaco": (30.5,) * 4 + (6.8,) * 3,
     "panda": (87.0,) * 4 + (12.0,) * 3,
     "sawyer": (80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
+    "ur5e": (150.0,) * 3 + (28.0,) * 3,
+    "xarm7": (50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0),
 }
 
+ARM_MASSES = {"fr3": 17.891, "gen3": 8.188, "iiwa14": 30.61, "ur5e": 21.7}
+ARM_MASSES["xarm7"] = 11.317
+HANDS = {"fr3": 0.76, "xarm7": 0.75156}
+"""Of Robotiq's 2F-85, without an entry: 0.893 kg."""
+
 MASSES = {"jaco": 5.557, "panda": 17.452, "sawyer": 21.095}
+MASSES |= {name: mass + HANDS.get(name, 0.893041) for name, mass in ARM_MASSES.items()}
 """Arm, gripper and, of Sawyer, head; in kg."""
 
 
@@ -208,8 +256,9 @@ def test_an_unknown_arm_is_refused_with_the_nearest():
     with pytest.raises(KeyError) as caught:
         cg.get_robot("sawer")
     assert str(caught.value) == (
-        "no robot 'sawer' (did you mean 'sawyer'?); robots: jaco, panda, sawyer; for"
-        " one of your own, import its file (--module FILE)"
+        "no robot 'sawer' (did you mean 'sawyer'?); robots: fr3, gen3, iiwa14, jaco,"
+        " panda, sawyer, ur5e, xarm7; for one of your own, import its file (--module"
+        " FILE)"
     )
 
 
@@ -226,14 +275,16 @@ def test_an_unknown_arm_is_refused_with_the_nearest():
 )
 def test_every_joint_needs_every_value(robot, field):
     assert cg.get_robot(robot) is robot
-    with pytest.raises(ValueError, match=f"has 7 joints but 6 values in {field}"):
-        replace(robot, **{field: getattr(robot, field)[:6]})
+    count = len(robot.joints)
+    message = f"has {count} joints but {count - 1} values in {field}"
+    with pytest.raises(ValueError, match=message):
+        replace(robot, **{field: getattr(robot, field)[:-1]})
 
 
 def test_names_that_the_model_file_lacks_are_refused(robot):
     with pytest.raises(
-        ValueError, match=rf"{robot.name}.xml has no joint 'joint9' .*; j"
+        ValueError, match=rf"{robot.name}.xml has no joint 'joint9'.*; j"
     ):
-        replace(robot, joints=(*robot.joints[:6], "joint9"))
+        replace(robot, joints=(*robot.joints[:-1], "joint9"))
     with pytest.raises(ValueError, match=r"has no frame 'tool'; frames: .*tcp"):
         replace(robot, tcp="tool")

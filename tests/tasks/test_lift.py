@@ -191,7 +191,12 @@ def test_success_is_within_the_radius_level_and_slow_in_both_grips():
         assert task.success(held).tolist() == [True, False]
 
 
-@pytest.mark.parametrize("robots", tuple(product(list_robots(), repeat=2)))
+# Of the other pairs those that are too unequal are refused.
+ALIKE = [*product(("sawyer", "panda", "jaco"), repeat=2)]
+ALIKE += [(name, name) for name in list_robots()[3:]]
+
+
+@pytest.mark.parametrize("robots", ALIKE)
 def test_pot_is_too_heavy_for_one_and_light_enough_for_two(robots):
     task = make_task("Lift", robots=robots)
     task.build(Scene())

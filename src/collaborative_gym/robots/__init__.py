@@ -3,15 +3,25 @@
 from collaborative_gym.errors import check_kind, look_up_registered
 from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots.data import Gripper
+from collaborative_gym.robots.fr3 import FR3
+from collaborative_gym.robots.gen3 import GEN3
+from collaborative_gym.robots.iiwa14 import IIWA14
 from collaborative_gym.robots.jaco import JACO
 from collaborative_gym.robots.panda import PANDA
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.robots.sawyer import SAWYER
+from collaborative_gym.robots.ur5e import UR5E
+from collaborative_gym.robots.xarm7 import XARM7
 
 __all__ = [
+    "FR3",
+    "GEN3",
+    "IIWA14",
     "JACO",
     "PANDA",
     "SAWYER",
+    "UR5E",
+    "XARM7",
     "Gripper",
     "Robot",
     "get_robot",
@@ -19,7 +29,8 @@ __all__ = [
     "register_robot",
 ]
 
-_ROBOTS = {robot.name: robot for robot in (SAWYER, PANDA, JACO)}
+_ARMS = SAWYER, PANDA, JACO, UR5E, XARM7, GEN3, FR3, IIWA14
+_ROBOTS = {robot.name: robot for robot in _ARMS}
 
 
 def register_robot(robot: Robot) -> None:

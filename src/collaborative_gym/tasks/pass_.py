@@ -42,7 +42,8 @@ as near, at no distance.
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
 holds it. The thesis asks only for the distance. The second condition rules out that
 robot_1 throws the cube there, which a search found. It cannot carry it there by 0.27 m
-or more, nor robot_2 reach robot_1's table by 0.18 m, with every pair of our arms.
+or more, nor robot_2 reach robot_1's table by 0.18 m, with every pair of Sawyer, Panda
+and Jaco.
 
 In a relay each cube lies still within 0.06 m of its target, in no hand, after every arm
 has had it in order: has held it together with the arm before, at the end of a control
