@@ -15,7 +15,8 @@ from collaborative_gym.scene import Scene
 from collaborative_gym.tasks.registry import make_task
 
 IDS = ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0")
-PAIRS = list(product(list_robots(), repeat=2))
+PAIRS = [*product(("sawyer", "panda", "jaco"), repeat=2)]
+PAIRS += [("panda", name) for name in list_robots()[3:]]
 AGENTS = ("robot_1", "robot_2")
 
 
