@@ -63,7 +63,8 @@ def show(rows: list[dict[str, object]], console: Console) -> None:
 def main() -> None:
     """Measure what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", default=[*cg.list_envs(), *cg.list_tasks()])
+    paired = [name for name in cg.list_tasks() if 2 in cg.task(name).robot_counts]
+    parser.add_argument("names", nargs="*", default=[*cg.list_envs(), *paired])
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     jobs = []

@@ -110,7 +110,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("arms", nargs="*", default=["panda", "sawyer", "jaco"])
     parser.add_argument("--module", help="a file that registers arms")
-    parser.add_argument("--tasks", nargs="+", default=list(cg.list_tasks()))
+    paired = [name for name in cg.list_tasks() if 2 in cg.task(name).robot_counts]
+    parser.add_argument("--tasks", nargs="+", default=paired)
     parser.add_argument("--sizes", nargs="+", type=float, default=[1.0])
     parser.add_argument("--fat", type=float, default=1.0)
     parser.add_argument("--randomization", default="default")

@@ -46,7 +46,7 @@ def main() -> None:
     for task in options.tasks:
         teams = options.teams or [
             *[each for each in cg.list_envs() if is_team(each, task)],
-            *[",".join(team) for team in random_teams(options.random, options.seed)],
+            *[",".join(t) for t in random_teams(options.random, options.seed, task)],
         ]
         for team in teams:
             table.append(row(task, team, faults, options))
@@ -60,10 +60,11 @@ def is_team(env_id: str, task: str) -> bool:
     return spec.task.__name__ == task and len(spec.robots) > 2
 
 
-def random_teams(count: int, seed: int) -> list[tuple[str, ...]]:
-    """Return so many teams of three to eight Jacos, Pandas and Sawyers."""
+def random_teams(count: int, seed: int, task: str) -> list[tuple[str, ...]]:
+    """Return teams of Jacos, Pandas and Sawyers: three to eight, or as a task allows."""
     rng, kinds = np.random.default_rng(seed), ("jaco", "panda", "sawyer")
-    sizes = rng.integers(3, 9, count)
+    most = max(type(make_task(task)).robot_counts)
+    sizes = np.minimum(rng.integers(3, 9, count), most)
     return [tuple(rng.choice(kinds, size).tolist()) for size in sizes]
 
 

@@ -21,7 +21,8 @@ from collaborative_gym.testing import leaves, play
 PAIRS = (("panda", "jaco"), ("jaco", "panda"))
 TEAM = ("panda", "sawyer", "jaco", "panda")
 CASES = [(env_id, None) for env_id in cg.list_envs()]
-CASES += [(task, pair) for task in cg.list_tasks() for pair in PAIRS]
+PAIRED = [name for name in cg.list_tasks() if 2 in cg.task(name).robot_counts]
+CASES += [(task, pair) for task in PAIRED for pair in PAIRS]
 CASES += [("Touch", arms) for arms in (("jaco",), TEAM[:3], TEAM)]
 CASES = [(*case, "joints") for case in CASES]
 CASES += [("Lift", PAIRS[0], "tcp"), ("Touch", TEAM[:3], "tcp")]

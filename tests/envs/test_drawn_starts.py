@@ -95,13 +95,14 @@ def test_a_task_without_a_sound_start_is_refused_by_name(starting):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", cg.list_tasks())
-def test_the_first_draw_of_every_pair_is_sound_within_usual_bounds(task, monkeypatch):
+def test_the_first_draw_of_every_team_is_sound_within_usual_bounds(task, monkeypatch):
     def rows(self, which):
         raise AssertionError(f"{len(which)} starts are drawn again")
 
     monkeypatch.setattr(EpisodeRandom, "rows", rows)
-    for pair in product(("panda", "sawyer", "jaco"), repeat=2):
-        usual = cg.task(task, pair, randomization=cg.Randomization())
+    count = cg.task(task).robot_counts[0]
+    for team in product(("panda", "sawyer", "jaco"), repeat=count):
+        usual = cg.task(task, team, randomization=cg.Randomization())
         env = cg.VectorEnv(usual, 128, num_threads=1)
         env.reset(seed=0)
 

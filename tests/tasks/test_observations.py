@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.tasks.assemble import PARTS
+from collaborative_gym.tasks.experts.assemble import WAIT
 from collaborative_gym.tasks.registry import make_task
 
 ONE_SIDED = [name for name in cg.list_envs() if len(make_task(name).sides) == 1]
@@ -194,6 +196,27 @@ def seen_in_sort(env, data, block, agent):
     return [*(back @ (cube - placement.position)), 1.0]
 
 
+def seen_in_assemble(env, data, block, agent):
+    """Return what a robot of Assemble sees of the world in the frame of its base."""
+    agents, placement = env.agents, env.task.placements[agent]
+    i, back = agents.index(agent), turn(placement.yaw).T
+    if block == "inside":
+        return [0.0, 0.0]  # Nothing is in the block within the steps that are checked.
+    if block == "mates":
+        return seen_in_sort(env, data, block, agent)
+    site = {"tcp": f"{agent}/tcp", "part": f"{PARTS[i]}/{PARTS[i]}"}
+    seen = data.site(site.get(block, "block/block"))
+    place, frame = seen.xpos, seen.xmat.reshape(3, 3)
+    if block == "goal" and i == 0:
+        place = data.mocap_pos[env.model.body("target").mocapid[0]]
+        frame = turn(np.pi / 4)
+    elif block == "goal" and i == 2:
+        place = place + WAIT * frame[:, 1]
+    turned, quat = back @ frame, np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turned.ravel())
+    return np.concatenate([back @ (place - placement.position), quat[1:], quat[:1]])
+
+
 @pytest.mark.parametrize("env_id", ONE_SIDED)
 def test_each_block_is_what_mujoco_says(env_id):
     env = cg.make_vec(env_id, num_envs=2, num_threads=1)
@@ -223,6 +246,7 @@ def check(env, observations):
                 elif "mates" in sizes and block not in ("joints", "gripping"):
                     ways = {"cube": seen_in_pass, "goal": seen_in_reach}
                     ways |= {"board": seen_in_balance, "tote": seen_in_sort}
+                    ways = {"part": seen_in_assemble, **ways}
                     look = next((ways[n] for n in ways if n in sizes), seen_from_base)
                     wanted = look(env, data, block, agent)
                 else:

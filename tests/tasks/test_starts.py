@@ -42,6 +42,10 @@ def drawn(env_id, facts, nominal):
     elif env_id.startswith("Reach"):
         goals = [facts.goals[agent] - nominal.goals[agent] for agent in facts.goals]
         found = {"target_position": np.hstack(goals)}
+    elif env_id.startswith("Assemble"):
+        pairs = [(facts.parts[a], nominal.parts[a]) for a in facts.parts]
+        each = [moved(*pair, axes=2) for pair in pairs]
+        found = {name: np.hstack([one[name] for one in each]) for name in each[0]}
     elif env_id.startswith("Sort"):
         far = facts.cubes - nominal.cubes
         # Of two cubes in a lane either comes first, 0.65 m before the other.

@@ -59,6 +59,7 @@ def test_the_environments_are_the_thesis_eight_and_our_own():
     own |= {"BalancePathPandas6-v0"}
     own |= {"SortMixed3-v0", *(f"SortPandas{count}-v0" for count in (2, 4, 8))}
     own |= {f"Pass{grasp}Sawyers-v0" for grasp in ("Pinch", "Friction")}
+    own |= {"AssembleMixed3-v0", "AssemblePandas3-v0"}
     own |= {"PassMixed3-v0", *(f"PassPandas{count}-v0" for count in (3, 4, 6))}
     own |= {"ReachMixed3-v0", *(f"ReachPandas{count}-v0" for count in (2, 4, 8))}
     assert set(cg.list_envs()) == {*BASES, *own}

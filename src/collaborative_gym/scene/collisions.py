@@ -1,9 +1,11 @@
 """Which shapes collide with which, and how hard."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
+from itertools import product
 
 import mujoco
 
+from collaborative_gym.scene.handles import Grip
 from collaborative_gym.timing import SIM_DT
 
 # Collision bits. A pair of geoms collides if a contype bit of one is among the
@@ -46,6 +48,16 @@ def set_collisions(
             geom.contype, geom.conaffinity = _FIXED, 0
         else:
             geom.contype, geom.conaffinity = _OBJECT, _FIXED | _OBJECT
+
+
+def exclude_grips(
+    spec: mujoco.MjSpec, grips: Iterable[Grip], finger_bodies: Collection[str]
+) -> None:
+    """Let the fingers of each hand pass through what it can grip, and nothing else."""
+    things = {(grip.agent, spec.site(grip.site).parent.name) for grip in grips}
+    for finger, (agent, thing) in product(sorted(finger_bodies), sorted(things)):
+        if finger.split("/")[0] == agent:
+            spec.add_exclude(bodyname1=finger, bodyname2=thing)
 
 
 def set_stops(joint: mujoco.MjsJoint) -> None:

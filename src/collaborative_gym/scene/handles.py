@@ -65,6 +65,7 @@ class Grip:
     site: str  # full name of what can be gripped
     threshold: float  # m between tcp and site, up to which a grip can start
     width: float  # m between the fingers while gripping
+    lever: float | None = None  # m, with which pads and cups bear torques; None: theirs
 
     @property
     def name(self) -> str:

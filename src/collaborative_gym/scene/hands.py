@@ -224,7 +224,11 @@ class Bonds(Hands):
             # Constraints are as soft as what they hold is light; these are not.
             ends = model.eq_obj1id[self.ids], model.eq_obj2id[self.ids]
             bodies = model.site_bodyid[np.stack(ends)]
-            ease = model.body_invweight0[bodies, 0].sum(axis=0)
+            ease, turning = model.body_invweight0[bodies].sum(axis=0).T
+            for i, grip in zip(self.ids, grips, strict=True):
+                if grip.lever is not None:
+                    ratio = (turning / ease)[self.ids == i]
+                    model.eq_data[i, 10] = grip.lever * ratio.item() ** 0.5
             share = 1.0 / (_STIFFNESS * _YIELDS**2 * ease)
             model.eq_solimp[self.ids, :2] = 1.0 / (1.0 + share[:, None])
             numbers = np.arange(len(grips) * grasp.memory)

@@ -29,7 +29,7 @@ from collaborative_gym.objects.table import table
 from collaborative_gym.objects.visual import add_wire_sphere
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
-from collaborative_gym.scene.collisions import set_collisions, set_stops
+from collaborative_gym.scene.collisions import exclude_grips, set_collisions, set_stops
 from collaborative_gym.scene.contacts import add_depth_sensors
 from collaborative_gym.scene.grasps import get_grasp
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
@@ -52,6 +52,8 @@ class Scene:
       placements: where their bases are.
       grips: the grips that were added.
       tools: names of what was fixed to an arm, by agent.
+      solid: whether fingers collide with all but what they can grip; they pass through
+        things otherwise.
       arms: after `compile`, each agent's arm in the compiled arrays.
       hands: after `compile`, what holds things in hands; missing without grips.
       postures: after `compile`, joint angles that each arm keeps to where actions leave
@@ -69,6 +71,7 @@ class Scene:
         self.placements: dict[str, Placement] = {}
         self.grips: list[Grip] = []
         self.tools: dict[str, list[str]] = {}
+        self.solid = False
         self.arms: dict[str, Arm] = {}
         self.postures: dict[str, np.ndarray] = {}
         self._objects: list[str] = []
@@ -183,7 +186,13 @@ class Scene:
         self._targets.append(name)
 
     def add_grip(
-        self, agent: str, site: str, *, threshold: float, width: float
+        self,
+        agent: str,
+        site: str,
+        *,
+        threshold: float,
+        width: float,
+        lever: float | None = None,
     ) -> None:
         """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it.
 
@@ -196,7 +205,9 @@ class Scene:
         self.grasp.strength(self.robots[agent])
         threshold = check_number("threshold", threshold, at_least=0.0)
         width = check_number("width", width, at_least=0.0)
-        grip = Grip(agent, site, threshold, width)
+        if lever is not None:
+            lever = check_number("lever", lever, at_least=0.0)
+        grip = Grip(agent, site, threshold, width, lever)
         self.add_pose_sensor(site, site)
         if not any(agent == other.agent for other in self.grips):
             self._add_palm(grip)
@@ -256,6 +267,9 @@ class Scene:
         for agent, robot in self.robots.items():
             self.add_pose_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
         apart = set() if self.grasp.touches else self._finger_bodies
+        if self.solid:
+            exclude_grips(self.spec, self.grips, apart)
+            apart = set()
         set_collisions(self.spec, self.robots, apart)
         add_depth_sensors(self.spec, self.robots)
         if not any(camera.name == CAMERA for camera in self.spec.cameras):

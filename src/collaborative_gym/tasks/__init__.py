@@ -11,8 +11,10 @@ from collaborative_gym.tasks import hockey
 from collaborative_gym.tasks import tug
 from collaborative_gym.tasks import reach
 from collaborative_gym.tasks import sort
+from collaborative_gym.tasks import assemble
 
 __all__ = [
+    "assemble",
     "balance",
     "balance_path",
     "hockey",

@@ -1,0 +1,375 @@
+"""Assemble: two arms put a peg into a block's hole, and a third locks it with a pin.
+
+Three arms stand around the place where they assemble, each with a table to its side.
+On robot_1's lies the block (0.14 kg), on robot_2's the peg, on robot_3's the pin. No
+arm can hold another part than its own. The block is to be held at the target, the peg
+pushed into its chamfered hole until the collar meets the block, and the pin through the
+hole that both then have. Holes are square, and 2 mm wider than what goes into them. So
+the pin only goes in while the peg is deep enough and turned right.
+
+Grips hold parts as they took them, by `pinch` unless told otherwise: what is pushed
+harder than two pads bear slips. A magnet would let parts turn, so it is refused. Parts
+touch parts, arms and their fingers, but for the fingers that can hold them.
+
+Randomised: the joints of the arms; the parts' places on the tables (x and y) and their
+turns about the vertical; the target's place.
+
+All parts have one pose once they are assembled. A part's goal is that of the block;
+for the block it is the target. The pin's is 0.14 m before it while the peg is not in.
+
+Each arm observes, in the frame of its own base: its tool centre point, its part, that
+part's goal, and how much of their way into the block peg and pin are in (0 to 1). The
+block `mates` has of each other arm: 1, how many seats away it is (as a share of 7),
+whether it grips, and from the own tool centre point to that arm's.
+
+Reward of each agent:
+
+- `reach`: minus the distance from its tool centre point to its part's knob, in m.
+- `bring`: minus the distance of its part from its goal, in m, at most 1, and 0.2 times
+  the angle between them, in rad.
+- `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of the knob.
+- `insert`: how much of their way peg and pin are in, 0 to 1 for each.
+- `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
+  another action mode, of what the action asks of the joints.
+- `success`: 1 while the goal is reached, else 0.
+
+Success: for 0.5 s peg and pin are in the block, to 4 mm of all the way, and the block
+is within `success_radius` (0.05 m) of the target. A part is in the block by as far as
+it is past the mouth of its hole, with its axis within 3 mm and 0.1 rad of the hole's:
+what is beside the hole, or turned, does not count. No arm reaches the target from where
+it takes its part, so one that is still keeps its part from it.
+
+Coordination: `stage` is the greatest mean share that peg and pin were in, `idle` the
+mean share of the arms that waited, as in Lift.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from collaborative_gym import math
+from collaborative_gym.blocks import POSE
+from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.math import Array, array_namespace
+from collaborative_gym.motion import safest_way
+from collaborative_gym.objects.assembly import ARM, DEEP, HALF, KNOB, block, peg, pin
+from collaborative_gym.objects.table import round_table
+from collaborative_gym.rng import EpisodeRandom
+from collaborative_gym.scene import Placement, Scene
+from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.experts import assemble as player
+from collaborative_gym.tasks.experts.assemble import HEIGHT, WAIT
+from collaborative_gym.tasks.handing import either_way
+from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.settings import bounded
+from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
+from collaborative_gym.tasks.teams import (
+    MOST_MATES,
+    Frames,
+    add_stand,
+    add_team_camera,
+    alike,
+    around,
+    mates_block,
+    mates_of,
+)
+
+PARTS = "block", "peg", "pin"
+
+_MAKERS = block, peg, pin
+_AHEAD, _MOST_AHEAD = 0.68, 0.55  # of its reach, and m, from an arm to its part
+_ASIDE = 2.2  # rad about its base, from the target to its table; ends turn by 2.6 rad
+_RAISED = 0.17  # m, target above the parts on the tables
+_TABLE = 0.27  # m, radius
+_ON_THE_WAY = 5  # poses from there to the target
+_HOVER = 0.12  # m above its part, where a hand begins
+# Directions from the middle to the knobs of the parts, in their frame.
+_AXES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+_YAW = np.pi / 4  # of what is assembled, so that each knob is before its arm
+_BESIDE, _TURNED = 0.003, 0.1  # m and rad, of an axis in a hole
+_ENOUGH = 1.0 - 0.004 / np.maximum(DEEP, 0.004)  # shares of their way, for 4 mm less
+_LEVER = 0.05  # m; about what two pads bear on a knob that is 0.04 m wide and high
+
+
+@dataclass(frozen=True)
+class AssembleConfig(TaskConfig):
+    """Settings of Assemble.
+
+    Attributes:
+      grasp: as in all tasks, but no magnet.
+      success_radius: greatest distance of the block from the target, in m.
+      picking_threshold: greatest distance at which a grip starts, in m.
+    """
+
+    grasp: str = "pinch"
+    success_radius: float = bounded(0.05, 0.001, 10.0)
+    picking_threshold: float = bounded(0.03, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class AssembleFacts:
+    """What Assemble looks at, (num_envs, ...) each; poses as in `Sim`, by agent."""
+
+    joints: dict[str, Array]  # angles, in rad
+    tcp: dict[str, tuple[Array, Array]]  # poses of the tcps
+    holds: dict[str, Array]  # whether a grip holds the part
+    knobs: dict[str, tuple[Array, Array]]  # poses of hands that would hold the parts
+    parts: dict[str, tuple[Array, Array]]  # poses of the parts
+    goals: dict[str, tuple[Array, Array]]  # and of where they go
+    to_knob: dict[str, Array]  # distance of the tcp from the knob, in m
+    to_goal: dict[str, Array]  # distance of the part from its goal, in m
+    turn: dict[str, Array]  # angle between them, in rad
+    out: Array  # way that each part lacks, (num_envs, 3), in m
+    beside: Array  # distance of its axis from the hole's, likewise
+    inside: Array  # share of its way that it is in, likewise; 1 for the block
+    stage: Array  # mean share of their way that peg and pin are in
+    idle: Array  # share of the arms that wait
+
+
+class Assemble(Task[AssembleConfig, AssembleFacts]):
+    """Put a peg into a block, and lock it with a pin.
+
+    Attributes:
+      tables: nominal poses of the parts on their tables, by agent, (3,) and yaw in rad.
+      target: nominal place of the target, (3,).
+      turns: by agent, how its hand is turned from its knob's, a quaternion (4,).
+      angles: by agent, joint angles, (2, joints), in rad: above its part, and where it
+        holds it when it is assembled.
+    """
+
+    robot_counts = (3,)
+    gripping = True
+    success_for = 5
+    config_class = AssembleConfig
+    units: ClassVar[Mapping[str, str]] = {"stage": "", "idle": ""}
+    coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
+    block_units: ClassVar[Mapping[str, str]] = {
+        "joints": "rad",
+        **dict.fromkeys(("tcp", "part", "goal"), POSE),
+    }
+    expert = player.expert
+
+    def _take(self, config: AssembleConfig) -> None:
+        if config.grasp == "magnet":
+            raise ValueError(
+                "Assemble needs a grasp that keeps parts from turning, and a magnet"
+                ' does not; give grasp="pinch" or "suction"'
+            )
+        super()._take(config)
+
+    def mounts(self) -> tuple[Placement, ...]:
+        """Return arms around the target, each as far from its part as is at ease."""
+        distances, heights = [], []
+        for robot, arm in zip(self.robots.values(), (0.0, ARM, ARM), strict=True):
+            distances.append(min(_AHEAD * robot.reach, _MOST_AHEAD) + arm)
+            tall = robot.stand == "pedestal"
+            heights.append(robot.base_height if tall else HEIGHT)
+        return around(distances, heights)
+
+    def build(self, scene: Scene) -> None:
+        config, low = self.config, HEIGHT + HALF
+        scene.solid = True
+        self.target, self.tables = np.array([0.0, 0.0, low + _RAISED]), {}
+        for i, (agent, robot) in enumerate(self.robots.items()):
+            place, name = self.placements[agent], PARTS[i]
+            own = robot.stand == "pedestal" or config.placements is not None
+            scene.add_robot(agent, robot, placement=place, stand=own)
+            if not own:
+                add_stand(scene, agent, place)
+            # The arm turns to its table about its base, with all that it holds.
+            base = np.array([*place.position[:2], low])
+            turn = math.from_yaw(np.array(_ASIDE))
+            spot = base + math.rotate(turn, np.array([0.0, 0.0, low]) - base)
+            self.tables[agent] = spot, _YAW + _ASIDE
+            scene.add(name, _MAKERS[i](), position=spot)
+            yaw = math.from_yaw(np.array(self.tables[agent][1]))
+            middle = spot + math.rotate(yaw, ARM / 2 * _AXES[i])
+            top = round_table(_TABLE, height=HEIGHT)
+            scene.add(f"{agent}_table", top, position=(*middle[:2], 0.0))
+            scene.add_pose_sensor(name, f"{name}/{name}")
+            most = config.picking_threshold
+            knob = {"threshold": most, "width": KNOB, "lever": _LEVER}
+            scene.add_grip(agent, f"{name}/knob", **knob)
+        scene.add_target("target", config.success_radius)
+        add_team_camera(scene, self.placements)
+
+    def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
+        super().setup(scene, sim, action_mode=action_mode)
+        self._frames = Frames(self.placements)
+        self.turns, self.angles = {}, {}
+        self._yaw = math.from_yaw(np.array(_YAW))
+        for i, (agent, arm) in enumerate(scene.arms.items()):
+            knob = sim.model.site(f"{PARTS[i]}/knob")
+            parts, turns = self._way(i), either_way(np.eye(4)[0])
+            ways = [[_hand(part, knob, turn) for part in parts] for turn in turns]
+            chosen, angles = safest_way(sim.model, arm, ways=ways)
+            self.turns[agent] = turns[chosen]
+            self.angles[agent] = angles[[0, -1]]
+            scene.postures[agent] = angles[0]
+
+    def _way(self, i: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return poses of a part from above its table to where it is assembled.
+
+        On its way it turns about the base of its arm.
+        """
+        place, way = self.placements[self.agents[i]], []
+        goal, base = (
+            self.target + WAIT * math.rotate(self._yaw, _AXES[i]),
+            np.array(place.position),
+        )
+        for share in np.linspace(1.0, 0.0, _ON_THE_WAY):
+            turn, yaw = math.from_yaw(np.array([share * _ASIDE, share * _ASIDE + _YAW]))
+            raised = share * (HEIGHT + HALF + _HOVER - goal[2]) * np.eye(3)[2]
+            way.append((base + math.rotate(turn, goal - base) + raised, yaw))
+        return way
+
+    def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
+        spread = self.config.randomization
+        starts = {agent: angles[0] for agent, angles in self.angles.items()}
+        self.start_arms(sim, env_ids, rng=rng, angles=starts)
+        for name, (spot, yaw) in zip(PARTS, self.tables.values(), strict=True):
+            place = spot + rng.within(spread.object_position * LEVEL, 3)
+            quat = math.from_yaw(yaw + rng.within(spread.object_yaw))
+            self.scene.place(sim, env_ids, name=name, position=place, quat=quat)
+        place = self.target + rng.within(spread.target_position, 3)
+        self.scene.place(sim, env_ids, name="target", position=place)
+
+    def measure(self, sim: Sim) -> AssembleFacts:
+        xp, agents = sim.xp, self.agents
+        tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
+        parts = dict(zip(agents, map(sim.pose, PARTS), strict=True))
+        knobs = {a: sim.pose(f"{n}/knob") for a, n in zip(agents, PARTS, strict=True)}
+        holds = {agent: self.scene.holds(sim, agent) for agent in agents}
+        out, beside, fits = self._in_block(parts)
+        share = xp.clip(1.0 - out / xp.asarray(np.maximum(DEEP, 1e-9)), 0.0, 1.0)
+        inside = xp.where(fits, share, 0.0 * share)
+        goals = self._goals(sim.pose("target")[0], parts, inside)
+        here = {a: (parts[a], goals[a]) for a in agents}
+        return AssembleFacts(
+            joints=self.joints(sim),
+            tcp=tcp,
+            holds=holds,
+            knobs=knobs,
+            parts=parts,
+            goals=goals,
+            to_knob={a: math.distance(tcp[a][0], knobs[a][0]) for a in agents},
+            to_goal={a: math.distance(x[0], y[0]) for a, (x, y) in here.items()},
+            turn={a: _angle(x[1], y[1]) for a, (x, y) in here.items()},
+            out=out,
+            beside=beside,
+            inside=inside,
+            stage=xp.mean(inside[:, 1:], axis=1),
+            idle=self.share_idle(sim, holds.values()),
+        )
+
+    def _in_block(
+        self, parts: dict[str, tuple[Array, Array]]
+    ) -> tuple[Array, Array, Array]:
+        """Return how far out each part is, how far beside its hole, and if it fits.
+
+        These are (num_envs, 3) each.
+        """
+        (place, quat), *_ = parts.values()
+        xp, back = array_namespace(place), math.conjugate(quat)
+        outs, besides, fits = [], [], []
+        for axis, (other, quat) in zip(_AXES, parts.values(), strict=True):
+            axis = xp.asarray(axis, dtype=place.dtype) + 0.0 * place
+            way = math.rotate(back, other - place)
+            turn = math.multiply(back, quat)
+            out = math.dot(way, axis)
+            beside = math.norm(way - out[:, None] * axis)
+            # The pin is round: only its axis counts. The peg must not be turned at all.
+            swung = math.norm(math.rotate(turn, axis) - axis)
+            turned = math.norm(math.rotation_vector(turn))
+            swung = xp.where(axis[:, 1] > 0.0, swung, turned)
+            outs.append(out)
+            besides.append(beside)
+            fits.append((beside < _BESIDE) & (swung < _TURNED))
+        return tuple(xp.stack(each, axis=1) for each in (outs, besides, fits))
+
+    def _goals(
+        self, target: Array, parts: dict[str, tuple[Array, Array]], inside: Array
+    ) -> dict[str, tuple[Array, Array]]:
+        """Return where parts go: the block to the target, the others to the block."""
+        xp, (place, quat) = array_namespace(target), next(iter(parts.values()))
+        yaw = xp.asarray(self._yaw, dtype=quat.dtype) + 0.0 * quat
+        waits = xp.where(inside[:, 1] > _ENOUGH[1], 0.0, WAIT)[:, None]
+        away = xp.asarray(_AXES[2], dtype=place.dtype) * waits
+        goals = (target, yaw), (place, quat), (place + math.rotate(quat, away), quat)
+        return dict(zip(self.agents, goals, strict=True))
+
+    def observe(self, facts: AssembleFacts) -> dict[str, Blocks]:
+        xp, frames, agents = array_namespace(facts.stage), self._frames, self.agents
+        kind, seen = facts.stage.dtype, {}
+        grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
+        for i, agent in enumerate(agents):
+            tcp, rows, mates = facts.tcp[agent], [], mates_of(agents, agent)
+            ways = [facts.tcp[mate][0] - tcp[0] for mate in mates]
+            ways = frames.directions(agent, ways)
+            for mate, apart in zip(mates, ways, strict=True):
+                seats = 0.0 * grips[mate] + (agents.index(mate) - i) / MOST_MATES
+                rows.append(xp.concat([seats, grips[mate], apart], axis=1))
+            seen[agent] = {
+                "joints": alike(facts.joints[agent]),
+                "gripping": grips[agent],
+                "tcp": math.pose(*frames.pose(agent, tcp)),
+                "part": math.pose(*frames.pose(agent, facts.parts[agent])),
+                "goal": math.pose(*frames.pose(agent, facts.goals[agent])),
+                "inside": facts.inside[:, 1:],
+                "mates": mates_block(rows),
+            }
+        return seen
+
+    def reward(
+        self, facts: AssembleFacts, commands: dict[str, Command]
+    ) -> dict[str, Terms]:
+        xp, terms = array_namespace(facts.stage), {}
+        zero = xp.zeros_like(facts.stage)
+        arrived = xp.where(self.success(facts), zero + 1.0, zero)
+        for agent, command in commands.items():
+            far = xp.minimum(facts.to_goal[agent], zero + 1.0)
+            near = facts.to_knob[agent] < self.config.picking_threshold
+            terms[agent] = {
+                "reach": -facts.to_knob[agent],
+                "bring": -far - 0.2 * facts.turn[agent],
+                "grip": xp.where(command.grips & near, zero + 0.1, zero),
+                "insert": 2.0 * facts.stage,
+                "effort": -0.01 * math.norm(command.moves),
+                "success": arrived,
+            }
+        return terms
+
+    def success(self, facts: AssembleFacts) -> Array:
+        xp = array_namespace(facts.stage)
+        enough = xp.asarray(_ENOUGH, dtype=facts.stage.dtype)
+        is_in = xp.all(facts.inside >= enough, axis=1)
+        return is_in & (facts.to_goal[self.agents[0]] < self.config.success_radius)
+
+    def shortfall(self, facts: AssembleFacts) -> Array:
+        xp = array_namespace(facts.stage)
+        missing = 2.0 * (1.0 - facts.stage) + sum(
+            xp.minimum(far, 0.0 * far + 5.0) for far in facts.to_goal.values()
+        )
+        return xp.where(self.success(facts), 0.0 * missing, missing)
+
+
+def _hand(
+    part: tuple[np.ndarray, np.ndarray], knob: Any, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose of a hand, turned so from its knob's, that holds a part."""
+    place, quat = part
+    hand = math.multiply(math.multiply(quat, knob.quat), turn)
+    return place + math.rotate(quat, knob.pos), hand
+
+
+def _angle(quat: Array, other: Array) -> Array:
+    """Return the angles between quaternions (num_envs, 4), in rad."""
+    turn = math.multiply(math.conjugate(quat), other)
+    return math.norm(math.rotation_vector(turn))
+
+
+register_task("Assemble", Assemble)
+register_env(EnvSpec("AssemblePandas3-v0", Assemble, ("panda",) * 3))
+register_env(EnvSpec("AssembleMixed3-v0", Assemble, ("panda", "sawyer", "jaco")))
