@@ -19,6 +19,7 @@ TEAMS = (
     "BalancePathPandas4-v0",
     "ReachPandas4-v0",
     "SortPandas4-v0",
+    "AssemblePandas3-v0",
 )
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}

@@ -71,6 +71,7 @@ PICTURES = {
         World("ReachPandas8-v0", 30),
     ),
     "relay": (World("PassMixed3-v0", 19), World("PassPandas4-v0", 52)),
+    "assemble": (World("AssemblePandas3-v0", 36), World("AssembleMixed3-v0", 70)),
     "sort": (World("SortMixed3-v0", 45), World("SortPandas4-v0", 30)),
     "teamwork": (
         World("BalanceTaskSawyers-v0", 20, policy=beside("idle")),

@@ -1,6 +1,6 @@
 """Draws the README's moving picture, `docs/media/tour.gif`: python docs/draw_tour.py.
 
-All nine tasks play side by side. A second after a success each goes on to its next
+All ten tasks play side by side. A second after a success each goes on to its next
 start.
 """
 
@@ -24,6 +24,7 @@ TOUR = {
     "BalancePathPandas3-v0": ("BalancePath: a ball along an eight", "expert"),
     "ReachPandas4-v0": ("Reach: ways that cross", "expert"),
     "SortPandas4-v0": ("Sort: each colour into its tote", "expert"),
+    "AssemblePandas3-v0": ("Assemble: block, peg and pin", "expert"),
     "HockeyPandas-v0": ("Hockey: one against one", "expert"),
     "TugPandas-v0": ("Tug: who pulls harder?", "expert"),
 }
@@ -85,9 +86,7 @@ if __name__ == "__main__":
     films = [film(env_id, *what) for env_id, what in TOUR.items()]
     pictures = [
         Image.fromarray(
-            np.concatenate(
-                [np.concatenate(frames[i : i + 3], axis=1) for i in (0, 3, 6)]
-            )
+            np.concatenate([np.concatenate(frames[i : i + 5], axis=1) for i in (0, 5)])
         )
         for frames in zip(*films, strict=True)
     ]

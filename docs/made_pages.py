@@ -65,6 +65,7 @@ _TASKS = (
     "Tug",
     "Reach",
     "Sort",
+    "Assemble",
 )
 _MOMENT = {"LiftTaskSawyers-v0": 27, "LiftTaskJacos-v0": 40, "TugPandas-v0": 30}
 """Moments of films, in % of their time, that show more than the half."""

@@ -14,7 +14,12 @@ def measured():
 
 def test_benchmark_measures_every_number(measured):
     (speed,) = measured.environments
-    for value in (speed.expert.bare, speed.random.env, speed.single_rate, *speed.make_s):
+    for value in (
+        speed.expert.bare,
+        speed.random.env,
+        speed.single_rate,
+        *speed.make_s,
+    ):
         assert math.isfinite(value) and value > 0
     assert 0 < speed.expert.ratio < 2 and 0 < speed.random.ratio < 2
     assert 0 < speed.kb_per_env < 1000

@@ -1,7 +1,7 @@
 """Assemble: two arms put a peg into a block's hole, and a third locks it with a pin.
 
 Three arms stand around the place where they assemble, each with a table to its side.
-On robot_1's lies the block (0.14 kg), on robot_2's the peg, on robot_3's the pin. No
+On robot_1's lies the block (0.15 kg), on robot_2's the peg, on robot_3's the pin. No
 arm can hold another part than its own. The block is to be held at the target, the peg
 pushed into its chamfered hole until the collar meets the block, and the pin through the
 hole that both then have. Holes are square, and 2 mm wider than what goes into them. So
@@ -36,8 +36,8 @@ Reward of each agent:
 Success: for 0.5 s peg and pin are in the block, to 4 mm of all the way, and the block
 is within `success_radius` (0.05 m) of the target. A part is in the block by as far as
 it is past the mouth of its hole, with its axis within 3 mm and 0.1 rad of the hole's:
-what is beside the hole, or turned, does not count. No arm reaches the target from where
-it takes its part, so one that is still keeps its part from it.
+what is beside the hole, or turned, does not count. Parts lie far from the target, so an
+arm that is still keeps its part from it.
 
 Coordination: `stage` is the greatest mean share that peg and pin were in, `idle` the
 mean share of the arms that waited, as in Lift.
