@@ -61,7 +61,7 @@ def is_team(env_id: str, task: str) -> bool:
 
 
 def random_teams(count: int, seed: int, task: str) -> list[tuple[str, ...]]:
-    """Return teams of Jacos, Pandas and Sawyers: three to eight, or as a task allows."""
+    """Return teams of Jacos, Pandas and Sawyers: three to eight, or as many as fit."""
     rng, kinds = np.random.default_rng(seed), ("jaco", "panda", "sawyer")
     most = max(type(make_task(task)).robot_counts)
     sizes = np.minimum(rng.integers(3, 9, count), most)

@@ -207,7 +207,7 @@ def test_a_robot_sees_how_many_goals_its_mates_have_left(make):
     for _ in range(40):
         env.step(env.expert())
     seen, done = env.task.observe(env.facts), env.facts.done
-    assert all((0 < done[agent]).any() for agent in env.agents)
+    assert all((done[agent] > 0).any() for agent in env.agents)
     for agent, mate in zip(env.agents, env.agents[::-1], strict=True):
         left = 1.0 - done[mate] / env.task.config.goals
         np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], left)

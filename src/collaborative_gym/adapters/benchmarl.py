@@ -1,6 +1,7 @@
 """Every environment as a task of BenchMARL."""
 
-# Not installed everywhere where types are checked. pyright: reportMissingImports=false
+# Not installed everywhere where types are checked; this line must stand alone:
+# pyright: reportMissingImports=false
 
 from collections.abc import Callable
 from typing import Any
