@@ -206,22 +206,21 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             ways = [[_hand(part, knob, turn) for part in parts] for turn in turns]
             chosen, angles = safest_way(sim.model, arm, ways=ways)
             self.turns[agent] = turns[chosen]
-            self.angles[agent] = angles[[0, -1]]
-            scene.postures[agent] = angles[0]
+            self.angles[agent] = angles[[1, -1]]
+            scene.postures[agent] = angles[1]
 
     def _way(self, i: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return poses of a part from above its table to where it is assembled.
+        """Return poses of a part, from its table, above it, to where it is assembled.
 
         On its way it turns about the base of its arm.
         """
         place, way = self.placements[self.agents[i]], []
-        goal, base = (
-            self.target + WAIT * math.rotate(self._yaw, _AXES[i]),
-            np.array(place.position),
-        )
-        for share in np.linspace(1.0, 0.0, _ON_THE_WAY):
+        goal = self.target + WAIT * math.rotate(self._yaw, _AXES[i])
+        base = np.array(place.position)
+        for share in (1.0, *np.linspace(1.0, 0.0, _ON_THE_WAY)):
             turn, yaw = math.from_yaw(np.array([share * _ASIDE, share * _ASIDE + _YAW]))
-            raised = share * (HEIGHT + HALF + _HOVER - goal[2]) * np.eye(3)[2]
+            low = HEIGHT + HALF + (_HOVER if way else 0.0)
+            raised = share * (low - goal[2]) * np.eye(3)[2]
             way.append((base + math.rotate(turn, goal - base) + raised, yaw))
         return way
 
