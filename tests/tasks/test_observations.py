@@ -58,7 +58,9 @@ def expected(model, data, block, agent):
     if block.endswith("gripping"):
         equalities = [model.equality(i) for i in range(model.neq)]
         own = [e.id for e in equalities if e.name.startswith(f"{owner} grips")]
-        return [data.eq_active[own].any()]
+        return [
+            data.eq_active[own].any() if own else len(touching(model, data, owner)) > 1
+        ]
     if block == "target":
         return data.mocap_pos[model.body("target").mocapid[0]]
     if block == "ball linear velocity":
@@ -66,6 +68,15 @@ def expected(model, data, block, agent):
     if block == "ball angular velocity":
         return velocity(model, data, "ball/ball")[:3]
     return pose(model, data, SITES[block])
+
+
+def touching(model, data, agent):
+    """Return the links of an arm that touch the cube."""
+    pairs = [
+        {model.body(model.geom_bodyid[g]).name.split("/")[0]: g for g in pair}
+        for pair in data.contact.geom
+    ]
+    return {model.geom_bodyid[p[agent]] for p in pairs if agent in p and "cube" in p}
 
 
 def turn(angle):

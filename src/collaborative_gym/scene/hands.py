@@ -239,7 +239,8 @@ class Bonds(Hands):
 
     def loads(self, sensordata: Array) -> Array:
         """Return the loads, to compare with the strengths, (..., grips), in N."""
-        return self.grasp.load(sensordata[..., self._forces], self._axes)
+        axes = math.array_namespace(sensordata).asarray(self._axes)
+        return self.grasp.load(sensordata[..., self._forces], axes)
 
     def hold(self, sim: Sim, holds: Array, env_ids: EnvIds = None) -> None:
         rows = np.arange(sim.num_envs)
@@ -261,8 +262,9 @@ class Bonds(Hands):
         quats = sim.sensordata[:, self._tcp_quat]
         if self.grasp.draws:
             return 0.0 * quats[..., 1:]
-        place = sim.userdata[:, self._memory][..., :3] - self._places
-        return math.rotate(quats, math.rotate(math.conjugate(self._quats), place))
+        tcps, turns = (sim.xp.asarray(each) for each in (self._places, self._quats))
+        place = sim.userdata[:, self._memory][..., :3] - tcps
+        return math.rotate(quats, math.rotate(math.conjugate(turns), place))
 
     def _seen(self, sim: Sim, rows: Array, memory: Array) -> Array:
         """Return where things are in the hands; those that are held, but slip round.
@@ -275,9 +277,10 @@ class Bonds(Hands):
         sensed, xp = sim.sensordata[rows], sim.xp
         turn = math.conjugate(sensed[:, self._tcp_quat])
         way = math.rotate(turn, sensed[:, self._site] - sensed[:, self._tcp])
-        place = self._places + math.rotate(self._quats, way)
+        tcps, turns = xp.asarray(self._places), xp.asarray(self._quats)
+        place = tcps + math.rotate(turns, way)
         quat = math.multiply(turn, sensed[:, self._site_quat])
-        quat = math.multiply(self._quats, quat)
+        quat = math.multiply(turns, quat)
         twist = math.multiply(math.conjugate(memory[..., 3:]), quat)
         twist = math.rotation_vector(twist)
         share = _TURN / xp.maximum(math.norm(twist), _TURN)[..., None]

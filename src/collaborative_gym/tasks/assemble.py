@@ -351,6 +351,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         missing = 2.0 * (1.0 - facts.stage) + sum(
             xp.minimum(far, 0.0 * far + 5.0) for far in facts.to_goal.values()
         )
+        missing = missing / (2.0 * len(self.agents))
         return xp.where(self.success(facts), 0.0 * missing, missing)
 
 
