@@ -27,7 +27,7 @@ from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.table import markdown_table
-from collaborative_gym.robots import Gripper, Robot
+from collaborative_gym.robots import UR5E, Gripper, Robot
 from collaborative_gym.testing import try_robot, unusual
 
 TASKS = "Poke", "Lift", "Pass", "Reach"
@@ -53,14 +53,7 @@ def numbered(start, count):
 
 
 UR = {
-    "joints": (
-        "shoulder_pan_joint",
-        "shoulder_lift_joint",
-        "elbow_joint",
-        "wrist_1_joint",
-        "wrist_2_joint",
-        "wrist_3_joint",
-    ),
+    "joints": UR5E.joints,
     "home": (0.0, -1.57, 1.57, -1.57, -1.57, 0.0),
     "velocity_limits": (3.14,) * 6,
     "tcp": "tool0",

@@ -47,10 +47,10 @@ def main() -> None:
         if options.stranger:
             mixed = [
                 completion(
-                    dict.fromkeys(task.agents, options.policy) | {agent: other}
+                    dict.fromkeys(task.agents, options.policy)
+                    | {agent: options.stranger}
                 ).mean
                 for agent in task.agents
-                for other in [options.stranger]
             ]
             cells.append(f"{np.mean(mixed):.0%} ({min(mixed):.0%})")
         name = f"{size}, its own" if size == len(identity.robots) else f"{size}"

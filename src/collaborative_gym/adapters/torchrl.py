@@ -1,6 +1,7 @@
 """A `VectorEnv` as a batched environment of TorchRL."""
 
-# Not installed everywhere where types are checked. pyright: reportMissingImports=false
+# Not installed everywhere where types are checked; this line must stand alone:
+# pyright: reportMissingImports=false
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -186,11 +186,9 @@ def _parse(kind: Any, prog: str, description: str | None, words: list[str]) -> A
     if status != _BAD_INPUT:
         # Sentences come in one line each; a script of completions is to stay as it is.
         plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*words} else "$^"
-        fill = functools.partial(textwrap.fill, break_on_hyphens=False)
-        columns = shutil.get_terminal_size().columns
-        fit = re.sub(
-            plain, lambda line: fill(line[0], columns), page.getvalue(), flags=re.M
-        )
+        wide = shutil.get_terminal_size().columns
+        fill = functools.partial(textwrap.fill, width=wide, break_on_hyphens=False)
+        fit = re.sub(plain, lambda line: fill(line[0]), page.getvalue(), flags=re.M)
         sys.stdout.write(fit)
         raise SystemExit(status)
     raise _complaint(box.getvalue(), prog.split()[-1])
@@ -211,9 +209,8 @@ def _complaint(box: str, verb: str) -> Exception:
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
         given, kind, names = wrong.groups()
-        return UnknownName(
-            unknown(kind, given, {*re.findall(r"'(.+?)'", names)} - {"None"})
-        )
+        able = {*re.findall(r"'(.+?)'", names)} - {"None"}
+        return UnknownName(unknown(kind, given, able))
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
     return ValueError(text)

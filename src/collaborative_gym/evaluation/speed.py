@@ -200,7 +200,7 @@ def _time(call: Callable[[], object]) -> float:
 
 
 def _times_to_make(env_id: str) -> tuple[float, float]:
-    first, second = (_time(lambda: PettingZooEnv(make_task(env_id))) for _ in "12")
+    first, second = (_time(lambda: PettingZooEnv(make_task(env_id))) for _ in range(2))
     return first, second
 
 

@@ -225,10 +225,10 @@ class Bonds(Hands):
             ends = model.eq_obj1id[self.ids], model.eq_obj2id[self.ids]
             bodies = model.site_bodyid[np.stack(ends)]
             ease, turning = model.body_invweight0[bodies].sum(axis=0).T
-            for i, grip in zip(self.ids, grips, strict=True):
+            ratios = (turning / ease).tolist()
+            for i, grip, ratio in zip(self.ids, grips, ratios, strict=True):
                 if grip.lever is not None:
-                    ratio = (turning / ease)[self.ids == i]
-                    model.eq_data[i, 10] = grip.lever * ratio.item() ** 0.5
+                    model.eq_data[i, 10] = grip.lever * ratio**0.5
             share = 1.0 / (_STIFFNESS * _YIELDS**2 * ease)
             model.eq_solimp[self.ids, :2] = 1.0 / (1.0 + share[:, None])
             numbers = np.arange(len(grips) * grasp.memory)

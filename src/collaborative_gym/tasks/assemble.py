@@ -66,14 +66,12 @@ from collaborative_gym.tasks.registry import EnvSpec, register_env, register_tas
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
-    MOST_MATES,
     Frames,
     add_stand,
     add_team_camera,
     alike,
     around,
-    mates_block,
-    mates_of,
+    hands_block,
 )
 
 PARTS = "block", "peg", "pin"
@@ -110,7 +108,7 @@ class AssembleConfig(TaskConfig):
 
 @dataclass(frozen=True)
 class AssembleFacts:
-    """What Assemble looks at, (num_envs, ...) each; poses as in `Sim`, by agent."""
+    """Facts of Assemble, (num_envs, ...) each; poses as in `Sim`, by agent."""
 
     joints: dict[str, Array]  # angles, in rad
     tcp: dict[str, tuple[Array, Array]]  # poses of the tcps
@@ -300,24 +298,18 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         return dict(zip(self.agents, goals, strict=True))
 
     def observe(self, facts: AssembleFacts) -> dict[str, Blocks]:
-        xp, frames, agents = array_namespace(facts.stage), self._frames, self.agents
+        xp, frames = array_namespace(facts.stage), self._frames
         kind, seen = facts.stage.dtype, {}
         grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
-        for i, agent in enumerate(agents):
-            tcp, rows, mates = facts.tcp[agent], [], mates_of(agents, agent)
-            ways = [facts.tcp[mate][0] - tcp[0] for mate in mates]
-            ways = frames.directions(agent, ways)
-            for mate, apart in zip(mates, ways, strict=True):
-                seats = 0.0 * grips[mate] + (agents.index(mate) - i) / MOST_MATES
-                rows.append(xp.concat([seats, grips[mate], apart], axis=1))
+        for agent in self.agents:
             seen[agent] = {
                 "joints": alike(facts.joints[agent]),
                 "gripping": grips[agent],
-                "tcp": math.pose(*frames.pose(agent, tcp)),
+                "tcp": math.pose(*frames.pose(agent, facts.tcp[agent])),
                 "part": math.pose(*frames.pose(agent, facts.parts[agent])),
                 "goal": math.pose(*frames.pose(agent, facts.goals[agent])),
                 "inside": facts.inside[:, 1:],
-                "mates": mates_block(rows),
+                "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
             }
         return seen
 
@@ -348,10 +340,8 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
 
     def shortfall(self, facts: AssembleFacts) -> Array:
         xp = array_namespace(facts.stage)
-        missing = 2.0 * (1.0 - facts.stage) + sum(
-            xp.minimum(far, 0.0 * far + 5.0) for far in facts.to_goal.values()
-        )
-        missing = missing / (2.0 * len(self.agents))
+        far = [xp.minimum(each, 0.0 * each + 5.0) for each in facts.to_goal.values()]
+        missing = (2.0 * (1.0 - facts.stage) + sum(far)) / (2.0 * len(self.agents))
         return xp.where(self.success(facts), 0.0 * missing, missing)
 
 

@@ -96,13 +96,7 @@ from collaborative_gym.tasks.task import (
     columns,
     presets,
 )
-from collaborative_gym.tasks.teams import (
-    MOST_MATES,
-    Frames,
-    alike,
-    mates_block,
-    mates_of,
-)
+from collaborative_gym.tasks.teams import MOST_MATES, Frames, alike, hands_block
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
@@ -415,12 +409,11 @@ class Pass(Task[PassConfig, PassFacts]):
         own, goal = [of(x, which) for x in facts.cubes], of(facts.targets, which)
         if i < len(self.meetings):
             goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
-        rows, mates = [], mates_of(self.agents, agent)
-        ways = frames.directions(agent, [facts.tcp[m][0] - tcp[0] for m in mates])
-        for mate, apart in zip(mates, ways, strict=True):
-            gap = math.distance(facts.tcp[mate][0], own[0])[:, None]
-            seats = gap * 0.0 + (self.agents.index(mate) - i) / MOST_MATES
-            rows.append(xp.concat([seats, grips[mate], apart, gap], axis=1))
+        gaps = {
+            mate: math.distance(there, own[0])[:, None]
+            for mate, (there, _) in facts.tcp.items()
+        }
+        mates = hands_block(frames, agent, tcps=facts.tcp, grips=grips, more=gaps)
         return {
             "joints": alike(facts.joints[agent]),
             "gripping": grips[agent],
@@ -428,7 +421,7 @@ class Pass(Task[PassConfig, PassFacts]):
             "cube": math.pose(*frames.pose(agent, (own[0], own[1]))),
             "goal": frames.place(agent, goal),
             "cubes left": self._left(i, facts)[:, None] / len(self.cubes),
-            "mates": mates_block(rows),
+            "mates": mates,
         }
 
     def reward(

@@ -73,8 +73,7 @@ from collaborative_gym.tasks.teams import (
     Frames,
     add_stand,
     alike,
-    mates_block,
-    mates_of,
+    hands_block,
 )
 from collaborative_gym.timing import CONTROL_DT
 
@@ -336,11 +335,6 @@ class Sort(Task[SortConfig, SortFacts]):
                 todo = xp.astype(facts.to_do[agent][:, j], kind)[:, None]
                 place = frames.place(agent, facts.cubes[:, j])
                 seen[name] = xp.concat([place * todo, todo], axis=1)
-        rows, mates = [], mates_of(self.agents, agent)
-        ways = frames.directions(agent, [facts.tcp[m][0] - tcp[0] for m in mates])
-        for mate, apart in zip(mates, ways, strict=True):
-            seats = nothing + (self.agents.index(mate) - i) / MOST_MATES
-            rows.append(xp.concat([seats, grips[mate], apart], axis=1))
         spot = xp.asarray(self.totes[agent], dtype=kind)
         return {
             "joints": alike(facts.joints[agent]),
@@ -348,7 +342,7 @@ class Sort(Task[SortConfig, SortFacts]):
             "tcp": math.pose(*frames.pose(agent, tcp)),
             "tote": frames.place(agent, xp.broadcast_to(spot, tcp[0].shape)),
             **seen,
-            "mates": mates_block(rows),
+            "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
         }
 
     def bring_to(self, agent: str, which: Array, tcp: Array) -> Array:

@@ -59,6 +59,36 @@ def mates_block(rows: Sequence[Array]) -> Array:
     return seen
 
 
+def hands_block(
+    frames: "Frames",
+    agent: str,
+    *,
+    tcps: Mapping[str, tuple[Array, Array]],
+    grips: Mapping[str, Array],
+    more: Mapping[str, Array] | None = None,
+) -> Array:
+    """Return a robot's observation of its mates' hands, as `mates_block` makes it.
+
+    A row has how many seats away a mate is, as a share of `MOST_MATES`; whether it
+    grips; and the way from the own tcp to its tcp, in the frame of the own base, in m.
+
+    Args:
+      frames: those of the robots.
+      agent: who looks.
+      tcps: poses of the tcps by agent, in the order of the agents.
+      grips: 1 where an agent grips, else 0, (num_envs, 1).
+      more: numbers that follow in a mate's row, (num_envs, k).
+    """
+    agents, here, rows = [*tcps], tcps[agent][0], []
+    xp, mates = array_namespace(here), mates_of([*tcps], agent)
+    ways = frames.directions(agent, [tcps[mate][0] - here for mate in mates])
+    for mate, apart in zip(mates, ways, strict=True):
+        away = (agents.index(mate) - agents.index(agent)) / MOST_MATES
+        row = [0.0 * grips[mate] + away, grips[mate], apart]
+        rows.append(xp.concat([*row, more[mate]] if more else row, axis=1))
+    return mates_block(rows)
+
+
 def around(
     distances: Sequence[float], heights: Sequence[float]
 ) -> tuple[Placement, ...]:
