@@ -31,7 +31,7 @@ ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
 ON_STATE = ("name",)
 """Settings that may differ between worlds that take each other's states."""
 
-_EARLIER = {"action": "joints", "grasp": "magnet"}
+_EARLIER = {"action": "joints", "grasp": "magnet", "pad_force": False}
 """Settings of a time when there was no other choice."""
 
 
