@@ -53,8 +53,9 @@ def resting(robot, lever, turns):
         sim.step(np.repeat(sim.ctrl[:, None], SUBSTEPS, axis=1))
     found = []
     for is_raw in True, False:
-        wrists = Wrists(scene, model, is_raw=is_raw)
-        found.append(wrists.read(sim)["arm"][0])
+        sim.feel()
+        wrists = Wrists(scene, model, is_raw=is_raw).sensed(sim.sensordata)
+        found.append(wrists["arm"][0])
     link = model.dof_bodyid[arm.dof.stop - 1]
     (tcp,), (quat,) = sim.pose("arm/tcp")
     ball = sim.data(0).body("weight/ball").xpos

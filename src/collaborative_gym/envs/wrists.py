@@ -16,7 +16,6 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.robots.model_file import kinematics
 from collaborative_gym.scene import Scene
-from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import TaskConfig
 
 FELT = {"wrench": "N; N m", "pad force": "N"}
@@ -68,11 +67,6 @@ class Wrists:
             centre = data.site_xmat[arm.tcp].reshape(3, 3).T @ centre
             columns = [*map(slice, starts, ends)]
             self._wrists[agent] = columns, float(model.body_subtreemass[link]), centre
-
-    def read(self, sim: Sim) -> dict[str, Array]:
-        """Return the present wrenches by agent, (num_envs, 6)."""
-        sim.feel()
-        return self.sensed(sim.sensordata)
 
     def sensed(self, sensordata: Array) -> dict[str, Array]:
         """Return the wrenches of sensor values (..., n) by agent, (..., 6)."""
