@@ -40,7 +40,8 @@ const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
 const labels = [...document.querySelectorAll("label")];
 const shadows = labels.find(label => label.textContent == %s);
 const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
-if (!window.isKnown && isSlow && shadows && shadows.control.checked) shadows.click();
+if (!window.isKnown && isSlow && shadows && shadows.control.checked)
+  shadows.control.click();
 window.isKnown = true;
 """
 """Script of a tab that has the panel. It sets the title, and unticks the shadows if
