@@ -19,8 +19,8 @@ MOST_JOINTS = 7
 
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
-_TALL, _MARGIN = 0.7, 0.2  # m, of an arm at work in a picture, and around it
-_SLOPE = 0.65  # how steeply a camera looks down at a team
+_TALL, _MARGIN = 0.7, 0.1  # m, of an arm at work in a picture, and around it
+_SLOPE = 0.9  # how steeply a camera looks down at a team
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
 
