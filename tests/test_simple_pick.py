@@ -87,4 +87,4 @@ def test_it_is_trained(command, tmp_path, backend):
 def test_a_module_that_is_missing_is_bad_input(command):
     missing = command("list", module="nowhere.py")
     assert missing.returncode != 0
-    assert missing.stderr.strip() == "error: there is no module nowhere.py"
+    assert missing.stderr.strip() == "error: there is no file nowhere.py"
