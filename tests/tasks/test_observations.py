@@ -264,8 +264,8 @@ def check(env, observations):
                     name = f"{agent} gripping" if block == "gripping" else block
                     wanted = expected(env.model, data, name, agent)
                 if block == "mates" and "goals left" in sizes:
-                    # MuJoCo does not know how many they have left.
-                    part = np.delete(part.reshape(7, 11), 1, axis=1).ravel()
+                    # MuJoCo knows neither their seats nor how many they have left.
+                    part = np.delete(part.reshape(7, 12), (1, 2), axis=1).ravel()
                 wanted = np.asarray(wanted, float)
                 if part[3:].shape == (4,):
                     # A quaternion and its negative are one orientation.

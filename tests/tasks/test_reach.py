@@ -195,7 +195,7 @@ def test_what_a_robot_sees_has_one_shape_in_teams_of_all_sizes(make):
             blocks = env.observation_blocks[agent]
             spaces.add(tuple((b.name, b.shape) for b in blocks.values()))
             seen = env.task.observe(env.facts)[agent]["mates"]
-            assert seen.shape == (2, MOST_MATES, 11)
+            assert seen.shape == (2, MOST_MATES, 12)
             assert (seen[:, :, 0].sum(axis=1) == count - 1).all()
             assert not seen[:, count - 1 :].any()
     assert len(spaces) == 1

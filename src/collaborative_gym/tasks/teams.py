@@ -1,6 +1,6 @@
 """Observations in teams of any size: a robot's own frame, and its team as a set."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -37,6 +37,12 @@ def mates_of(agents: Sequence[str], agent: str) -> tuple[str, ...]:
     """Return the other agents in their order, beginning after this one."""
     i = list(agents).index(agent)
     return (*agents[i + 1 :], *agents[:i])
+
+
+def away(agents: Iterable[str], agent: str, mate: str) -> float:
+    """Return how many seats after an agent a mate is, as a share of `MOST_MATES`."""
+    seats = list(agents)
+    return (seats.index(mate) - seats.index(agent)) / MOST_MATES
 
 
 def mates_block(rows: Sequence[Array]) -> Array:
@@ -79,12 +85,12 @@ def hands_block(
       grips: 1 where an agent grips, else 0, (num_envs, 1).
       more: numbers that follow in a mate's row, (num_envs, k).
     """
-    agents, here, rows = [*tcps], tcps[agent][0], []
-    xp, mates = array_namespace(here), mates_of([*tcps], agent)
+    here, mates, rows = tcps[agent][0], mates_of([*tcps], agent), []
+    xp = array_namespace(here)
     ways = frames.directions(agent, [tcps[mate][0] - here for mate in mates])
     for mate, apart in zip(mates, ways, strict=True):
-        away = (agents.index(mate) - agents.index(agent)) / MOST_MATES
-        row = [0.0 * grips[mate] + away, grips[mate], apart]
+        seats = 0.0 * grips[mate] + away(tcps, agent, mate)
+        row = [seats, grips[mate], apart]
         rows.append(xp.concat([*row, more[mate]] if more else row, axis=1))
     return mates_block(rows)
 
