@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from importlib import import_module
-from itertools import chain, count
+from itertools import chain, count, islice
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -39,6 +39,9 @@ _SAME_SPREAD = 0.01
 
 _HOLD = 1.0
 """Time for which a film shows the end of an episode, in s."""
+
+_BEGIN = 100
+"""Frames of a GIF by which its colours are chosen."""
 
 _LONGEST = 36_000.0
 """Greatest length of a film, in s."""
@@ -388,16 +391,18 @@ def _write_gif(output: Path, frames: Frames, rate: float) -> None:
     image = _import("PIL.Image")
     with replacing(output) as partial:
         # One palette for all frames: one for each makes colours flicker. Most of it is
-        # that of the largest areas, the rest that of what is small or comes late.
-        shots = list(frames)
-        sample = image.fromarray(np.concatenate(shots[:: len(shots) // 8 + 1]))
+        # that of the largest areas, the rest that of what is small or comes later.
+        begin = list(islice(frames, _BEGIN))
+        sample = image.fromarray(np.concatenate(begin[:: len(begin) // 8 + 1]))
         palette = image.new("P", (1, 1))
         parts = sample.quantize(208), sample.quantize(48, image.Quantize.MAXCOVERAGE)
         palette.putpalette([c for part in parts for c in part.getpalette()])
         options = {"palette": palette, "dither": image.Dither.NONE}
-        first, *rest = (image.fromarray(shot).quantize(**options) for shot in shots)
-        options = {"append_images": rest, "duration": round(1000 / rate), "loop": 0}
-        _save(first, partial, output, format="GIF", save_all=True, **options)
+        all_frames = map(image.fromarray, chain(begin, frames))
+        shots = (frame.quantize(**options) for frame in all_frames)
+        first = next(shots)
+        more = {"append_images": shots, "duration": round(1000 / rate), "loop": 0}
+        _save(first, partial, output, format="GIF", save_all=True, **more)
 
 
 def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
