@@ -37,6 +37,8 @@ def film(env_id: str) -> None:
     if env_id == GAME:
         whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": (400, 226)}
         record(env_id, path, policy=policy, **whole)
+    elif len(sides) > 1:  # Tug is over within a second.
+        record(env_id, path, policy=policy, speed=0.25, size=SIZE)
     else:
         record(env_id, path, policy=policy, size=SIZE)
     path.with_suffix(".jpg").unlink(missing_ok=True)

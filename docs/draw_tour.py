@@ -11,36 +11,43 @@ from PIL import Image, ImageDraw, ImageFont
 
 import collaborative_gym as cg
 
-SIZE = 320, 180
-BAND = 26
+SIZE = 288, 162
+BAND = 34
 STEPS, HOLD = 80, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": ("Poke: a stick through a ring", "baseline"),
-    "LiftTaskSawyers-v0": ("Lift: a pot that is too heavy for one", "baseline"),
-    "PassTaskJacoSawyer-v0": ("Pass: a cube from hand to hand", "baseline"),
-    "BalanceTaskJacoSawyer-v0": ("Balance: a ball on a board", "baseline"),
-    "BalancePathPandas3-v0": ("BalancePath: a ball along an eight", "expert"),
-    "ReachPandas4-v0": ("Reach: ways that cross", "expert"),
-    "SortPandas4-v0": ("Sort: each colour into its tote", "expert"),
-    "AssemblePandas3-v0": ("Assemble: block, peg and pin", "expert"),
-    "HockeyPandas-v0": ("Hockey: one against one", "expert"),
-    "TugPandas-v0": ("Tug: who pulls harder?", "expert"),
+    "PokeTaskPandaSawyer-v0": ("Poke: a stick, a ring", "baseline", (1.25, 0.40)),
+    "LiftTaskSawyers-v0": ("Lift: too heavy for one", "baseline", (1.35, 0.42)),
+    "PassTaskJacoSawyer-v0": ("Pass: hand to hand", "baseline", (1.15, 0.45)),
+    "BalanceTaskJacoSawyer-v0": ("Balance: keep the ball", "baseline", (1.3, 0.36)),
+    "BalancePathPandas3-v0": ("BalancePath: an eight", "expert", (1.25, 0.45)),
+    "ReachPandas4-v0": ("Reach: ways that cross", "expert", (1.2, 0.4)),
+    "SortPandas4-v0": ("Sort: by colour", "expert", (1.2, 0.5)),
+    "AssemblePandas3-v0": ("Assemble: three parts", "expert", (1.3, 0.5)),
+    "HockeyPandas-v0": ("Hockey: one on one", "expert", (1.3, 0.4)),
+    "TugPandas-v0": ("Tug: who is stronger?", "expert", (1.3, 0.4)),
 }
-"""What is played, by environment: the caption, and who plays."""
+"""What is played, by environment: the caption, who plays, and how much larger than the
+whole picture its part is drawn, whose middle is so far down."""
 
 WHO = {"baseline": "trained", "expert": "scripted"}
 
 
-def film(env_id: str, caption: str, player: str) -> list[np.ndarray]:
+def film(
+    env_id: str, caption: str, player: str, part: tuple[float, float]
+) -> list[np.ndarray]:
     """Return the pictures of some starts, (height, width, 3) uint8 each."""
     env = cg.make_vec(env_id, 1, seed=1, num_threads=1)
     policy = cg.load_policy(player, env)
     observations, infos = env.reset()
     frames, left = [], HOLD
+    width, height = (round(part[0] * side) for side in SIZE)
+    right = (width - SIZE[0]) // 2
+    down = min(max(0, round(part[1] * height) - SIZE[1] // 2), height - SIZE[1])
     for _ in range(STEPS):
-        pixels = env.render(width=SIZE[0], height=SIZE[1])
+        pixels = env.render(width=width, height=height)
+        pixels = pixels[down : down + SIZE[1], right : right + SIZE[0]]
         is_met = len(env.sides) == 1 and bool(infos["metrics"]["completion"][0])
         frames.append(captioned(pixels, caption, "success" if is_met else WHO[player]))
         left -= is_met
@@ -56,11 +63,11 @@ def captioned(pixels: np.ndarray, caption: str, state: str) -> np.ndarray:
     """Return a picture below a line of text."""
     picture = Image.new("RGB", (SIZE[0], SIZE[1] + BAND), "white")
     picture.paste(Image.fromarray(pixels), (0, BAND))
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(size=13)
+    pen, load = ImageDraw.Draw(picture), ImageFont.load_default
     middle = BAND // 2
-    pen.text((6, middle), caption, "black", font, anchor="lm")
+    pen.text((6, middle), caption, "black", load(size=20), anchor="lm")
     ink = "#0a7a2f" if state == "success" else "#777777"
-    pen.text((SIZE[0] - 6, middle), state, ink, font, anchor="rm")
+    pen.text((SIZE[0] - 6, middle), state, ink, load(size=15), anchor="rm")
     return np.asarray(picture)
 
 
@@ -73,8 +80,8 @@ def palette(pictures: list[Image.Image]) -> Image.Image:
     sample = Image.fromarray(np.concatenate([np.asarray(each) for each in pictures]))
     colours: list[int] = []
     for count, method in (
-        (216, Image.Quantize.MEDIANCUT),
-        (40, Image.Quantize.MAXCOVERAGE),
+        (160, Image.Quantize.MEDIANCUT),
+        (96, Image.Quantize.MAXCOVERAGE),
     ):
         colours += (sample.quantize(count, method).getpalette() or [])[: 3 * count]
     made = Image.new("P", (1, 1))

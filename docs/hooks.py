@@ -31,6 +31,7 @@ def on_page_content(html, page, config, files):
     html = re.sub(
         r"<code>(--[a-z0-9-]+)</code>", r'<code class="whole">\1</code>', html
     )
+    html = re.sub(r"<pre.*?</pre>", _keep_words, html, flags=re.S)
     html = re.sub(r'<a id="collaborative_gym[^"]*"></a>', "", html)
     here = posixpath.dirname(page.url)
 
@@ -47,3 +48,9 @@ def on_page_content(html, page, config, files):
         return f'{tag} loading="lazy" width="{width}" height="{height}"'
 
     return re.sub(r'<img [^>]*src="(?P<source>[^"]+)"', lazy, html)
+
+
+def _keep_words(block):
+    """Return a block of code whose options and ids do not break at their hyphens."""
+    word = r"(?<![\w-])--[a-z][a-z-]*|\b\w+-v\d\b"
+    return re.sub(word, r'<span class="whole">\g<0></span>', block[0])

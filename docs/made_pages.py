@@ -229,8 +229,9 @@ def _task_page(name: str) -> str:
         *map(_labelled, body.split("\n\n")),
     ]
     picture = f"media/{name.lower()}.jpg"
-    if (ROOT / "docs" / picture).exists():
-        paragraphs.insert(2, f"![{name}](../{picture})")
+    if not (DOCS / picture).exists():  # A page begins with a picture, or with a film.
+        picture = next(film for each, _ in envs for film in _film(each).values())
+    paragraphs.insert(2, f"![{name}](../{picture})")
     for env_id, spec in envs:
         paragraphs += _environment(env_id, spec)
     paragraphs += ["## Settings", _settings(task.config_class)]

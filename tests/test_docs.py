@@ -39,7 +39,12 @@ python() {
 # All else runs as it stands, but for less long.
 collaborative-gym() {
     case "$1" in
-    train) set -- "${@/#0-[0-9]/0-1}" --total-steps 8 --num-envs 2 --rollout-steps 4 \
+    certify | reproduce) later "$@"; return ;;
+    train)
+        local folder=$(sed -n "s/.*--output \([^ ]*\).*/\1/p" <<< "$*")
+        local named=$(grep -o "${folder:-^$}" <<< "$PAGE" | wc -l)
+        if [[ "$*" = *" ray"* || $named -lt 2 ]]; then later "$@"; return; fi
+        set -- "${@/#0-[0-9]/0-1}" --total-steps 8 --num-envs 2 --rollout-steps 4 \
         --minibatch-size 8 --validation-episodes 1 --validation-interval 0 ;;
     evaluate | tournament) set -- "$@" --episodes 2 ;;
     record) [[ "$*" = *--only-episodes* ]] || set -- "$@" --seconds 0.1 ;;
@@ -49,6 +54,9 @@ collaborative-gym() {
     esac
     "$PYTHON" -c "$QUICK" "$@"
 }
+# What takes long and is tested elsewhere is only parsed, all of a page at once, such as
+# a training whose folder is not read again on its page.
+later() { printf '%s\n' "$@" "" >> later; }
 .venv/bin/collaborative-gym() { collaborative-gym "$@"; }
 view() {
     : > page  # What an earlier view wrote there is no answer.
@@ -64,10 +72,8 @@ trap 'kill $(jobs -p) 2> /dev/null || true' EXIT  # And does not outlive a failu
 """Functions that stand in for commands while a page is run; an unknown one fails."""
 
 QUICK = """
-import os, sys
+import sys
 from collaborative_gym.__main__ import main
-from collaborative_gym.cli.commands import Certify, Reproduce
-from collaborative_gym.cli.train import Train
 from collaborative_gym.tasks import registry
 
 configure = registry._configure
@@ -75,24 +81,40 @@ registry._configure = lambda task, settings: configure(
     task, {"max_episode_steps": 4, **settings}
 )
 arguments = sys.argv[1:]
-# What takes long and is tested elsewhere is only parsed, such as a training whose
-# folder is not read again on its page.
-Reproduce.run = Certify.run = lambda self: None
-folder = arguments[arguments.index("--output") + 1] if "--output" in arguments else ""
-if "ray" in arguments or not folder or os.environ["PAGE"].count(folder) < 2:
-    Train.run = lambda self: None
 if arguments[0] == "--env":
     arguments[0] = "view"
 sys.exit(main(arguments))
 """
-"""The command line, with short episodes and without what would take long."""
+"""The command line, with short episodes."""
+
+LATER = """
+from pathlib import Path
+from collaborative_gym.__main__ import main
+from collaborative_gym.cli.commands import Certify, Reproduce
+from collaborative_gym.cli.train import Train
+
+Train.run = Reproduce.run = Certify.run = lambda self: None
+for command in Path("later").read_text().split("\\n\\n")[:-1]:
+    try:
+        status = main(command.split("\\n"))
+    except SystemExit as end:
+        status = end.code
+    assert not status, command
+"""
+"""What only parses the commands that a page has left for later."""
 
 IN_PYTHON = """
+import os as _os
 import subprocess as _subprocess
+import sys as _sys
 import collaborative_gym as _cg
 
 def _shell(block):
     _subprocess.run(["bash", "-euo", "pipefail", "-c", block], check=True)
+
+def _parse():
+    if _os.path.exists("later"):
+        _subprocess.run([_sys.executable, "-c", _os.environ["LATER"]], check=True)
 
 def _few(function, number):
     def call(*given, **named):
@@ -158,7 +180,7 @@ def as_script(text):
         elif language == "sh":
             lines[first] = f"_shell({SHELL + content!r})"
     lines[0] = f"exec({IN_PYTHON!r})"
-    return "\n".join(lines)
+    return "\n".join([*lines, "_parse()"])
 
 
 @pytest.fixture
@@ -171,6 +193,7 @@ def reader(tmp_path):
         "PATH": "/usr/bin:/bin",
         "PYTHON": sys.executable,
         "QUICK": QUICK,
+        "LATER": LATER,
         "ROOT": str(ROOT),
         "OMP_NUM_THREADS": "1",
         "COLUMNS": "100",
@@ -209,7 +232,12 @@ def test_a_block_that_fails_is_found(reader):
     reader(page.format("collaborative-gym --version", "assert x == 1"))
     with pytest.raises(AssertionError, match=r"line 12, in <module>\n +assert x == 2"):
         reader(page.format("true", "assert x == 2"))
-    for command in ("collaborative-gym lift", "false | true", "no-such-command"):
+    for command in (
+        "collaborative-gym lift",
+        "collaborative-gym train --no-such-option",
+        "false | true",
+        "no-such-command",
+    ):
         with pytest.raises(AssertionError, match="CalledProcessError"):
             reader(page.format(command, ""))
 

@@ -85,7 +85,7 @@ def test_the_command_line_tells_where_a_file_is_wrong(
 @pytest.mark.parametrize(
     ("name", "error", "message"),
     [
-        ("nowhere.py", FileNotFoundError, "there is no module nowhere.py"),
+        ("nowhere.py", FileNotFoundError, "there is no file nowhere.py"),
         ("no_such.module", KeyError, "no module 'no_such.module' is installed"),
         ("os", ValueError, "module os registers no task, environment or arm"),
         ("x\0.py", ValueError, "module must be a path"),

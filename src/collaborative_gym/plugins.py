@@ -68,7 +68,7 @@ def load_module(name: str) -> ModuleType:
     if path in _loaded:
         return _loaded[path]
     if not path.is_file():
-        raise FileNotFoundError(f"there is no module {name}")
+        raise FileNotFoundError(f"there is no file {name}")
     if path.stem in sys.modules or path.stem in sys.stdlib_module_names:
         raise ValueError(
             f"{name}: there is another module named {path.stem!r}; rename the file"

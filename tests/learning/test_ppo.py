@@ -271,8 +271,9 @@ def test_actions_that_gain_nothing_shrink_if_they_cost_something(make, price):
     assert (means[actor.is_grip] > 0.5).all()
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("weight", [0.0, 30.0])
+@pytest.mark.parametrize(
+    ("mode", "weight"), [(MODES[0], 0.0), *((mode, 30.0) for mode in MODES)]
+)
 def test_the_experts_advice_is_learned_as_far_as_it_counts(make, mode, weight):
     learning = {"learning_rate": 3e-3, "target_kl": 0.0, "imitation": weight}
     learners, rng = make(mode, num_envs=64, **learning), np.random.default_rng(0)

@@ -142,8 +142,12 @@ def test_a_run_goes_on_bit_for_bit_with_as_many_and_anew_with_others(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("local_ray")
-def test_a_killed_collector_is_replaced(make):
-    run = make()
+def test_a_killed_collector_is_replaced_and_an_error_of_the_task_raised_here(
+    make, carry, tmp_path
+):
+    task, broken = carry(), tmp_path / "broken"
+    task.disturb = lambda sim, step: 1 / (not broken.exists())
+    run = make(task=task)
     _, before = advance_until(run, lambda steps: len(steps) == 4)
     os.kill(collectors_processes()[0].pid, signal.SIGKILL)
     steps, after = advance_until(
@@ -161,15 +165,9 @@ def test_a_killed_collector_is_replaced(make):
     addresses = {address.ip for address in listening}
     assert addresses and addresses <= {"127.0.0.1", "::1", "::ffff:127.0.0.1"}
     assert 8265 not in {address.port for address in listening}  # The dashboard's.
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("local_ray")
-def test_an_error_of_the_task_is_raised_here(make, carry):
-    task = carry()
-    task.disturb = lambda sim, step: 1 / 0
+    broken.touch()
     with pytest.raises(RuntimeError, match="a collector failed: ZeroDivisionError"):
-        make(count=1, task=task).advance()
+        run.advance()
 
 
 @pytest.mark.slow

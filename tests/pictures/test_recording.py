@@ -90,6 +90,16 @@ def test_gif_plays_in_real_time(carry, tmp_path):
     assert sum(durations) == 15 * 100
 
 
+def test_what_comes_late_into_a_gif_has_its_colour(tmp_path):
+    frames = np.full((20, 48, 64, 3), 200, np.uint8)
+    frames += np.arange(64, dtype=np.uint8)[:, None] // 2
+    frames[10:, 20:24, 20:24] = 20, 80, 220
+    recording._write_gif(tmp_path / "a.gif", iter(frames), 10)
+    with Image.open(tmp_path / "a.gif") as film:
+        film.seek(film.n_frames - 1)
+        assert film.convert("RGB").getpixel((22, 22)) == (20, 80, 220)
+
+
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
@@ -201,13 +211,13 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
 def test_what_has_no_room_behind_the_time_stands_below_it():
     def lines(text, width):
         frame = recording._labelled(np.zeros((240, width, 3), np.uint8), text)
-        written = (frame > 0).any(axis=(1, 2))
+        written = (frame > 128).any(axis=(1, 2))
         return frame.shape, np.diff(written.astype(int)).tolist().count(1)
 
     assert lines("3.8 s  expert", 320) == ((240, 320, 3), 1)
     long = "3.8 s  robot_1 baseline 0 : 1 robot_2 expert"
     assert lines(long, 640)[1] == 1
-    assert lines(long, 320)[1] == 2
+    assert lines(long, 240)[1] == 2
 
 
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):

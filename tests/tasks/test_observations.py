@@ -215,6 +215,11 @@ def seen_in_assemble(env, data, block, agent):
         return [0.0, 0.0]  # Nothing is in the block within the steps that are checked.
     if block == "mates":
         return seen_in_sort(env, data, block, agent)
+    if block == "block":
+        site, body = data.site("block/block"), env.model.body("target")
+        target, frame = data.mocap_pos[body.mocapid[0]], site.xmat.reshape(3, 3)
+        turned = np.arccos((np.trace(frame.T @ turn(np.pi / 4)) - 1.0) / 2.0)
+        return [np.linalg.norm(site.xpos - target), turned]
     site = {"tcp": f"{agent}/tcp", "part": f"{PARTS[i]}/{PARTS[i]}"}
     seen = data.site(site.get(block, "block/block"))
     place, frame = seen.xpos, seen.xmat.reshape(3, 3)
@@ -264,8 +269,8 @@ def check(env, observations):
                     name = f"{agent} gripping" if block == "gripping" else block
                     wanted = expected(env.model, data, name, agent)
                 if block == "mates" and "goals left" in sizes:
-                    # MuJoCo does not know how many they have left.
-                    part = np.delete(part.reshape(7, 11), 1, axis=1).ravel()
+                    # MuJoCo knows neither their seats nor how many they have left.
+                    part = np.delete(part.reshape(7, 12), (1, 2), axis=1).ravel()
                 wanted = np.asarray(wanted, float)
                 if part[3:].shape == (4,):
                     # A quaternion and its negative are one orientation.

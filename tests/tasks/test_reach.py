@@ -195,14 +195,14 @@ def test_what_a_robot_sees_has_one_shape_in_teams_of_all_sizes(make):
             blocks = env.observation_blocks[agent]
             spaces.add(tuple((b.name, b.shape) for b in blocks.values()))
             seen = env.task.observe(env.facts)[agent]["mates"]
-            assert seen.shape == (2, MOST_MATES, 11)
+            assert seen.shape == (2, MOST_MATES, 12)
             assert (seen[:, :, 0].sum(axis=1) == count - 1).all()
             assert not seen[:, count - 1 :].any()
     assert len(spaces) == 1
 
 
-def test_a_robot_sees_how_many_goals_its_mates_have_left(make):
-    # Who goes first depends on it.
+def test_a_robot_sees_whose_turn_it_is(make):
+    # Who has more goals left goes first, and of equal ones the first.
     env = make(4)
     for _ in range(40):
         env.step(env.expert())
@@ -210,14 +210,18 @@ def test_a_robot_sees_how_many_goals_its_mates_have_left(make):
     assert all((done[agent] > 0).any() for agent in env.agents)
     for agent, mate in zip(env.agents, env.agents[::-1], strict=True):
         left = 1.0 - done[mate] / env.task.config.goals
-        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], left)
+        seats = (1 if agent == "robot_1" else -1) / MOST_MATES
+        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], seats)
+        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 2], left)
         np.testing.assert_array_equal(seen[mate]["goals left"][:, 0], left)
 
 
 def test_equal_seats_of_a_ring_see_equal_worlds(make):
-    # Every second arm of a full ring starts alike.
+    # Every second arm of a full ring starts alike, but for whose turn it is.
     env = make(1, "ReachPandas4-v0", randomization=cg.Randomization(0, 0, 0, 0))
     seen = env.task.observe(env.facts)
+    for agent in env.agents:
+        seen[agent]["mates"] = np.delete(seen[agent]["mates"], 1, axis=2)
     for name, block in seen["robot_1"].items():
         np.testing.assert_allclose(block, seen["robot_3"][name], atol=1e-6)
 

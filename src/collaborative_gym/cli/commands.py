@@ -50,9 +50,8 @@ class List(Command):
 
         show(environments_table(self.sizes))
         show(
-            f"\nAny robots ({', '.join(list_robots())}) go into any task"
-            f" ({', '.join(list_tasks())}),\n"
-            "but in Lift they must be about as strong:\n"
+            f"\nAny robots ({', '.join(list_robots())})\ngo into any task"
+            f" ({', '.join(list_tasks())});\nin Lift, only about equally strong ones:\n"
             "  collaborative-gym record Lift --robots panda jaco --output lift.mp4"
         )
 

@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from importlib import import_module
-from itertools import chain, count
+from itertools import chain, count, islice
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -39,6 +39,9 @@ _SAME_SPREAD = 0.01
 
 _HOLD = 1.0
 """Time for which a film shows the end of an episode, in s."""
+
+_BEGIN = 100
+"""Frames of a GIF by which its colours are chosen."""
 
 _LONGEST = 36_000.0
 """Greatest length of a film, in s."""
@@ -335,7 +338,7 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     """
     picture = _import("PIL.Image").fromarray(frame)
     pen = _import("PIL.ImageDraw").Draw(picture)
-    load, size = _import("PIL.ImageFont").load_default, max(9, frame.shape[0] // 14)
+    load, size = _import("PIL.ImageFont").load_default, max(9, frame.shape[0] // 18)
     room = frame.shape[1] - size
 
     def width() -> float:
@@ -344,11 +347,9 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     if width() > room:
         text = text.replace("  ", "\n", 1)
     font = load(size=max(9, min(size, int(size * room / width()))))
-    place = size // 2, size // 3
-    # Arms and floors are pale.
-    pen.text(
-        place, text, "white", font, stroke_width=1 + size // 9, stroke_fill="black"
-    )
+    *_, right, down = pen.textbbox((size // 2, size // 3), text, font)
+    pen.rectangle((0, 0, right + size // 2, down + size // 3), "#202428")
+    pen.text((size // 2, size // 3), text, "white", font)
     return np.asarray(picture)
 
 
@@ -389,14 +390,19 @@ def _feed(encoder: subprocess.Popen[bytes], frames: Iterable[np.ndarray]) -> Non
 def _write_gif(output: Path, frames: Frames, rate: float) -> None:
     image = _import("PIL.Image")
     with replacing(output) as partial:
-        # One palette for all frames: one for each makes colours flicker.
-        first = image.fromarray(next(frames)).quantize(dither=image.Dither.NONE)
-        rest: Iterable[Any] = (
-            image.fromarray(frame).quantize(palette=first, dither=image.Dither.NONE)
-            for frame in frames
-        )
-        options = {"append_images": rest, "duration": round(1000 / rate), "loop": 0}
-        _save(first, partial, output, format="GIF", save_all=True, **options)
+        # One palette for all frames: one for each makes colours flicker. Most of it is
+        # that of the largest areas, the rest that of what is small or comes later.
+        begin = list(islice(frames, _BEGIN))
+        sample = image.fromarray(np.concatenate(begin[:: len(begin) // 8 + 1]))
+        palette = image.new("P", (1, 1))
+        parts = sample.quantize(208), sample.quantize(48, image.Quantize.MAXCOVERAGE)
+        palette.putpalette([c for part in parts for c in part.getpalette()])
+        options = {"palette": palette, "dither": image.Dither.NONE}
+        all_frames = map(image.fromarray, chain(begin, frames))
+        shots = (frame.quantize(**options) for frame in all_frames)
+        first = next(shots)
+        more = {"append_images": shots, "duration": round(1000 / rate), "loop": 0}
+        _save(first, partial, output, format="GIF", save_all=True, **more)
 
 
 def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:

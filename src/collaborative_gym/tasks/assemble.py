@@ -18,8 +18,9 @@ All parts have one pose once they are assembled. A part's goal is that of the bl
 for the block it is the target. The pin's is 0.14 m before it while the peg is not in.
 
 Each arm observes, in the frame of its own base: its tool centre point, its part, that
-part's goal, and how much of their way into the block peg and pin are in (0 to 1). The
-block `mates` has of each other arm: 1, how many seats away it is (as a share of 7),
+part's goal, how far the block is from its own goal and turned from it, and how much of
+their way into the block peg and pin are in (0 to 1). The
+set `mates` has of each other arm: 1, how many seats away it is (as a share of 7),
 whether it grips, and from the own tool centre point to that arm's.
 
 Reward of each agent:
@@ -146,6 +147,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         **dict.fromkeys(("tcp", "part", "goal"), POSE),
+        "block": "m; rad",
     }
     expert = player.expert
 
@@ -299,7 +301,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
 
     def observe(self, facts: AssembleFacts) -> dict[str, Blocks]:
         xp, frames = array_namespace(facts.stage), self._frames
-        kind, seen = facts.stage.dtype, {}
+        kind, seen, first = facts.stage.dtype, {}, self.agents[0]
         grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
         for agent in self.agents:
             seen[agent] = {
@@ -308,6 +310,8 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
                 "tcp": math.pose(*frames.pose(agent, facts.tcp[agent])),
                 "part": math.pose(*frames.pose(agent, facts.parts[agent])),
                 "goal": math.pose(*frames.pose(agent, facts.goals[agent])),
+                # Whoever pushes must see whether the block gives way.
+                "block": xp.stack([facts.to_goal[first], facts.turn[first]], axis=1),
                 "inside": facts.inside[:, 1:],
                 "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
             }

@@ -24,9 +24,10 @@ Coordination: `stage` is the share of all goals that were reached, `idle` the me
 of the arms that waited, as in Lift.
 
 The observation is the same for teams of all sizes. `mates` is a set of seven elements,
-one for each mate in the order of the ring and zeros for the others: 1, the share of its
-goals that is left, and the places of its tcp, its elbow and its goal. Places are in the
-frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
+one for each mate in the order of the ring and zeros for the others: 1, how many seats
+after the robot's own it has (of equal arms the first one goes), the share of its goals
+that is left, and the places of its tcp, its elbow and its goal. Places are in the frame
+of the robot's own base, and `goal` and `mates` begin at its own tcp.
 
 Teamwork is what is hard. The expert lets one of two arms whose ways cross go first. If
 it looks at nobody, it touches another arm in most episodes. Each goal lies where
@@ -77,6 +78,7 @@ from collaborative_gym.tasks.task import (
 from collaborative_gym.tasks.teams import (
     Frames,
     add_team_camera,
+    away,
     mates_block,
     mates_of,
 )
@@ -159,7 +161,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
         "tcp": "m",
         "tcp velocity": "m/s",
         "goal": "m",
-        "mates": "present; share; m",
+        "mates": "present; share; share; m",
     }
     expert = player.expert
 
@@ -337,9 +339,9 @@ class Reach(Task[ReachConfig, ReachFacts]):
         return seen
 
     def _mates(self, agent: str, facts: ReachFacts) -> Array:
-        """Return the goals left, tcp, elbow and goal of each mate, places from its tcp.
+        """Return seat, goals left, and places of tcp, elbow and goal of each mate.
 
-        They are (num_envs, 7, 11); see `mates_block`.
+        They are (num_envs, 7, 12); see `mates_block`.
         """
         tcp, mates = facts.tcps[agent][0], mates_of(self.agents, agent)
         places = [
@@ -351,7 +353,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
         xp, rows = array_namespace(tcp), []
         for i, mate in enumerate(mates):
             left = self._left(facts, mate)
-            rows.append(xp.concat([left, *turned[3 * i : 3 * i + 3]], axis=1))
+            seats = 0.0 * left + away(self.agents, agent, mate)
+            rows.append(xp.concat([seats, left, *turned[3 * i : 3 * i + 3]], axis=1))
         return mates_block(rows)
 
     def _left(self, facts: ReachFacts, agent: str) -> Array:

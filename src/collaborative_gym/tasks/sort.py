@@ -206,7 +206,7 @@ class Sort(Task[SortConfig, SortFacts]):
                 site, most = f"cube_{j + 1}/centre", config.picking_threshold
                 scene.add_grip(self.agents[i], site, threshold=most, width=0.05)
         wide = np.ptp(self.seats) + 1.5
-        eye = np.array([0.35 * wide + 0.7, -0.42 * wide - 0.7, 0.35 * wide + 1.2])
+        eye = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 1.1])
         across = np.array([0.77, 0.64, 0.0])
         away = eye - [0.0, 0.0, 0.6]
         scene.add_camera(eye, (*across, *np.cross(away, across)))

@@ -1,6 +1,6 @@
 """Observations in teams of any size: a robot's own frame, and its team as a set."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -19,8 +19,8 @@ MOST_JOINTS = 7
 
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
-_TALL, _MARGIN = 0.7, 0.2  # m, of an arm at work in a picture, and around it
-_SLOPE = 0.65  # how steeply a camera looks down at a team
+_TALL, _MARGIN = 0.7, 0.1  # m, of an arm at work in a picture, and around it
+_SLOPE = 0.9  # how steeply a camera looks down at a team
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
 
@@ -37,6 +37,12 @@ def mates_of(agents: Sequence[str], agent: str) -> tuple[str, ...]:
     """Return the other agents in their order, beginning after this one."""
     i = list(agents).index(agent)
     return (*agents[i + 1 :], *agents[:i])
+
+
+def away(agents: Iterable[str], agent: str, mate: str) -> float:
+    """Return how many seats after an agent a mate is, as a share of `MOST_MATES`."""
+    seats = list(agents)
+    return (seats.index(mate) - seats.index(agent)) / MOST_MATES
 
 
 def mates_block(rows: Sequence[Array]) -> Array:
@@ -79,12 +85,12 @@ def hands_block(
       grips: 1 where an agent grips, else 0, (num_envs, 1).
       more: numbers that follow in a mate's row, (num_envs, k).
     """
-    agents, here, rows = [*tcps], tcps[agent][0], []
-    xp, mates = array_namespace(here), mates_of([*tcps], agent)
+    here, mates, rows = tcps[agent][0], mates_of([*tcps], agent), []
+    xp = array_namespace(here)
     ways = frames.directions(agent, [tcps[mate][0] - here for mate in mates])
     for mate, apart in zip(mates, ways, strict=True):
-        away = (agents.index(mate) - agents.index(agent)) / MOST_MATES
-        row = [0.0 * grips[mate] + away, grips[mate], apart]
+        seats = 0.0 * grips[mate] + away(tcps, agent, mate)
+        row = [seats, grips[mate], apart]
         rows.append(xp.concat([*row, more[mate]] if more else row, axis=1))
     return mates_block(rows)
 

@@ -162,7 +162,7 @@ class Tug(Task[TugConfig, TugFacts]):
             scene.add(f"{agent}_line", line(colour), position=place)
         scene.add_pose_sensor("bar", "bar/bar")
         scene.add_velocity_sensor("bar", "bar/bar")
-        scene.add_camera((2.0, 0.0, 1.5), (0, 1, 0, -0.24, 0, 1))
+        scene.add_camera((1.7, 0.0, 1.43), (0, 1, 0, -0.25, 0, 1))
 
     def _check_placements(self) -> None:
         first, second = self.placements.values()

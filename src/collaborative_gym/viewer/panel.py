@@ -38,9 +38,9 @@ const gl = document.createElement("canvas").getContext("webgl");
 const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
 const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
 const labels = [...document.querySelectorAll("label")];
-const shadows = labels.find(label => label.textContent == %s);
+const shadows = labels.find(label => label.textContent == %s)?.control;
 const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
-if (!window.isKnown && isSlow && shadows && shadows.control.checked) shadows.click();
+if (!window.isKnown && isSlow && shadows?.checked) shadows.click();
 window.isKnown = true;
 """
 """Script of a tab that has the panel. It sets the title, and unticks the shadows if

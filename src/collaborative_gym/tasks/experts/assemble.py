@@ -23,16 +23,16 @@ HEIGHT = 0.64  # m of the tables
 WAIT = 0.14  # m before its hole, where a part waits
 
 _DOWN = np.array([0.0, 0.0, -1.0])
-_ABOVE = {"slack": 0.004, "least": 0.0, "most": 0.08}
-_CLOSE, _EVEN = 0.006, 0.05  # m and rad, of a hand from the knob, with which it grips
+_ABOVE = {"slack": 0.012, "least": 0.0, "most": 0.08}
+_CLOSE, _EVEN = 0.018, 0.2  # m and rad, of a hand from the knob, with which it grips
 _LIFT = 0.1  # m above where it lay, to where a part is lifted straight up
 _LIFTED = 0.08  # m, from where on it goes on
 _FAR = 0.3  # m across the floor, from which on an arm swings instead of going straight
-_READY, _STRAIGHT = 0.01, 0.03  # m and rad, of a block that a peg may go into
-_BEFORE, _IN_LINE = 0.02, 0.004  # m beside its hole, where a part waits, and goes in
+_READY, _STRAIGHT = 0.02, 0.08  # m and rad, of a block that a peg may go into
+_BEFORE, _IN_LINE = 0.03, 0.008  # m beside its hole, where a part waits, and goes in
 _STEP, _OUTSIDE = 0.02, 0.04  # m by which it goes in at a time, and away where it waits
 _CLEAR = 0.008  # m before its hole, where it is brought in line
-_MOVED, _TURNED = 0.008, 0.1  # m by which a block may be pushed away, and m for 1 rad
+_MOVED, _TURNED = 0.015, 0.1  # m by which a block may be pushed away, and m for 1 rad
 # Shares of their way: from where on a part goes all the way, and the peg is in.
 _INSIDE, _SEATED = 0.2, 0.95
 

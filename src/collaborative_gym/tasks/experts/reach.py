@@ -5,7 +5,7 @@ base to its tcp. Drawn back and put out again, it sweeps no other room than thos
 So it goes only where the lines that it will sweep are clear of all other arms.
 """
 
-from itertools import permutations
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,9 +101,11 @@ def _right_of_way(
     needed = np.where(rested, _ROOM + _MORE, _ROOM)
     room = np.where(rested, _ROOM_AT_REST, _ROOM - _MORE)
     fits, is_clear = np.ones((2, len(done), count, count), bool)
-    for i, j in permutations(range(count), 2):
-        fits[:, i, j] = _gap(sweeps[:, i], sweeps[:, j]) > needed[:, i]
+    for i, j in combinations(range(count), 2):
+        gap = _gap(sweeps[:, i], sweeps[:, j])
+        fits[:, i, j], fits[:, j, i] = gap > needed[:, i], gap > needed[:, j]
         is_clear[:, i, j] = _gap(sweeps[:, i], now[:, j]) > room[:, j]
+        is_clear[:, j, i] = _gap(sweeps[:, j], now[:, i]) > room[:, i]
     order = np.argsort(done + np.arange(count) / count, axis=1, kind="stable")
     goes, worlds = np.zeros(done.shape, bool), np.arange(len(done))
     for first in order.T:
