@@ -20,6 +20,7 @@ from collaborative_gym.cli.terminal import (
     Worlds,
     check_files,
     continuing,
+    option,
     progress_bars,
     put,
     read_policies,
@@ -96,14 +97,8 @@ class Record(Watched, _Policy):
     beside: Annotated[
         Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
-    seconds: Annotated[
-        float | None,
-        tyro.conf.arg(metavar="FLOAT", help_behavior_hint="(default: 10)"),
-    ] = None
-    only_episodes: Annotated[
-        tuple[int, ...],
-        tyro.conf.arg(metavar="INDEX ...", help_behavior_hint="(default: none)"),
-    ] = ()
+    seconds: Annotated[float | None, option("FLOAT", "10")] = None
+    only_episodes: Annotated[tuple[int, ...], option("INDEX ...", "none")] = ()
     size: Size = OWN_SIZE
     speed: float = 1.0
 

@@ -16,6 +16,7 @@ from collaborative_gym.cli.terminal import (
     check_files,
     continuing,
     drawn,
+    option,
     progress_bars,
     put,
     read_policies,
@@ -56,12 +57,7 @@ class Tournament(Measured):
     seats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="all | SEAT ...")] = (
         "all",
     )
-    groups: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(
-            metavar="KIND=PLAYER ...", help_behavior_hint="(default: by folder)"
-        ),
-    ] = ()
+    groups: Annotated[tuple[str, ...], option("KIND=PLAYER ...", "by folder")] = ()
     output: Folder = None
 
     def run(self) -> None:
@@ -206,10 +202,7 @@ class Compare:
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="RUN | FOLDER ...", help_behavior_hint="(required)"),
     ]
-    measure: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: completion)"),
-    ] = None
+    measure: Annotated[str | None, option("NAME", "completion")] = None
     output: Folder = None
     json: File = None
 
