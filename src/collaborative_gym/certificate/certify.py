@@ -207,16 +207,14 @@ class Work:
     def _costs(self) -> dict[str, int]:
         """Return about how many control steps a trial of each player takes."""
         budget = self._budget
-        judging = budget.episodes * self._task.config.max_episode_steps
+        length = self._task.config.max_episode_steps
+        judging = budget.episodes * length
         one = budget.rounds * budget.candidates * budget.motion_steps
         return {
             "expert": judging,
             "blind": judging + one * budget.training_starts,
             "search": one * budget.searched_starts,
-            "replay": budget.replays
-            * (1 + budget.training_starts)
-            * self._task.config.max_episode_steps
-            + judging,
+            "replay": judging + length * budget.replays * (1 + budget.training_starts),
             "ppo": budget.ppo_steps and judging + budget.ppo_steps,
         }
 

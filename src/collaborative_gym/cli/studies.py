@@ -149,11 +149,9 @@ class Report(Measured):
             raise ValueError("name the environments to report on")
         policies = read_policies(self.policies)
         tasks = {task.name: task for task in map(self.task, self.envs)}
-        pages = (
-            {}
-            if self.output is None
-            else {name: self.output / f"{name.replace('/', '_')}.md" for name in tasks}
-        )
+        pages: dict[str, Path] = {}
+        if self.output is not None:
+            pages = {n: self.output / f"{n.replace('/', '_')}.md" for n in tasks}
         check_files(*pages.values(), self.json)
         cards, besides = {}, (self.json,)
         with progress_bars() as progress:

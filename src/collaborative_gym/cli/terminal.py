@@ -183,9 +183,8 @@ class Watched(Played):
                     "--look takes the arm before its file, such as panda=panda.xml,"
                     f" got {word!r}"
                 )
-            files[look_up("robot of this team", name, dict.fromkeys(names, name))] = (
-                file
-            )
+            look_up("robot of this team", name, dict.fromkeys(names))
+            files[name] = file
         if not files:
             return task
         robots = [

@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 
 from collaborative_gym.envs.faces import RENDERING, Face, step_info
 from collaborative_gym.envs.gymnasium import SingleAgent
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
@@ -212,9 +212,7 @@ class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
 def _mode(given: AutoresetMode | str) -> AutoresetMode:
     modes = {mode.value: mode for mode in AutoresetMode}
     name = given.value if isinstance(given, AutoresetMode) else given
-    if name not in modes:
-        raise UnknownName(unknown("autoreset mode", name, modes))
-    return modes[name]
+    return look_up("autoreset mode", name, modes)
 
 
 def _chosen(mask: np.ndarray, one: Any, other: Any) -> Any:

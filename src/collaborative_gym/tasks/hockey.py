@@ -159,8 +159,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     @property
     def turns(self) -> dict[str, float]:
         """1 where an agent's frame is the table's, -1 where it is turned round."""
-        half = len(self.agents) // 2
-        return dict(zip(self.agents, [1.0] * half + [-1.0] * half, strict=True))
+        return dict.fromkeys(self.sides[0], 1.0) | dict.fromkeys(self.sides[1], -1.0)
 
     @property
     def lanes(self) -> dict[str, float]:

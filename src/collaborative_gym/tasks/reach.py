@@ -291,9 +291,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
         for i, agent in enumerate(self.agents):
             far[agent] = math.distance(tcps[agent][0], goals[agent])
             nearer[agent] = memory["before"][:, i] - far[agent]
-            is_there = (far[agent] < config.radius) & (
-                math.norm(speeds[agent]) < config.at_rest
-            )
+            is_still = math.norm(speeds[agent]) < config.at_rest
+            is_there = (far[agent] < config.radius) & is_still
             reached[agent] = is_there & (memory["done"][:, i] < config.goals)
             done[agent] = memory["done"][:, i] + reached[agent]
         rows = [xp.astype(own, xp.float64) for own in reached.values()]
