@@ -99,7 +99,9 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     """
     names = sorted(valid)
     lower = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(str(given).lower(), lower, n=1)
+    asked = str(given).lower()
+    near = difflib.get_close_matches(asked, lower, n=1)
+    near = near or [name for name in lower if asked and name.startswith(asked)]
     # Before the list, which may be long.
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"

@@ -71,6 +71,21 @@ def test_environments_of_one_name_are_told_apart_by_what_differs(
     ]
 
 
+def test_teams_of_one_task_are_told_apart_by_their_sizes(write_run, alter, tmp_path):
+    write_run("two", (1,))
+
+    def change(content):
+        robots = content["identity"]["robots"]
+        robots["robot_3"] = robots["robot_1"]
+
+    alter(write_run("three", (1,)) / "config.json", change)
+    titles = {each.title for each in group(tmp_path).groups}
+    assert titles == {
+        "CarryPandas-v0 (num_robots 2)",
+        "CarryPandas-v0 (num_robots 3)",
+    }
+
+
 def test_a_setting_that_older_runs_lack_is_no_difference(write_run, alter, tmp_path):
     write_run("new", (1,))
     old = write_run("old", (1,), seed=1) / "config.json"

@@ -46,7 +46,7 @@ class Plain:
         self.env, self.model = env, env.model
         self.data, self.first = mujoco.MjData(env.model), mujoco.MjData(env.model)
         mujoco.mj_forward(env.model, self.first)
-        self.found = dict.fromkeys((*STRAIN[:-1],), 0.0) | {"clearance": 1.0}
+        self.found = dict.fromkeys(STRAIN, 0.0) | {"clearance": 1.0}
         self.held, self.at_limit = [], []
         self.step, env.sim.step = env.sim.step, self.steps
 

@@ -4,7 +4,7 @@
 the makers' kinematics: position (m) and quaternion (w x y z) in the base frame. Without
 MuJoCo, UR5e's are from the URDF of airo-models 0.0.12, xArm7's from that of
 example-robot-data 6.0.0, Gen3's from the origins in ros2_kortex's gen3_macro.xacro, and
-those of FR3 and iiwa 14 from published Denavit-Hartenberg parameters.
+those of UR10e, FR3 and iiwa 14 from published Denavit-Hartenberg parameters.
 """
 
 import json
@@ -70,7 +70,9 @@ RANGES = {
         (-2.9761, 2.9761),
         (-4.7124, 4.7124),
     ],
-    "ur5e": [(-TURN, TURN)] * 2 + [(-np.pi, np.pi)] + [(-TURN, TURN)] * 3,
+    **dict.fromkeys(
+        ("ur5e", "ur10e"), [(-TURN, TURN)] * 2 + [(-np.pi, np.pi)] + [(-TURN, TURN)] * 3
+    ),
     "xarm7": [
         (-TURN, TURN),
         (-2.059, 2.0944),
@@ -90,6 +92,7 @@ VELOCITIES = {
     "panda": (2.175,) * 4 + (2.61,) * 3,
     "sawyer": (1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
     "ur5e": (np.pi,) * 6,
+    "ur10e": np.radians((120, 120, 180, 180, 180, 180)),
     "xarm7": (np.pi,) * 7,
 }
 
@@ -101,11 +104,12 @@ TORQUES = {
     "panda": (87.0,) * 4 + (12.0,) * 3,
     "sawyer": (80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
     "ur5e": (150.0,) * 3 + (28.0,) * 3,
+    "ur10e": (330.0, 330.0, 150.0) + (56.0,) * 3,
     "xarm7": (50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0),
 }
 
 ARM_MASSES = {"fr3": 17.891, "gen3": 8.188, "iiwa14": 30.61, "ur5e": 21.7}
-ARM_MASSES["xarm7"] = 11.317
+ARM_MASSES |= {"ur10e": 33.104, "xarm7": 11.317}
 HANDS = {"fr3": 0.76, "xarm7": 0.75156}
 """Of Robotiq's 2F-85, without an entry: 0.893 kg."""
 
@@ -257,8 +261,8 @@ def test_an_unknown_arm_is_refused_with_the_nearest():
         cg.get_robot("sawer")
     assert str(caught.value) == (
         "no robot 'sawer' (did you mean 'sawyer'?); robots: fr3, gen3, iiwa14, jaco,"
-        " panda, sawyer, ur5e, xarm7; for one of your own, import its file (--module"
-        " FILE)"
+        " panda, sawyer, ur10e, ur5e, xarm7; for one of your own, import its file"
+        " (--module FILE)"
     )
 
 

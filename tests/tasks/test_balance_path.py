@@ -135,3 +135,15 @@ def test_the_expert_follows_even_where_its_actions_come_late(env_id):
     for _ in range(160):
         env.step(env.expert())
     assert (env.facts.followed > 12.0).all()
+
+
+def test_arms_hold_the_board_in_postures_from_which_they_move_every_way():
+    """An FR3's nearest one is singular; from Jaco's first, a pose is 2.9 s away."""
+    env = make(1, cg.task("BalancePath", robots=("fr3", "jaco")))
+    env.sim.forward()
+    for agent, arm in env.scene.arms.items():
+        env.sim.qpos[:, arm.qpos] = env.task.postures[agent]
+        env.sim.forward()
+        place = env.sim.pose(f"{agent}/tcp")[0]
+        jacobian = np.concatenate(env.sim.jacobian(arm.hand, place), axis=1)[0]
+        assert np.linalg.svd(jacobian[:, arm.dof])[1].min() > 0.1

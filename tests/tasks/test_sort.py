@@ -36,9 +36,13 @@ def play(env, fault=None, agent=None, steps=250):
     return env.facts.put
 
 
-@pytest.mark.parametrize("robots", (("panda",) * 2, MIXED))
-def test_expert_sorts_all_and_nobody_fills_the_tote_of_an_arm_that_is_still(robots):
-    env = cg.VectorEnv(make_task("Sort", robots), 4, num_threads=1)
+@pytest.mark.parametrize(
+    ("robots", "grasp"), ((("panda",) * 2, "suction"), (MIXED, "magnet"))
+)
+def test_expert_sorts_all_and_nobody_fills_the_tote_of_an_arm_that_is_still(
+    robots, grasp
+):
+    env = cg.VectorEnv(make_task("Sort", robots, grasp=grasp), 4, num_threads=1)
     assert play(env).all()
     for i, agent in enumerate(env.agents):
         for fault in ("idle", "gripping"):

@@ -240,14 +240,18 @@ def group_runs(runs: Sequence[TrainedRun]) -> Grouping:
 
 def _environments(runs: Sequence[TrainedRun]) -> dict[str, str]:
     """Return names of the environments, by `_key`."""
-    by_key = {_key(run): run.identity for run in runs}
+    by_key = {}
+    for run in runs:
+        # Of teams, because a name that some lack is compared among the others.
+        size = {"num_robots": len(run.identity["robots"])}
+        by_key[_key(run)] = flat(run.identity) | size
     named: dict[str, str] = {}
     for key, identity in by_key.items():
         alike = [i for i in by_key.values() if i["name"] == identity["name"]]
-        differences = differing([flat(each) for each in alike])
+        differences = differing(alike)
         # The digest of an arm's files says little beside anything else.
         names = [n for n in differences if not n.endswith(".digest")] or differences
-        words = _words(flat(identity), names)
+        words = _words(identity, names)
         named[key] = f"{identity['name']} ({words})" if words else identity["name"]
     return named
 

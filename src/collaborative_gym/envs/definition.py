@@ -1,6 +1,6 @@
 """A task's definition, tried out once before anything is built on it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ from gymnasium.spaces import Box
 
 from collaborative_gym.blocks import Block, Layout
 from collaborative_gym.envs.starts import draw_starts
-from collaborative_gym.envs.wrists import UNIT, WRENCH, Wrists
+from collaborative_gym.envs.wrists import FELT, felt_blocks
 from collaborative_gym.errors import unknown
 from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
@@ -32,8 +32,10 @@ class Definition:
     sides: dict[str, tuple[str, ...]]  # the agents of each side, by its name
 
 
-def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Definition:
+def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     """Return the consequences of a task's definition, tried at an episode's start.
+
+    `feel` is `World.feel`.
 
     Raises:
       ValueError: if the task's methods return something that cannot be used, something
@@ -49,9 +51,8 @@ def try_out(task: Task, scene: Scene, sim: Sim, wrists: Wrists | None) -> Defini
     facts = task.measure(sim)
     blocks = task.observe(facts)
     trial.check_blocks(blocks)
-    if wrists is not None:
-        felt = wrists.read(sim)
-        blocks = {agent: {**own, WRENCH: felt[agent]} for agent, own in blocks.items()}
+    for agent, felt in feel(sim).items():
+        blocks = {**blocks, agent: {**blocks[agent], **felt_blocks(task.config, felt)}}
     idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
     terms = task.reward(facts, mode.commands(idle))
     trial.check_terms(terms)
@@ -130,7 +131,7 @@ class _Trial:
         is_real = self._sim.xp.isdtype(rows.dtype, "real floating")
         dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
         words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
-        units = {WRENCH: UNIT} | dict(task.block_units)
+        units = FELT | dict(task.block_units)
         unit = units.get(name, units.get(" ".join(words), ""))
         return Block(name, tuple(rows.shape[1:]), dtype, unit)
 

@@ -40,8 +40,11 @@ class Disturbances:
         self._bounds = bounds = task.config.randomization
         self._changes_models = any(getattr(bounds, name) for name in _OF_MODELS)
         self._blurs = bounds.position_noise > 0 or bounds.angle_noise > 0
-        feels = task.config.wrench != "off"
-        self._shakes = feels and any(getattr(bounds, name) for name in _OF_WRISTS)
+        config = task.config
+        # Columns of three forces, three torques and the force of the pads.
+        self._felt = slice(6 * (config.wrench == "off"), 6 + config.pad_force)
+        feels = self._felt.stop - self._felt.start
+        self._shakes = feels > 0 and any(getattr(bounds, name) for name in _OF_WRISTS)
         self.has_noise = self._blurs or self._shakes
         self._is_on = (
             self._changes_models
@@ -61,7 +64,7 @@ class Disturbances:
         self._is_late = np.zeros(worlds, bool)
         self._is_lost = np.zeros((worlds, steps, len(task.agents)), bool)
         if self._shakes:
-            shape = worlds, steps + 1, len(task.agents), 6
+            shape = worlds, steps + 1, len(task.agents), feels
             self._wrong = np.zeros(shape, np.float32)
         if self._blurs:
             # Single precision, because there is much of it, and observations have no
@@ -126,10 +129,15 @@ class Disturbances:
             self._wrong[env_ids] = self._draw_wrong(rng)
 
     def _draw_wrong(self, rng: EpisodeRandom) -> np.ndarray:
-        """Return the errors of sensors in wrists, (episodes, steps, agents, 6)."""
+        """Return the errors of sensors of force, (episodes, steps, agents, k)."""
         bounds, shape = self._bounds, self._wrong.shape[1:]
-        bias = np.repeat([bounds.force_bias, bounds.torque_bias], 3)
-        noise = np.repeat([bounds.force_noise, bounds.torque_noise], 3)
+        bias, noise = (
+            np.repeat([force, torque, force], [3, 3, 1])[self._felt]
+            for force, torque in (
+                (bounds.force_bias, bounds.torque_bias),
+                (bounds.force_noise, bounds.torque_noise),
+            )
+        )
         return rng.within(bias, shape[1:])[:, None] + rng.within(noise, shape)
 
     def _still(self, torques: np.ndarray) -> dict[str, np.ndarray]:
@@ -190,12 +198,12 @@ class Disturbances:
         sensed[:, self._turns] = math.multiply(turned, sensed[:, self._turns])
         return task.measure(sim.seen(qpos, sensed))
 
-    def feel(self, wrenches: dict[str, Array]) -> dict[str, Array]:
-        """Return wrenches by agent, (num_envs, 6), as the robots' sensors give them."""
+    def feel(self, felt: dict[str, Array]) -> dict[str, Array]:
+        """Return what arms feel, as `World.feel` does, as their sensors give it."""
         if not self._shakes:
-            return wrenches
+            return felt
         wrong = self._sim.xp.asarray(self._now(self._wrong).astype(float))
-        return {agent: w + wrong[:, i] for i, (agent, w) in enumerate(wrenches.items())}
+        return {agent: f + wrong[:, i] for i, (agent, f) in enumerate(felt.items())}
 
     def _now(self, drawn: np.ndarray) -> np.ndarray:
         """Return the draws for the present step of each world."""

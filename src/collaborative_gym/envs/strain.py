@@ -26,6 +26,9 @@ otherwise:
 - `wrist_force`, `wrist_torque`: the greatest force and torque that an arm feels at its
   wrist, in N and N m, `compensated` as `envs.wrists` says.
 - `internal_force_mean`: its mean over the time in which two arms or more hold it.
+- `pad_force`: the greatest force with which each of a hand's two pads presses what it
+  holds, in N: the gripper's in `pinch`, in `friction` half of what all contacts of its
+  fingers press with along their normals, and 0 in other grasps.
 
 Tools are parts of their arms. Shapes that cannot collide have no clearance.
 
@@ -73,6 +76,7 @@ _BLANK = {
     "wrist_torque": 0.0,
     "internal_force": 0.0,
     "internal_force_mean": 0.0,
+    "pad_force": 0.0,
 }
 """The clearance with which an episode begins; larger ones are not measured."""
 
@@ -163,6 +167,7 @@ class Strain:
 
     def __init__(self, scene: Scene, sim: CpuSim, mode: ActionMode):
         self._sim, self._mode, model = sim, mode, sim.model
+        self._scene = scene
         arms = list(scene.arms.values())
         self._servos = np.r_[*(arm.servos for arm in arms)]
         self._dofs = np.r_[*(arm.dof for arm in arms)]
@@ -242,6 +247,9 @@ class Strain:
             "torque_limit_share": (torque >= _AT_LIMIT * limit).mean(axis=2),
             "torque_over_limit": np.max(applied / limit, axis=2),
         }
+        if self._scene.grips:
+            forces = self._scene.hands.pad_forces(sensed, records["eq_active"])
+            found["pad_force"] = forces.max(axis=-1)
         felt = np.stack([*self._wrists.sensed(sensed).values()])
         for name, own in zip(("force", "torque"), np.split(felt, 2, -1), strict=True):
             found[f"wrist_{name}"] = math.norm(own).max(axis=0)

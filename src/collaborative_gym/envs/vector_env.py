@@ -484,6 +484,6 @@ class VectorEnv:
     def _seen(self) -> Observations:
         """Return what the robots see of the present state."""
         world, felt = self.world, {}
-        if world.wrists is not None:
+        if world.feels:
             felt = self._disturbances.feel(world.feel(self.sim))
         return world.flat(self._disturbances.see(self.facts), felt, self.sim.xp)

@@ -36,6 +36,7 @@ class World:
       mode: the class of what actions mean.
       definition: spaces, names and sides, as the task's methods come to them.
       wrists: what reads the wrenches at the wrists; None if nobody observes them.
+      feels: whether arms observe them, or the force of their pads.
       has_strain: whether the sensors that measure strain are in it.
     """
 
@@ -46,8 +47,11 @@ class World:
         self.task.build(self.scene)
         self.mode.add_drives(self.scene)
         wrench, self.wrists = task.config.wrench, None
+        self.feels = wrench != "off" or task.config.pad_force
         if strain or wrench != "off":
             add_wrist_sensors(self.scene)
+        if strain or task.config.pad_force:
+            self.scene.add_pad_sensors()
         if strain:
             add_strain_sensors(self.scene)
         self.model = self.scene.compile()
@@ -57,7 +61,7 @@ class World:
         self.task.setup(self.scene, sim, action_mode=mode)
         if wrench != "off":
             self.wrists = Wrists(self.scene, self.model, is_raw=wrench == "raw")
-        self.definition = try_out(self.task, self.scene, sim, self.wrists)
+        self.definition = try_out(self.task, self.scene, sim, self.feel)
 
     @classmethod
     def of(cls, task: Task, *, strain: bool = False) -> "World":
@@ -87,12 +91,29 @@ class World:
         return sim, self.mode(self.scene, sim, self.task.gripping)
 
     def feel(self, sim: CpuSim) -> dict[str, Array]:
-        """Return the wrenches at the wrists by agent; none if nobody observes them."""
-        if self.wrists is None:
+        """Return what arms feel by agent, (num_envs, k); nothing if none observes it.
+
+        These are the wrench at the wrist, the force of the pads, or both.
+        """
+        scene, xp = self.scene, sim.xp
+        if not self.feels:
             return {}
-        if self.scene.grips:
-            self.scene.hands.renew(sim)
-        return self.wrists.read(sim)
+        if scene.grips:
+            scene.hands.renew(sim)
+        sim.feel()
+        felt = {agent: sim.qpos[:, :0] for agent in scene.arms}
+        forces, sensed = sim.qpos[:, :0], sim.sensordata
+        if self.wrists is not None:
+            felt |= self.wrists.sensed(sensed)
+        if not self.task.config.pad_force:
+            return felt
+        if scene.grips:
+            forces = scene.hands.pad_forces(sensed, sim.eq_active)
+        for agent, rows in felt.items():
+            own = [i for i, grip in enumerate(scene.grips) if grip.agent == agent]
+            force = xp.sum(forces[:, own], axis=1, keepdims=True)
+            felt[agent] = xp.concat([rows, force], axis=1)
+        return felt
 
     def flat(self, facts: Any, felt: Mapping[str, Array], xp: Any) -> dict[str, Array]:
         """Return all blocks by agent, one after the other, (num_envs, k) float32."""

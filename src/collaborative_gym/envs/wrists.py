@@ -16,10 +16,10 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.robots.model_file import kinematics
 from collaborative_gym.scene import Scene
-from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks.task import TaskConfig
 
-WRENCH, UNIT = "wrench", "N; N m"
-"""Name and unit of its block in observations, (num_envs, 6)."""
+FELT = {"wrench": "N; N m", "pad force": "N"}
+"""Names and units of the blocks in observations, (num_envs, 6) and (num_envs, 1)."""
 
 _NAME = "{}/wrist that feels"  # which a model file is unlikely to give to a site
 _SENSES = mujoco.mjtSensor
@@ -42,6 +42,13 @@ def add_wrist_sensors(scene: Scene) -> None:
             scene.spec.add_sensor(name=f"{name}: {what}", type=kind, **at)
 
 
+def felt_blocks(config: TaskConfig, felt: Array) -> dict[str, Array]:
+    """Return by name what an arm feels, (num_envs, k), of what is switched on."""
+    wrench, pads = felt[:, :6], felt[:, -1:]
+    on = (wrench, config.wrench != "off"), (pads, config.pad_force)
+    return {name: rows for name, (rows, is_on) in zip(FELT, on, strict=True) if is_on}
+
+
 class Wrists:
     """Reads wrenches, raw or compensated, in worlds that had `add_wrist_sensors`."""
 
@@ -60,11 +67,6 @@ class Wrists:
             centre = data.site_xmat[arm.tcp].reshape(3, 3).T @ centre
             columns = [*map(slice, starts, ends)]
             self._wrists[agent] = columns, float(model.body_subtreemass[link]), centre
-
-    def read(self, sim: Sim) -> dict[str, Array]:
-        """Return the present wrenches by agent, (num_envs, 6)."""
-        sim.feel()
-        return self.sensed(sim.sensordata)
 
     def sensed(self, sensordata: Array) -> dict[str, Array]:
         """Return the wrenches of sensor values (..., n) by agent, (..., 6)."""

@@ -30,6 +30,7 @@ _STRAIN_FORMS = {
     "internal_force": (1.0, " N"),
     "wrist_force": (1.0, " N"),
     "wrist_torque": (1.0, " N m"),
+    "pad_force": (1.0, " N"),
     "torque_limit_share": (1e2, " %"),
     "torque_over_limit": (1.0, ""),
     "speed_over_limit": (1.0, ""),

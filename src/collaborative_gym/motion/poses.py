@@ -11,6 +11,7 @@ from collaborative_gym import math
 from collaborative_gym.math import Array
 from collaborative_gym.motion.once import found_once
 from collaborative_gym.motion.solver import (
+    DAMPING,
     Chains,
     descend,
     greatest,
@@ -21,7 +22,8 @@ from collaborative_gym.motion.steering import shortened
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
 
-_DRAWS = 24  # from how many postures `central_pose` chooses
+_DRAWS = 24, 96  # from how many postures `central_pose` chooses, at first and then
+_LONG = 2.0  # s from a posture to another pose, with which it draws once more
 _WAY_TRIES = 10  # starts that `quickest_way` tries for each pose
 _WAYS_DRAWN = 256  # postures with which `safest_way` begins
 _ROOM = 0.1  # rad that it leaves to the joints' limits
@@ -216,9 +218,10 @@ def central_pose(
 ) -> np.ndarray:
     """Return joint angles for the first pose from which the others are soonest reached.
 
-    Many postures are drawn around the arm's home. Among those that touch nothing, it is
-    the one from which the slowest joint needs the least time to the farthest of the
-    other poses. Each pose out of reach counts as one second more.
+    Many postures are drawn around the arm's home, and more where none will do. Among
+    those that touch nothing, it is the one from which the slowest joint needs the least
+    time to the farthest of the other poses. Each pose out of reach counts as one second
+    more. A nearly singular posture is taken only if there is no other.
 
     Args:
       model: the compiled world.
@@ -229,21 +232,29 @@ def central_pose(
     Raises:
       ValueError: if the first pose is out of reach.
     """
-    chains, rng = Chains(model, [arm]), np.random.default_rng(0)
-    spreads = [0.0] + [0.3 + 1.5 * i / _DRAWS for i in range(1, _DRAWS)]
-    drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
-    start = np.array(arm.robot.home) + drawn
-    [angles], fits = hold(chains, poses[:1], near=[start])
-    times = np.zeros(_DRAWS)
-    for pose in poses[1:]:
-        [there], reached = hold(chains, [pose], near=[angles])
-        slowest = (np.abs(there - angles) / arm.robot.velocity_limits).max(axis=1)
-        times = np.maximum(times, slowest) + ~reached
-    touches = _touches(model, arm, angles)
-    times = np.where(fits & ~touches, times, np.inf)
-    if np.isinf(times).all():
+    chains = Chains(model, [arm])
+    for draws in _DRAWS:
+        rng, times, longest = np.random.default_rng(0), np.zeros(draws), np.zeros(draws)
+        spreads = [0.0] + [0.3 + 1.5 * i / draws for i in range(1, draws)]
+        drawn = np.array([rng.uniform(-s, s, arm.num_joints) for s in spreads])
+        start = np.array(arm.robot.home) + drawn
+        [angles], fits = hold(chains, poses[:1], near=[start])
+        for pose in poses[1:]:
+            [there], reached = hold(chains, [pose], near=[angles])
+            slowest = (np.abs(there - angles) / arm.robot.velocity_limits).max(axis=1)
+            times = np.maximum(times, slowest) + ~reached
+            longest = np.maximum(longest, slowest)
+        rows = np.zeros(draws, int)
+        jacobian = chains.of(rows).at(angles, rows)[2]
+        # There, the damping of steering would be most of what moves the tcp.
+        times += 1e3 * (np.linalg.svd(jacobian)[1].min(axis=1) < DAMPING)
+        times[~fits | _touches(model, arm, angles)] = np.inf
+        best = times.argmin()
+        if longest[best] < _LONG:
+            break
+    if np.isinf(times[best]):
         return solve_pose(model, arm, goal=poses[0], start=arm.robot.home)
-    return angles[times.argmin()]
+    return angles[best]
 
 
 @found_once

@@ -11,6 +11,7 @@ from collaborative_gym.robots.panda import PANDA
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.robots.sawyer import SAWYER
 from collaborative_gym.robots.ur5e import UR5E
+from collaborative_gym.robots.ur10e import UR10E
 from collaborative_gym.robots.xarm7 import XARM7
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "PANDA",
     "SAWYER",
     "UR5E",
+    "UR10E",
     "XARM7",
     "Gripper",
     "Robot",
@@ -29,7 +31,7 @@ __all__ = [
     "register_robot",
 ]
 
-_ARMS = SAWYER, PANDA, JACO, UR5E, XARM7, GEN3, FR3, IIWA14
+_ARMS = SAWYER, PANDA, JACO, UR5E, UR10E, XARM7, GEN3, FR3, IIWA14
 _ROBOTS = {robot.name: robot for robot in _ARMS}
 
 

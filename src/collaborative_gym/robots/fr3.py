@@ -20,6 +20,5 @@ FR3 = Robot(
     armature=(0.606, 0.606, 0.462, 0.462, 0.206, 0.206, 0.206),
     payload=3.0,
     reach=0.855,
-    stand="table",
     gripper=PANDA.gripper,
 )

@@ -26,6 +26,5 @@ GEN3 = Robot(
     payload=4.0,
     # To the tcp, as that of Jaco; the data sheet's 0.902 m end before the hand.
     reach=1.05,
-    stand="table",
     gripper=ROBOTIQ_2F85,
 )

@@ -21,6 +21,5 @@ IIWA14 = Robot(
     # The elbow turns to 120 degrees, so the wrist comes no nearer to the shoulder than
     # half of them, and places that suit an arm of 0.82 m are too near.
     reach=1.09,
-    stand="table",
     gripper=ROBOTIQ_2F85,
 )

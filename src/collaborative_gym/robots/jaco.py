@@ -26,7 +26,6 @@ JACO = Robot(
     armature=(0.8,) * 4 + (0.15,) * 3,
     payload=2.4,
     reach=0.985,
-    stand="table",
     gripper=Gripper(
         joints=("finger1", "finger2", "finger3"),
         open_position=0.2,

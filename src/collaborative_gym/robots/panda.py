@@ -26,7 +26,6 @@ PANDA = Robot(
     armature=(0.5, 0.4, 0.3, 0.3, 0.1, 0.1, 0.1),
     payload=3.0,
     reach=0.855,
-    stand="table",
     gripper=Gripper(
         joints=("left_finger", "right_finger"),
         # Short of the joint's limit, which costs time to compute when it is touched.

@@ -39,6 +39,5 @@ UR5E = Robot(
     # them robot_2 of Pass would reach robot_1's table. With 0.93 m and more, the pot of
     # Lift would be as far away as one arm can just hold it.
     reach=0.9,
-    stand="table",
     gripper=ROBOTIQ_2F85,
 )

@@ -19,7 +19,6 @@ XARM7 = Robot(
     payload=3.5,
     # To the tcp, as that of Jaco; the data sheet's 0.7 m end before the hand.
     reach=0.9,
-    stand="table",
     gripper=Gripper(
         joints=("left_finger", "right_finger"),
         # Short of the joint's limit, which costs time to compute when it is touched.

@@ -19,10 +19,12 @@ Place = tuple[mujoco.mjtObj, str]
 """A body, or a tree of bodies, as contact sensors name them."""
 
 _TREE, _BODY = mujoco.mjtObj.mjOBJ_XBODY, mujoco.mjtObj.mjOBJ_BODY
-DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1
-_NET = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value, 3
+DEEPEST = 1 << mujoco.mjtConDataField.mjCONDATA_DIST.value, 1, 1
+_FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
+_NET, EACH = (_FORCE, 3, 1), (_FORCE, 0, 8)
 """What a contact sensor measures, and how it sums up many contacts: the distance of the
-deepest (`mindist`), or the force of all (`netforce`)."""
+deepest (`mindist`), the force of all (`netforce`), or the force of each of eight, of
+which the first component is along the contact's normal."""
 
 
 def contact_pairs(
@@ -61,7 +63,7 @@ def add_contact_sensor(
     one: Place,
     other: Place = (mujoco.mjtObj.mjOBJ_UNKNOWN, ""),
     *,
-    fields: tuple[int, int] = _NET,
+    fields: tuple[int, int, int] = _NET,
 ) -> None:
     """Add a sensor of a place's contacts with another, or with all: their net force."""
     spec.add_sensor(
@@ -71,7 +73,7 @@ def add_contact_sensor(
         objname=one[1],
         reftype=other[0],
         refname=other[1],
-        intprm=[*fields, 1],
+        intprm=fields,
     )
 
 

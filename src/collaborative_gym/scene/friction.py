@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 
-from collaborative_gym.math import Array
+from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.contacts import DEEPEST, add_contact_sensor
 from collaborative_gym.scene.handles import Arm, Grip
@@ -59,11 +59,15 @@ class Fingers(Hands):
     """Hands that hold what two of their fingers touch."""
 
     def _find(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
-        self._touches = []
+        self._touches, self._normals = [], []
+        felt = [model.sensor(i).name for i in range(model.nsensor)]
         for grip, robot in zip(self._grips, robots, strict=True):
             count = len(robot.gripper.joints)
             names = [f"{grip.name} by {i}" for i in range(count)]
             self._touches.append(columns(model, names)[:, 0])
+            names = [f"{grip.name} pressed by {i}" for i in range(count)]
+            if names[0] in felt:
+                self._normals.append(columns(model, names)[:, ::3].ravel())
 
     def is_held(self, sim: Sim) -> Array:
         xp, sensed = sim.xp, sim.sensordata
@@ -72,6 +76,11 @@ class Fingers(Hands):
             for own in self._touches
         ]
         return xp.stack(counts, axis=1) > 1
+
+    def pad_forces(self, sensordata: Array, eq_active: Array) -> Array:
+        xp = array_namespace(sensordata)
+        normals = (xp.abs(sensordata[..., own]) for own in self._normals)
+        return xp.stack([xp.sum(own, axis=-1) / 2 for own in normals], axis=-1)
 
     def ways(self, sim: Sim) -> Array:
         sensed = sim.sensordata

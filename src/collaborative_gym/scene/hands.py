@@ -34,9 +34,10 @@ class Grasp:
       closes: whether the fingers close to the thing's width while they hold.
       draws: whether a thing is drawn to the tcp, and does not stay where it was taken.
       touches: whether fingers collide with things, and hold nothing but by contacts.
+      presses: whether two pads press what they hold.
     """
 
-    memory, closes, draws, touches = 0, True, True, False
+    memory, closes, draws, touches, presses = 0, True, True, False, False
 
     def add(self, spec: mujoco.MjSpec, grip: Grip, robot: Robot) -> None:
         """Add what a grip needs to a world that has the robot and its palm."""
@@ -105,7 +106,7 @@ class Patch(Grasp):
 class Pinch(Patch):
     """Two pads that press."""
 
-    size, _friction = 0.02, 1.0
+    presses, size, _friction = True, 0.02, 1.0
 
     def strength(self, robot: Robot) -> float:
         if not robot.gripper.pad_force:
@@ -189,6 +190,15 @@ class Hands:
         held = self.is_held(sim)
         return reduce(or_, (held[:, i] for i in np.flatnonzero(own).tolist()))
 
+    def pad_forces(self, sensordata: Array, eq_active: Array) -> Array:
+        """Return with what force each of two pads presses, (..., grips), in N.
+
+        Args:
+          sensordata: of a world that had `Scene.add_pad_sensors`, (..., n).
+          eq_active: which of its constraints are on, (..., neq).
+        """
+        raise NotImplementedError
+
     def gaps(self, sensordata: Array) -> Array:
         """Return how far tcps are from what they can hold, (..., grips), in m."""
         return math.norm(sensordata[..., self._tcp] - sensordata[..., self._site])
@@ -216,6 +226,8 @@ class Bonds(Hands):
     def _find(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
         grasp, grips = self.grasp, self._grips
         self.strengths = np.array([grasp.strength(robot) for robot in robots])
+        pads = [grasp.presses * robot.gripper.pad_force for robot in robots]
+        self._pads = np.array(pads)
         self.ids = np.array([model.equality(grip.name).id for grip in grips], int)
         self._axes = math.axis_z(self._quats)
         self._forces = columns(model, [grip.palm for grip in grips])
@@ -236,6 +248,10 @@ class Bonds(Hands):
 
     def is_held(self, sim: Sim) -> Array:
         return sim.eq_active[:, self.ids] > 0
+
+    def pad_forces(self, sensordata: Array, eq_active: Array) -> Array:
+        pads = math.array_namespace(sensordata).asarray(self._pads)
+        return pads * (eq_active[..., self.ids] > 0)
 
     def loads(self, sensordata: Array) -> Array:
         """Return the loads, to compare with the strengths, (..., grips), in N."""

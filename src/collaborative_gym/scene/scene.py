@@ -30,7 +30,7 @@ from collaborative_gym.objects.visual import add_wire_sphere
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import exclude_grips, set_collisions, set_stops
-from collaborative_gym.scene.contacts import add_depth_sensors
+from collaborative_gym.scene.contacts import EACH, add_contact_sensor, add_depth_sensors
 from collaborative_gym.scene.grasps import get_grasp
 from collaborative_gym.scene.handles import Arm, Grip, Placement, find_arm, find_free
 from collaborative_gym.scene.hands import Hands
@@ -364,6 +364,14 @@ class Scene:
                 f"{agent} has no grip; give it one by add_grip when the world is built"
             )
         return self.hands.holds(sim, agent, site)
+
+    def add_pad_sensors(self) -> None:
+        """Add to a scene that is not compiled yet what `Hands.pad_forces` reads."""
+        touches = [sensor for sensor in self.spec.sensors if " by " in sensor.name]
+        for touch in touches if self.grasp.touches else ():
+            places = (touch.objtype, touch.objname), (touch.reftype, touch.refname)
+            name = touch.name.replace(" by ", " pressed by ")
+            add_contact_sensor(self.spec, name, *places, fields=EACH)
 
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""

@@ -43,7 +43,7 @@ def stand_in_row(robots: Iterable[Robot]) -> tuple[Placement, ...]:
     So neighbours reach a place between them, and others do not reach each other.
     """
     robots = list(robots)
-    halves = [min(0.7, 0.71 * robot.reach) for robot in robots]
+    halves = [0.7 if r.stand == "pedestal" else 0.71 * r.reach for r in robots]
     middle, placements = len(halves) // 2, []
     for i, (robot, half) in enumerate(zip(robots, halves, strict=True)):
         is_left = i < middle

@@ -8,11 +8,13 @@ training run that continues allows none.
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import ParseError, canonicalize
 
@@ -29,7 +31,7 @@ ON_PLAYING = ("name", "randomization", "max_episode_steps", "versions")
 ON_STATE = ("name",)
 """Settings that may differ between worlds that take each other's states."""
 
-_EARLIER = {"action": "joints", "grasp": "magnet"}
+_EARLIER = {"action": "joints", "grasp": "magnet", "pad_force": False}
 """Settings of a time when there was no other choice."""
 
 
@@ -211,8 +213,17 @@ def _digest(robot: Robot, changed: int) -> str:
         content.pop(what_people_read, None)
     # Numbers that were filled in may differ by rounding on another machine.
     rounded = json.loads(json.dumps(content), parse_float=lambda x: f"{float(x):.6g}")
-    model = robot.model_file.read_text()
-    with suppress(ParseError):  # MuJoCo reads files that are not quite XML.
-        model = canonicalize(model, strip_text=True)
-    text = json.dumps(rounded, sort_keys=True) + model
+    text = json.dumps(rounded, sort_keys=True) + _model(robot.model_file)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _model(file: Path) -> str:
+    """Return what MuJoCo reads in a model file, with what it includes in its place."""
+    text = file.read_text()
+    with suppress(ParseError):  # MuJoCo reads files that are not quite XML.
+        text = canonicalize(text, strip_text=True)
+
+    def included(found: re.Match[str]) -> str:
+        return re.sub("^<.*?>|<[^>]*>$", "", _model(file.with_name(found[1])))
+
+    return re.sub('<include file="(.*?)"></include>', included, text)

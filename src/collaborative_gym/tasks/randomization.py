@@ -35,7 +35,7 @@ class Randomization:
         axis, at every step, in rad.
       force_noise: of every observed force, along each axis, at every step, in N.
       torque_noise: of every observed torque, likewise, in N m.
-      force_bias: of a wrist's force along each axis, during a whole episode, in N.
+      force_bias: of every observed force, likewise, during a whole episode, in N.
       torque_bias: of its torque, likewise, in N m.
       limp: agents whose arms have no torque and no compensation of gravity; what their
         grip is told it does.

@@ -56,6 +56,8 @@ class TaskConfig:
       max_episode_steps: control steps of an episode.
       wrench: whether robots observe force and torque at their wrists, as `envs.wrists`
         describes: "off", "raw", or "compensated" for the weight of hand and tool.
+      pad_force: whether robots observe with what force each of two pads presses what
+        they hold, in N, where things are held by "pinch" or "friction"; else it is 0.
       action: what actions mean, by the name of an action mode, such as "joints" or
         "tcp"; `list_modes` has them.
       grasp: how hands hold things, where a task has grips: "magnet", "suction",
@@ -67,6 +69,7 @@ class TaskConfig:
     max_episode_steps: int = 200
     action: str = "joints"
     wrench: str = "off"
+    pad_force: bool = False
     grasp: str = "magnet"
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from collaborative_gym import math
 from collaborative_gym.control import Motion
 from collaborative_gym.math import Array
-from collaborative_gym.motion import reach, settling, standoff
+from collaborative_gym.motion import reach, settling, shortened, standoff
 from collaborative_gym.objects.belt import WALL
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.handing import of
@@ -33,6 +33,7 @@ _FAR = 0.3  # m across the floor, from which on an arm swings instead of going s
 _OVER = 0.06  # m from the middle of the tote, within which the hand opens
 _LOW = 0.012  # m above the belt, from which the mate's cube is let go
 _ASIDE = 0.15  # m along the belt from an arm, within which it puts that down
+_GENTLE = 0.03  # m in a control step, at which cups and pads do not tear
 _BEYOND = 0.02  # m beyond the middle, where it does
 
 
@@ -89,19 +90,23 @@ def _bring(task: "Sort", facts: "SortFacts", agent: str) -> tuple[_Aim, Array]:
     Returns the aim, and where the hand opens, (num_envs,).
     """
     i, tcp, which = task.agents.index(agent), facts.tcp[agent][0], facts.own[agent]
+    # Hands that draw nothing to their tcp hold it where they took it.
+    at = tcp if task.scene.grasp.draws else of(facts.cubes, which)
     is_mates = np.array([cube.mover == i for cube in task.cubes])[which]
-    across, lies = np.abs(tcp[:, 1]), HEIGHT + SIZE / 2
-    x = np.clip(tcp[:, 0], task.seats[i] - _ASIDE, task.seats[i] + _ASIDE)
+    across, lies = np.abs(at[:, 1]), HEIGHT + SIZE / 2
+    x = np.clip(at[:, 0], task.seats[i] - _ASIDE, task.seats[i] + _ASIDE)
     beyond = np.full_like(x, -_BEYOND * np.sign(task.placements[agent].position[1]))
     middle = np.stack([x, beyond, lies + np.where(across > 0.05, 0.05, 0.0)], axis=1)
-    is_there = (across < 0.6 * MIDDLE) & (tcp[:, 2] < lies + _LOW)
-    is_lifted = tcp[:, 2] > HEIGHT + _LIFT
-    over = task.totes[agent] + np.array([0.0, 0.0, WALL + 0.05]) + 0.0 * tcp
-    is_over = math.norm((over - tcp) * LEVEL) < _OVER
-    own = np.where(is_lifted[:, None], over, tcp - _LIFT * _DOWN)
+    is_there = (across < 0.6 * MIDDLE) & (at[:, 2] < lies + _LOW)
+    is_lifted = at[:, 2] > HEIGHT + _LIFT
+    over = task.totes[agent] + np.array([0.0, 0.0, WALL + 0.05]) + 0.0 * at
+    is_over = math.norm((over - at) * LEVEL) < _OVER
+    own = np.where(is_lifted[:, None], over, at - _LIFT * _DOWN)
     place = np.where(is_mates[:, None], middle, own)
     station = np.where(is_mates, 1, np.where(is_lifted, 2, 0))
-    swings = ~is_mates & is_lifted & _is_far(place - tcp)
+    swings = ~is_mates & is_lifted & _is_far(place - at)
+    if not task.scene.grasp.draws:
+        place = tcp + shortened(place - at, _GENTLE)
     return _Aim(place, station, swings), np.where(is_mates, is_there, is_over)
 
 
