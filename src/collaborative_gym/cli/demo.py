@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
@@ -81,7 +82,7 @@ def _begin_worker() -> None:
 def _film_one(job: tuple[str, str, Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
-    task, what = make_task(env_id), {"seconds": _SECONDS}
+    task, what = make_task(env_id), dict[str, Any](seconds=_SECONDS)
     if env_id == _GAME:
         task = make_task(env_id, max_episode_steps=_GAME_STEPS)
         what = {"only_episodes": [_GAME_EPISODE]}

@@ -58,7 +58,8 @@ class PettingZooEnv(OneWorld, ParallelEnv):
         self.agents: list[str] = []
         self.observation_spaces = {**self.vector_env.single_observation_spaces}
         self.action_spaces = {**self.vector_env.single_action_spaces}
-        size = sum(box.shape[0] for box in self.observation_spaces.values())
+        boxes = self.vector_env.single_observation_spaces.values()
+        size = sum(box.shape[0] for box in boxes)
         self.state_space = Box(-np.inf, np.inf, (size,), np.float32)
         self._observations: ByAgent = {}
 

@@ -345,7 +345,8 @@ class Collector:
             player.noise = state["noise"][player.learner.name].numpy()
         self._previous = {a: each.numpy() for a, each in state["previous"].items()}
         self._guests.load_state_dict(state)
-        worlds = EnvState(*map(state.get, _PARTS), self.env.identity)
+        parts = {part: state[part] for part in _PARTS}
+        worlds = EnvState(**parts, identity=self.env.identity)
         self._observations = self.env.set_state(worlds.map(torch.Tensor.numpy))
 
     def close(self) -> None:
