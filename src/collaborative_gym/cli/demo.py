@@ -82,7 +82,8 @@ def _begin_worker() -> None:
 def _film_one(job: tuple[str, str, Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
-    task, what = make_task(env_id), dict[str, Any](seconds=_SECONDS)
+    task = make_task(env_id)
+    what: dict[str, Any] = {"seconds": _SECONDS}
     if env_id == _GAME:
         task = make_task(env_id, max_episode_steps=_GAME_STEPS)
         what = {"only_episodes": [_GAME_EPISODE]}
