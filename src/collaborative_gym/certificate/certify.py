@@ -183,7 +183,15 @@ class Work:
                 part = next(parts) or (lambda share: None)
                 self._on_steps = _counting(part, costs[player])
                 if costs[player] and (row, player) not in done:
-                    trial = _trial(row, player, try_out(row))
+                    found = try_out(row)
+                    trial = Trial(
+                        *row,
+                        player,
+                        episodes=len(found.completed),
+                        completed=int(found.completed.sum()),
+                        nearest=round(float(np.median(found.nearest)), 6),
+                        converged=found.converged,
+                    )
                     trials = *self._certificate.trials, trial
                     self._certificate = replace(self._certificate, trials=trials)
                     write_text(self._folder / FILE, self._certificate.to_json())
@@ -199,16 +207,14 @@ class Work:
     def _costs(self) -> dict[str, int]:
         """Return about how many control steps a trial of each player takes."""
         budget = self._budget
-        judging = budget.episodes * self._task.config.max_episode_steps
+        length = self._task.config.max_episode_steps
+        judging = budget.episodes * length
         one = budget.rounds * budget.candidates * budget.motion_steps
         return {
             "expert": judging,
             "blind": judging + one * budget.training_starts,
             "search": one * budget.searched_starts,
-            "replay": budget.replays
-            * (1 + budget.training_starts)
-            * self._task.config.max_episode_steps
-            + judging,
+            "replay": judging + length * budget.replays * (1 + budget.training_starts),
             "ppo": budget.ppo_steps and judging + budget.ppo_steps,
         }
 
@@ -362,17 +368,6 @@ def _counting(part: Callable[[float], object], cost: int) -> Callable[[float], o
         part(min(1.0, done / cost))
 
     return add
-
-
-def _trial(row: Row, player: str, outcome: Results) -> Trial:
-    return Trial(
-        *row,
-        player,
-        episodes=len(outcome.completed),
-        completed=int(outcome.completed.sum()),
-        nearest=round(float(np.median(outcome.nearest)), 6),
-        converged=outcome.converged,
-    )
 
 
 def _resumed(blank: Certificate, path: Path) -> Certificate:

@@ -152,21 +152,15 @@ class Certificate:
             found.append(
                 f"{most.completion:.1%} (up to {most.bound:.1%}) if from {since} on"
             )
-        blind = self.best.get(TEAM)
-        team = (
-            ""
-            if blind is None
-            else (
-                f"; by a team that looks at nothing: {blind.completion:.1%} (up to"
-                f" {blind.bound:.1%})"
-            )
-        )
-        return f"{self.title}, with one arm still: {', '.join(found)}{team}"
+        text = f"{self.title}, with one arm still: {', '.join(found)}"
+        if blind := self.best.get(TEAM):
+            text += f"; by a team that looks at nothing: {blind.completion:.1%} (up to"
+            text += f" {blind.bound:.1%})"
+        return text
 
     def to_json(self) -> str:
         """Return everything as JSON."""
-        content = asdict(self)
-        return sealed({"format": _FORMAT, **content})
+        return sealed({"format": _FORMAT, **asdict(self)})
 
     @classmethod
     def load(cls, path: Path) -> "Certificate":

@@ -20,6 +20,7 @@ from collaborative_gym.cli.terminal import (
     Worlds,
     check_files,
     continuing,
+    option,
     progress_bars,
     put,
     read_policies,
@@ -96,14 +97,8 @@ class Record(Watched, _Policy):
     beside: Annotated[
         Policies, tyro.conf.arg(help_behavior_hint="(default: none)")
     ] = ()
-    seconds: Annotated[
-        float | None,
-        tyro.conf.arg(metavar="FLOAT", help_behavior_hint="(default: 10)"),
-    ] = None
-    only_episodes: Annotated[
-        tuple[int, ...],
-        tyro.conf.arg(metavar="INDEX ...", help_behavior_hint="(default: none)"),
-    ] = ()
+    seconds: Annotated[float | None, option("FLOAT", "10")] = None
+    only_episodes: Annotated[tuple[int, ...], option("INDEX ...", "none")] = ()
     size: Size = OWN_SIZE
     speed: float = 1.0
 
@@ -235,12 +230,11 @@ class Reproduce:
     def run(self) -> None:
         """Print the table and write the files; the last line is the verdict."""
         from collaborative_gym.cli.tables import table11_table
-        from collaborative_gym.errors import UnknownName, unknown
+        from collaborative_gym.errors import look_up
         from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
 
-        if self.table != "table11":
-            raise UnknownName(unknown("table", self.table, ["table11"]))
+        look_up("table", self.table, {"table11": None})
         markdown, json = self.output / "table11.md", self.output / "table11.json"
         check_files(markdown, json)
         with progress_bars() as progress:

@@ -5,9 +5,9 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from collaborative_gym.evaluation import table11
 from collaborative_gym.evaluation.machine import cores
@@ -61,7 +61,8 @@ def draw(folder: Path) -> Iterator[Path]:
     spawn = multiprocessing.get_context("spawn")
     # Leaving the pool early, as Ctrl-C does, ends its processes at once.
     with spawn.Pool(min(cores(), len(films)), _begin_worker) as pool:
-        pictures = pool.starmap(_draw_one, cast.items(), chunksize=1)
+        draw_one = partial(recording.picture, size=_SHEET_SIZE)
+        pictures = pool.starmap(draw_one, cast.items(), chunksize=1)
         yield recording.contact_sheet(
             pictures, list(cast), folder / "contact_sheet.png"
         )
@@ -78,20 +79,12 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
-def _draw_one(env_id: str, policy: str) -> np.ndarray:
-    """Return the picture for the contact sheet."""
-    return recording.picture(env_id, policy, size=_SHEET_SIZE)
-
-
 def _film_one(job: tuple[str, str, Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
+    task = make_task(env_id)
+    what: dict[str, Any] = {"seconds": _SECONDS}
     if env_id == _GAME:
-        game = make_task(env_id, max_episode_steps=_GAME_STEPS)
-        chosen = [_GAME_EPISODE]
-        return recording.record(
-            game, output, policy=policy, only_episodes=chosen, size=_FILM_SIZE
-        )
-    return recording.record(
-        env_id, output, policy=policy, seconds=_SECONDS, size=_FILM_SIZE
-    )
+        task = make_task(env_id, max_episode_steps=_GAME_STEPS)
+        what = {"only_episodes": [_GAME_EPISODE]}
+    return recording.record(task, output, policy=policy, size=_FILM_SIZE, **what)

@@ -16,10 +16,9 @@ def environments_table(with_sizes: bool) -> Table:
       with_sizes: whether each line has the sizes instead of the task and the shipped
         policies, since a terminal has no room for all.
     """
-    heads = ["environment", "robots", "observation", "action"]
-    if not with_sizes:
-        heads = ["environment", "task", "robots", "shipped"]
-    rows = []
+    rows, heads = [], ["task", "robots", "shipped"]
+    if with_sizes:
+        heads = ["robots", "observation", "action"]
     for env_id in list_envs():
         spec = get_env(env_id)
         robots = counted(spec.robots)
@@ -31,4 +30,4 @@ def environments_table(with_sizes: bool) -> Table:
         else:
             shipped = ", ".join(shipped_kinds(env_id)) or "-"
             rows.append([env_id, spec.task.__name__, robots, shipped])
-    return new_table(heads, rows, words=2 if with_sizes else 4)
+    return new_table(["environment", *heads], rows, words=2 if with_sizes else 4)

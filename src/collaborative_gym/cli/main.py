@@ -68,8 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _Terminated:
         return _TERMINATED
     except BrokenPipeError:
-        # Python writes what is left when it ends, which would fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return _UNREAD
     except Exception as error:
         return _fail(error)

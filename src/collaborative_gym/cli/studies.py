@@ -16,6 +16,7 @@ from collaborative_gym.cli.terminal import (
     check_files,
     continuing,
     drawn,
+    option,
     progress_bars,
     put,
     read_policies,
@@ -56,12 +57,7 @@ class Tournament(Measured):
     seats: Annotated[tuple[str, ...], tyro.conf.arg(metavar="all | SEAT ...")] = (
         "all",
     )
-    groups: Annotated[
-        tuple[str, ...],
-        tyro.conf.arg(
-            metavar="KIND=PLAYER ...", help_behavior_hint="(default: by folder)"
-        ),
-    ] = ()
+    groups: Annotated[tuple[str, ...], option("KIND=PLAYER ...", "by folder")] = ()
     output: Folder = None
 
     def run(self) -> None:
@@ -153,11 +149,9 @@ class Report(Measured):
             raise ValueError("name the environments to report on")
         policies = read_policies(self.policies)
         tasks = {task.name: task for task in map(self.task, self.envs)}
-        pages = (
-            {}
-            if self.output is None
-            else {name: self.output / f"{name.replace('/', '_')}.md" for name in tasks}
-        )
+        pages: dict[str, Path] = {}
+        if self.output is not None:
+            pages = {n: self.output / f"{n.replace('/', '_')}.md" for n in tasks}
         check_files(*pages.values(), self.json)
         cards, besides = {}, (self.json,)
         with progress_bars() as progress:
@@ -206,10 +200,7 @@ class Compare:
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(metavar="RUN | FOLDER ...", help_behavior_hint="(required)"),
     ]
-    measure: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: completion)"),
-    ] = None
+    measure: Annotated[str | None, option("NAME", "completion")] = None
     output: Folder = None
     json: File = None
 

@@ -1,6 +1,6 @@
 """Tables that the command line prints."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from statistics import median
 
@@ -78,33 +78,31 @@ def _played(report: Report) -> str:
 
 def coordination_table(reports: Sequence[Report]) -> Table:
     """Return how arms work together in the tasks that say how to measure it."""
-    return new_table(
-        ["environment", "coordination", "mean", "median"],
-        [
-            [head, *(cells or ())[:3]]
-            for report in reports
-            for head, cells in zip_longest(
-                _played(report).split("\n"), coordination_lines(report), fillvalue=""
-            )
-        ],
-        words=2,
-    )
+    heads = ["environment", "coordination", "mean", "median"]
+    return _listed(heads, reports, coordination_lines)
 
 
 def strain_table(reports: Sequence[Report]) -> Table:
     """Return the strain: of arms on one another, on things and on themselves."""
-    return new_table(
-        ["environment", "strain", "mean", "worst", "in episode"],
-        [
-            [head, *(cells or ())]
-            for report in reports
-            for head, cells in zip_longest(
-                _played(report).split("\n"), strain_lines(report), fillvalue=""
-            )
-        ],
-        words=2,
-        caption="The greatest value in each episode; for the clearance, the least.",
-    )
+    heads = ["environment", "strain", "mean", "worst", "in episode"]
+    caption = "The greatest value in each episode; for the clearance, the least."
+    return _listed(heads, reports, strain_lines, caption)
+
+
+def _listed(
+    heads: Sequence[str],
+    reports: Sequence[Report],
+    lines_of: Callable[[Report], list[list[str]]],
+    caption: str | None = None,
+) -> Table:
+    rows = [
+        [head, *(cells or ())[: len(heads) - 1]]
+        for report in reports
+        for head, cells in zip_longest(
+            _played(report).split("\n"), lines_of(report), fillvalue=""
+        )
+    ]
+    return new_table(heads, rows, words=2, caption=caption)
 
 
 def table11_table(table11: Table11) -> Table:

@@ -35,10 +35,14 @@ if TYPE_CHECKING:
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
-Modules = Annotated[
-    tyro.conf.UseAppendAction[tuple],
-    tyro.conf.arg(metavar="MODULE", help_behavior_hint="(default: none)"),
-]
+
+def option(metavar: str, default: str = "", **more: Any) -> Any:
+    """Return how help shows an option: its value, and what holds without it."""
+    hint = default and f"(default: {default})"
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, **more)
+
+
+Modules = Annotated[tyro.conf.UseAppendAction[tuple], option("MODULE", "none")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,59 +65,30 @@ OWN_SIZE = (-1, -1)
 """Stands for the usual size of videos of a format."""
 
 Env = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ENV")]
-Envs = Annotated[
-    tyro.conf.Positional[tuple[str, ...]],
-    tyro.conf.arg(metavar="[ENV ...]", help_behavior_hint=""),
-]
+Envs = Annotated[tyro.conf.Positional[tuple[str, ...]], option("[ENV ...]")]
 Policies = Annotated[
     tuple[str, ...], tyro.conf.arg(metavar="POLICY | AGENT=POLICY ...")
 ]
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
 Action = Annotated[
     str | None,
-    tyro.conf.arg(
-        metavar="MODE",
-        help=f"what actions mean: {describe_modes()}",
-        help_behavior_hint="(default: its own, joints)",
-    ),
+    option("MODE", "its own, joints", help=f"what actions mean: {describe_modes()}"),
 ]
 Settings = Annotated[
     tuple[str, ...],
-    tyro.conf.arg(
-        metavar="NAME=VALUE ...",
+    option(
+        "NAME=VALUE ...",
+        "its own",
         help="other settings of the task, as `cg.make` takes them, such as wrench=raw",
-        help_behavior_hint="(default: its own)",
     ),
 ]
-Robots = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(metavar="ROBOT ...", help_behavior_hint="(default: its own)"),
-]
-NumRobots = Annotated[
-    int | None,
-    tyro.conf.arg(metavar="INT", help_behavior_hint="(default: its own)"),
-]
-File = Annotated[
-    Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)")
-]
-Looks = Annotated[
-    tuple[str, ...],
-    tyro.conf.arg(metavar="ARM=FILE ...", help_behavior_hint="(default: its own)"),
-]
-Folder = Annotated[
-    Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: none)")
-]
-NumEnvs = Annotated[
-    int | None,
-    tyro.conf.arg(metavar="INT", help_behavior_hint="(default: at most 64)"),
-]
-Size = Annotated[
-    tuple[int, int],
-    tyro.conf.arg(
-        metavar="WIDTH HEIGHT",
-        help_behavior_hint="(default: 1280 720, of a GIF 416 234)",
-    ),
-]
+Robots = Annotated[tuple[str, ...], option("ROBOT ...", "its own")]
+NumRobots = Annotated[int | None, option("INT", "its own")]
+File = Annotated[Path | None, option("FILE", "none")]
+Looks = Annotated[tuple[str, ...], option("ARM=FILE ...", "its own")]
+Folder = Annotated[Path | None, option("FOLDER", "none")]
+NumEnvs = Annotated[int | None, option("INT", "at most 64")]
+Size = Annotated[tuple[int, int], option("WIDTH HEIGHT", "1280 720, of a GIF 416 234")]
 
 
 def chosen_task(
@@ -208,9 +183,8 @@ class Watched(Played):
                     "--look takes the arm before its file, such as panda=panda.xml,"
                     f" got {word!r}"
                 )
-            files[look_up("robot of this team", name, dict.fromkeys(names, name))] = (
-                file
-            )
+            look_up("robot of this team", name, dict.fromkeys(names))
+            files[name] = file
         if not files:
             return task
         robots = [

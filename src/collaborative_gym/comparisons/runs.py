@@ -25,7 +25,6 @@ _REMEDY = (
 _NO_SETTINGS = ("seed", "layout", "observation_sizes", "action_sizes", "start.metadata")
 """Settings that follow from others, or that make no groups."""
 
-
 _NAMELESS = "algorithm", "mode"
 """Settings that need no name beside their value."""
 

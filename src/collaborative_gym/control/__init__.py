@@ -5,6 +5,7 @@ from collaborative_gym.control.joints import JointChanges
 from collaborative_gym.control.modes import (
     ActionMode,
     Command,
+    Commands,
     Motion,
     describe_modes,
     get_mode,
@@ -17,6 +18,7 @@ from collaborative_gym.control.torques import Torques
 __all__ = [
     "ActionMode",
     "Command",
+    "Commands",
     "Impedance",
     "ImpedanceStiffness",
     "JointChanges",

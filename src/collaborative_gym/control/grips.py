@@ -98,8 +98,6 @@ class Fingers:
     def command(self, controls: Array, commands: Mapping[str, Any]) -> None:
         """Close and open fingers for a control step."""
         for agent, fingers, closed in self._hands:
-            wanted, opened = (
-                commands[agent].grips[:, None, None],
-                controls[:, :, fingers],
-            )
+            opened = controls[:, :, fingers]
+            wanted = commands[agent].grips[:, None, None]
             controls[:, :, fingers] = self._xp.where(wanted, closed, opened)

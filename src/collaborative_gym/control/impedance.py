@@ -7,7 +7,13 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.control.drives import Gains, Servo
-from collaborative_gym.control.modes import Command, Motion, register_mode
+from collaborative_gym.control.modes import (
+    Command,
+    Commands,
+    Encoded,
+    Motion,
+    register_mode,
+)
 from collaborative_gym.control.tcp import TcpChanges
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
@@ -53,9 +59,7 @@ class Impedance(TcpChanges):
         # The task asks of any worlds, so nothing is kept.
         return self._servos[agent].torques(sim, self._gains(sim)[agent])
 
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         self._soften()
         return super().moves(motions)
 
@@ -114,14 +118,12 @@ class ImpedanceStiffness(Impedance):
     def num_moves(self, agent: str) -> int:
         return super().num_moves(agent) + 1
 
-    def commands(self, actions: Mapping[str, Array]) -> dict[str, Command]:
+    def commands(self, actions: Mapping[str, Array]) -> Commands:
         shares = {agent: self.split(own)[0][:, -1] for agent, own in actions.items()}
         commands = super().commands(actions).items()
         return {a: _Stiffened(own.moves, own.grips, shares[a]) for a, own in commands}
 
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         moves, most = super().moves(motions)
         return {a: np.pad(rows, ((0, 0), (0, 1))) for a, rows in moves.items()}, most
 

@@ -6,7 +6,13 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym.control.drives import Servo, add_fingers, add_servos, lost_load
-from collaborative_gym.control.modes import ActionMode, Command, Motion, register_mode
+from collaborative_gym.control.modes import (
+    ActionMode,
+    Command,
+    Encoded,
+    Motion,
+    register_mode,
+)
 from collaborative_gym.math import Array
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Scene
@@ -65,15 +71,7 @@ class ServoMode(ActionMode):
 class JointChanges(ServoMode):
     """A change of each joint's angle, as a share of the largest in one control step."""
 
-    def num_moves(self, agent: str) -> int:
-        return self.arms[agent].num_joints
-
-    def decode(self, moves: Mapping[str, Array]) -> Mapping[str, Array]:
-        return moves
-
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         moves = {
             agent: self._borne(agent, motions[agent]) / arm.stride
             for agent, arm in self.arms.items()

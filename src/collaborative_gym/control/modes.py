@@ -74,6 +74,13 @@ class Command:
     grips: Array
 
 
+Commands = dict[str, Command]
+"""The commands by agent."""
+
+Encoded = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+"""What `ActionMode.moves` returns."""
+
+
 class ActionMode:
     """What actions do to the arms of a world; subclasses define the numbers.
 
@@ -100,8 +107,8 @@ class ActionMode:
         raise NotImplementedError
 
     def num_moves(self, agent: str) -> int:
-        """Return how many components of an agent's action move its arm."""
-        raise NotImplementedError
+        """Return how many components of an agent's action move its arm: its joints."""
+        return self.arms[agent].num_joints
 
     def torques(self, sim: Sim, agent: str) -> Array:
         """Return the torques that the drives ask for, (num_envs, joints), in N m.
@@ -128,10 +135,12 @@ class ActionMode:
     def decode(self, moves: Mapping[str, Array]) -> Mapping[str, Array]:
         """Return the `Command.moves` that actions come to in the present state.
 
+        Here these are the components themselves.
+
         Args:
           moves: by agent, the components that move, (num_envs, moves) in [-1, 1].
         """
-        raise NotImplementedError
+        return moves
 
     def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
         """Write the controls of the drives for a control step.
@@ -142,9 +151,7 @@ class ActionMode:
         """
         raise NotImplementedError
 
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         """Return the components that make motions, and how much too much they ask for.
 
         Returns:
@@ -179,7 +186,7 @@ class ActionMode:
             return action[:, :-1], action[:, -1] > 0.0
         return action, self._sim.xp.zeros(action.shape[0], dtype=bool)
 
-    def commands(self, actions: Mapping[str, Array]) -> dict[str, Command]:
+    def commands(self, actions: Mapping[str, Array]) -> Commands:
         """Return each agent's command to its arm in the present state.
 
         Args:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from collaborative_gym.control.joints import ServoMode
-from collaborative_gym.control.modes import Motion, register_mode
+from collaborative_gym.control.modes import Encoded, Motion, register_mode
 from collaborative_gym.math import Array
 from collaborative_gym.motion.kinematics import Kinematics, damped_change, travel
 from collaborative_gym.motion.solver import DAMPING
@@ -62,9 +62,7 @@ class TcpChanges(ServoMode):
             for i, (agent, arm) in enumerate(self.arms.items())
         }
 
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         angles = self._angles(self._sim)
         change = self._columns([self._borne(a, motions[a]) for a in self.arms])
         # The tool goes the way that it goes in as much as joints can do in one step.

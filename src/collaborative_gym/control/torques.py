@@ -9,7 +9,13 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from collaborative_gym.control.drives import add_fingers
-from collaborative_gym.control.modes import ActionMode, Command, Motion, register_mode
+from collaborative_gym.control.modes import (
+    ActionMode,
+    Command,
+    Encoded,
+    Motion,
+    register_mode,
+)
 from collaborative_gym.errors import check_number
 from collaborative_gym.math import Array
 from collaborative_gym.quiet import quiet
@@ -63,12 +69,6 @@ class Torques(ActionMode):
                 scene.spec.body(f"{agent}/{body.name}").gravcomp = 1.0
             add_fingers(scene.spec, agent, robot)
 
-    def num_moves(self, agent: str) -> int:
-        return self.arms[agent].num_joints
-
-    def decode(self, moves: Mapping[str, Array]) -> Mapping[str, Array]:
-        return moves
-
     def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
         for agent, arm in self.arms.items():
             torque = commands[agent].moves * self._motors[agent].limit
@@ -107,9 +107,7 @@ class Torques(ActionMode):
             slowed[agent] = replace(motion, change=share * motion.change)
         return super().encode(slowed)
 
-    def moves(
-        self, motions: Mapping[str, Motion]
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
         """Return torques by inverse dynamics, clipped; see `ActionMode.moves`."""
         sim, moves = self._sim, {}
         felt = [self._felt(i, state) for i, state in enumerate(sim.get_state())]

@@ -12,14 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from collaborative_gym.blocks import split_columns
-from collaborative_gym.envs.faces import (
-    RENDERING,
-    STEP_INFO,
-    check_can_render,
-    check_render_mode,
-    first_row,
-    fresh_seed,
-)
+from collaborative_gym.envs.faces import RENDERING, OneWorld, first_row, step_info
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.math import Array
 from collaborative_gym.rng import check_seed
@@ -28,7 +21,7 @@ from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization
 
 
-class GymnasiumEnv(gymnasium.Env):
+class GymnasiumEnv(OneWorld, gymnasium.Env):
     """A `VectorEnv` of one world as a Gymnasium environment.
 
     The info always has `success`, `diverged`, `reward_terms` by agent, and `metrics` of
@@ -58,15 +51,12 @@ class GymnasiumEnv(gymnasium.Env):
         strain: bool = False,
         **settings: Any,
     ):
-        check_render_mode(render_mode, RENDERING["render_modes"])
-        self.render_mode = render_mode
         task = make_task(env_id, robots, randomization=randomization, **settings)
         how = {"num_threads": 1, "auto_reset": False, "strain": strain}
-        self.vector_env = VectorEnv(task, 1, **how)
+        self._face(task, 1, render_mode, **how)
         self._agents = SingleAgent(self.vector_env)
         self.observation_space = self._agents.observation_space
         self.action_space = self._agents.action_space
-        self._has_seed = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -83,12 +73,8 @@ class GymnasiumEnv(gymnasium.Env):
         """
         seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
-        if seed is None and not self._has_seed:
-            seed = fresh_seed()
-        observations, infos = self.vector_env.reset(seed)
-        self._has_seed = True
-        info = first_row({name: infos[name] for name in STEP_INFO})
-        return self._agents.joined(observations)[0], info
+        observations, infos = self._begin(seed)
+        return self._agents.joined(observations)[0], first_row(step_info(infos))
 
     def step(
         self, action: Array
@@ -115,23 +101,10 @@ class GymnasiumEnv(gymnasium.Env):
         observations, rewards, terminated, _, infos = self.vector_env.step(actions)
         is_terminated = bool(self._agents.shared(terminated)[0])
         ended = bool(infos["ended"][0])
-        info = first_row({name: infos[name] for name in STEP_INFO})
+        info = first_row(step_info(infos))
         reward = sum(float(each[0]) for each in rewards.values())
         observation = self._agents.joined(observations)[0]
         return observation, reward, is_terminated, ended and not is_terminated, info
-
-    def render(self) -> np.ndarray:
-        """Return a picture, (720, 1280, 3) uint8.
-
-        Raises:
-          RuntimeError: without a render mode, and if no renderer can start.
-        """
-        check_can_render(self.render_mode)
-        return self.vector_env.render()
-
-    def close(self) -> None:
-        """Free the renderer. No other call is allowed afterwards."""
-        self.vector_env.close()
 
 
 class SingleAgent:

@@ -8,16 +8,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from collaborative_gym.envs.faces import (
-    RENDERING,
-    STEP_INFO,
-    check_can_render,
-    check_render_mode,
-    fresh_seed,
-)
+from collaborative_gym.envs.faces import RENDERING, Face, step_info
 from collaborative_gym.envs.gymnasium import SingleAgent
-from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot
@@ -25,7 +18,7 @@ from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Randomization
 
 
-class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
+class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
     """A `VectorEnv` as a Gymnasium vector environment.
 
     Infos are Gymnasium's: arrays by world, each with a mask under the same name after
@@ -71,14 +64,12 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         strain: bool = False,
         **settings: Any,
     ):
-        check_render_mode(render_mode, RENDERING["render_modes"])
-        self.render_mode = render_mode
         self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
         task = make_task(env_id, robots, randomization=randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
         how = {"num_threads": num_threads, "auto_reset": is_same, "strain": strain}
-        self.vector_env = VectorEnv(task, num_envs, **how)
+        self._face(task, num_envs, render_mode, **how)
         self._agents = SingleAgent(self.vector_env)
         self.num_envs = num_envs
         self.single_observation_space = self._agents.observation_space
@@ -86,7 +77,6 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended = np.zeros(num_envs, bool)
-        self._has_seed = False
         self.closed = False
 
     def reset(
@@ -119,13 +109,10 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             whole: Any = seed
             whole = None if whole is None else check_seed(whole)
             super().reset(seed=whole)
-            if whole is None and not self._has_seed:
-                whole = fresh_seed()
-            observations, infos = self.vector_env.reset(whole, env_ids=mask)
+            observations, infos = self._begin(whole, env_ids=mask)
         starts = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
         self._ended = infos["ended"]
-        self._has_seed = True
-        return self._agents.joined(observations), _masked(_step_info(infos), starts)
+        return self._agents.joined(observations), _masked(step_info(infos), starts)
 
     def _reset_each(self, seeds: list[Any], mask: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode of a seed of its own in every world of a mask."""
@@ -136,8 +123,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
             )
         seeds = [None if each is None else check_seed(each) for each in seeds]
         # Also draws a seed where none was ever given, and checks the mask.
-        first = None if self._has_seed else fresh_seed()
-        observations, infos = self.vector_env.reset(first, env_ids=mask)
+        observations, infos = self._begin(None, env_ids=mask)
         starts = range(self.num_envs) if mask is None else np.flatnonzero(mask)
         for i in starts:
             if seeds[i] is not None:
@@ -178,7 +164,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         done = self._agents.split(np.asarray(actions))
         by_agent, rewards, terminated, truncated, infos = self.vector_env.step(done)
         observations = self._agents.joined(by_agent)
-        info, ended = _step_info(infos), infos["ended"]
+        info, ended = step_info(infos), infos["ended"]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             masked = self._final_infos(infos)
         else:
@@ -186,7 +172,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
                 by_agent, begun = self.vector_env.reset(env_ids=begins)
                 started = self._agents.joined(by_agent)
                 observations = np.where(begins[:, None], started, observations)
-                info = _chosen(begins, _step_info(begun), info)
+                info = _chosen(begins, step_info(begun), info)
             self._ended = ended & ~begins
             masked = _masked(info, np.ones(self.num_envs, bool))
         return (
@@ -203,15 +189,14 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         Raises:
           RuntimeError: without a render mode, and if no renderer can start.
         """
-        check_can_render(self.render_mode)
-        return tuple(self.vector_env.render(i) for i in range(self.num_envs))
+        return tuple(self._picture(i) for i in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer; `close` calls this."""
         self.vector_env.close()
 
     def _final_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
-        ended, info = infos["ended"], _step_info(infos)
+        ended, info = infos["ended"], step_info(infos)
         masked = _masked(info, ~ended)
         if ended.any():
             final = self._agents.joined(infos["final_observation"])
@@ -227,13 +212,7 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
 def _mode(given: AutoresetMode | str) -> AutoresetMode:
     modes = {mode.value: mode for mode in AutoresetMode}
     name = given.value if isinstance(given, AutoresetMode) else given
-    if name not in modes:
-        raise UnknownName(unknown("autoreset mode", name, modes))
-    return modes[name]
-
-
-def _step_info(infos: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: infos[name] for name in STEP_INFO}
+    return look_up("autoreset mode", name, modes)
 
 
 def _chosen(mask: np.ndarray, one: Any, other: Any) -> Any:

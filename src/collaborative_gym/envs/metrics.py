@@ -8,14 +8,9 @@ from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT
 
-_OF_SIDES = (
-    "return",
-    "completion",
-    "performance",
-    "at_goal",
-    "time_to_success",
-    "score",
-)
+OF_SIDES = ("return", "completion", "performance", "at_goal", "time_to_success")
+OF_SIDES += ("score",)
+"""Metrics of a side; a single side has no score."""
 
 
 class Metrics(Mapping[str, Any]):
@@ -39,7 +34,7 @@ class Metrics(Mapping[str, Any]):
     ):
         self._from_start, self._kept = task.performance_from_start, task.coordination
         self._sides, self._sums, self._rows = sides, sums, rows
-        self._names = _OF_SIDES[: 6 if len(sides) > 1 else 5]
+        self._names = OF_SIDES[: 6 if len(sides) > 1 else 5]
         self._names += "returns", "reward_terms", "length", "episode", "seed"
         self._names += ("coordination",) * bool(self._kept)
         if strain.BLANK.keys() <= rows.keys():
@@ -64,7 +59,7 @@ class Metrics(Mapping[str, Any]):
 
     def _find(self, name: str) -> Any:
         rows, sums = self._rows, self._sums.items()
-        if name in _OF_SIDES:
+        if name in OF_SIDES:
             by_side = {side: self._of_side(name, side) for side in self._sides}
             return by_side if len(by_side) > 1 else by_side.popitem()[1]
         if name == "returns":

@@ -7,15 +7,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
-from collaborative_gym.envs.faces import (
-    RENDERING,
-    STEP_INFO,
-    check_can_render,
-    check_render_mode,
-    first_row,
-    fresh_seed,
-)
-from collaborative_gym.envs.vector_env import VectorEnv
+from collaborative_gym.envs.faces import RENDERING, OneWorld, first_row, step_info
 from collaborative_gym.errors import look_up
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
@@ -25,7 +17,7 @@ ByAgent = dict[str, Any]
 _METADATA = {"name": "collaborative_gym", "is_parallelizable": True, **RENDERING}
 
 
-class PettingZooEnv(ParallelEnv):
+class PettingZooEnv(OneWorld, ParallelEnv):
     """A `VectorEnv` of one world under PettingZoo's contract.
 
     An agent's info always has `success`, `diverged`, its `reward_terms`, and `metrics`
@@ -59,11 +51,9 @@ class PettingZooEnv(ParallelEnv):
         name: str = "",
         strain: bool = False,
     ):
-        check_render_mode(render_mode, RENDERING["render_modes"])
-        self.render_mode = render_mode
         self.metadata = {**_METADATA, "name": name or type(task).__name__}
         how = {"num_threads": 1, "auto_reset": False, "strain": strain}
-        self.vector_env = VectorEnv(task, 1, **how)
+        self._face(task, 1, render_mode, **how)
         self.possible_agents = list(self.vector_env.agents)
         self.agents: list[str] = []
         self.observation_spaces = {**self.vector_env.single_observation_spaces}
@@ -71,7 +61,6 @@ class PettingZooEnv(ParallelEnv):
         boxes = self.vector_env.single_observation_spaces.values()
         size = sum(box.shape[0] for box in boxes)
         self.state_space = Box(-np.inf, np.inf, (size,), np.float32)
-        self._has_seed = False
         self._observations: ByAgent = {}
 
     def observation_space(self, agent: str) -> Box:
@@ -95,10 +84,7 @@ class PettingZooEnv(ParallelEnv):
         Returns:
           Observations and infos by agent.
         """
-        if seed is None and not self._has_seed:
-            seed = fresh_seed()
-        observations, infos = self.vector_env.reset(seed)
-        self._has_seed = True
+        observations, infos = self._begin(seed)
         self.agents = list(self.possible_agents)
         self._observations = _row(observations)
         return dict(self._observations), self._infos(infos)
@@ -134,21 +120,8 @@ class PettingZooEnv(ParallelEnv):
             raise RuntimeError("call reset() before state()")
         return np.concatenate(list(self._observations.values()))
 
-    def render(self) -> np.ndarray:
-        """Return a picture, (720, 1280, 3) uint8.
-
-        Raises:
-          RuntimeError: without a render mode, and if no renderer can start.
-        """
-        check_can_render(self.render_mode)
-        return self.vector_env.render()
-
-    def close(self) -> None:
-        """Free the renderer. No other call is allowed afterwards."""
-        self.vector_env.close()
-
     def _infos(self, infos: Mapping[str, Any]) -> ByAgent:
-        row = first_row({name: infos[name] for name in STEP_INFO})
+        row = first_row(step_info(infos))
         by_agent = {}
         for side, agents in self.vector_env.sides.items():
             for agent in agents:

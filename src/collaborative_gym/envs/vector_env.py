@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from collaborative_gym.control import Command
+from collaborative_gym.control import Commands
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied, where
@@ -29,7 +29,7 @@ from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import STYLE_DRAWS, Task, Terms
 from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
-Observations = dict[str, Array]
+Observations = ByAgent = dict[str, Array]
 
 
 class VectorEnv:
@@ -208,13 +208,7 @@ class VectorEnv:
 
     def step(
         self, actions: Mapping[str, Array]
-    ) -> tuple[
-        Observations,
-        dict[str, Array],
-        dict[str, Array],
-        dict[str, Array],
-        dict[str, Any],
-    ]:
+    ) -> tuple[Observations, ByAgent, ByAgent, ByAgent, dict[str, Any]]:
         """Do one control step in every world whose episode has not ended.
 
         Args:
@@ -410,9 +404,7 @@ class VectorEnv:
             self._check_open()
             raise RuntimeError(f"call reset() before {name}()")
 
-    def _advance(
-        self, actions: dict[str, Array], resting: Array
-    ) -> tuple[dict[str, Command], Array]:
+    def _advance(self, actions: ByAgent, resting: Array) -> tuple[Commands, Array]:
         """Step the physics; return the commands, and which worlds diverged."""
         sim, idle, moving = self.sim, where(resting, self.sim.xp), None
         if len(idle):
@@ -450,7 +442,7 @@ class VectorEnv:
         return commands, diverged
 
     def _reward(
-        self, facts: Any, commands: dict[str, Command], lost: Array
+        self, facts: Any, commands: Commands, lost: Array
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
         terms: dict[str, Terms] = {}

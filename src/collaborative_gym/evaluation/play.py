@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs.metrics import OF_SIDES
 from collaborative_gym.envs.strain import STRAIN
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_callback, check_count
@@ -41,10 +42,6 @@ _MOST_ENVS = 64
 
 OnProgress = Callable[[float], object] | None
 """Called with the share that is done, 0 to 1."""
-
-_MEASURES = ("return", "completion", "performance", "at_goal", "time_to_success")
-_MEASURES += ("score",)
-"""The metrics that make a `Score`, in its order; a single side has no score."""
 
 DISTURBANCES: Mapping[str, Sequence[str]] = {
     "none": (),
@@ -236,7 +233,7 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
     """
     metrics = infos["metrics"]
     row: dict[str, Any] = {name: int(metrics[name][i]) for name in ("episode", "seed")}
-    for name in _MEASURES:
+    for name in OF_SIDES:
         given = metrics.get(name, {})
         by_side = given if isinstance(given, Mapping) else {"": given}
         for side, values in by_side.items():
@@ -257,7 +254,7 @@ def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:
 
 
 def _score(rows: Sequence[Mapping[str, Any]], side: str, is_divided: bool) -> Score:
-    columns = (f"{side}/{name}" if is_divided else name for name in _MEASURES)
+    columns = (f"{side}/{name}" if is_divided else name for name in OF_SIDES)
     return Score(*(_statistic(rows, name) for name in columns if name in rows[0]))
 
 

@@ -244,9 +244,7 @@ class Report:
         title = escaped(f"{self.title}, {format_episodes(count)} of seed {seed}")
         return f"{title}:\n\n{markdown_tables(self)}"
 
-    def _repr_markdown_(self) -> str:
-        """Return the text for a notebook."""
-        return self.to_markdown()
+    _repr_markdown_ = to_markdown  # for notebooks
 
 
 def is_share(measure: str) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from collaborative_gym.errors import UnknownName, check_callback, check_count, unknown
+from collaborative_gym.errors import check_callback, check_count, look_up
 from collaborative_gym.evaluation.play import OnProgress, evaluate, parts_of
 from collaborative_gym.evaluation.report import Report, format_number
 from collaborative_gym.evaluation.table import markdown_table, to_json
@@ -212,8 +212,7 @@ def reproduce_table11(
         raise ValueError("env_ids is empty; name environments, or None for all eight")
     jobs: list[tuple[str, str]] = []
     for env_id in dict.fromkeys(THESIS if env_ids is None else env_ids):
-        if env_id not in THESIS:
-            raise UnknownName(unknown("environment", env_id, THESIS))
+        look_up("environment", env_id, THESIS)
         shipped = is_shipped("baseline", env_id)
         if shipped:
             load_policy(env_id)  # One that is damaged shows before the work.

@@ -115,13 +115,7 @@ def _rank(env_id: str, result: Result, resources: Resources) -> tuple[float, ...
 
 
 def _description(best: Result, count: int, resources: Resources) -> list[str]:
-    """Return a card's lines above its numbers: the policy, and how it was trained.
-
-    Args:
-      best: the run whose policy is shipped.
-      count: how many runs there were.
-      resources: that they used.
-    """
+    """Return a card's lines above its numbers: the best policy, and how it learned."""
     settings, numbers = best.settings, best.settings.hyperparameters
     identity, machine = settings.identity, describe_machine()
     own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
@@ -189,11 +183,7 @@ def _network(settings: Settings) -> tuple[str, str]:
 
 
 def _beginning(own: Mapping[str, Any]) -> str:
-    """Return words for the runs that led to a policy, the first one first.
-
-    Args:
-      own: the metadata of its policy, or its settings.
-    """
+    """Return words for the runs that led to a policy of this metadata, or settings."""
     runs = [own]
     while runs[-1].get("start_from"):
         runs.append(runs[-1]["start"]["metadata"])
@@ -250,13 +240,7 @@ def training_commands(settings: Settings, resources: Resources) -> list[str]:
 
 
 def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> str:
-    """Return the command that trains a run again.
-
-    Args:
-      env_id: its environment.
-      own: the metadata of its policy.
-      starts: its randomization.
-    """
+    """Return the command that trains a run again, by the metadata of its policy."""
     numbers = dict(own["hyperparameters"])
     numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
     advised = numbers.get("imitation", 0.0) > 0.0

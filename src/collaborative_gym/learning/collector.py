@@ -25,6 +25,8 @@ _BLOCK, _STARTS = 1 << 28, 1 << 10
 """Episodes between the first ones of two collectors, and collectors between two
 rollouts. So a collector that starts anew plays episodes that nobody has played."""
 
+_PARTS = "physics", "memory", "progress"  # of the state of worlds
+
 ActorState = Mapping[str, Any]
 """The state of a player's `actor`, and the `mean` and `std` that normalize its
 observations."""
@@ -326,9 +328,7 @@ class Collector:
         tensor: Any = torch.from_numpy
         worlds = self.env.get_state().map(tensor)
         own = {
-            "physics": worlds.physics,
-            "memory": worlds.memory,
-            "progress": worlds.progress,
+            **{part: getattr(worlds, part) for part in _PARTS},
             "noise": {each.learner.name: tensor(each.noise) for each in self._players},
             "previous": {a: tensor(each) for a, each in self._previous.items()},
             **self._guests.state_dict(),
@@ -345,8 +345,8 @@ class Collector:
             player.noise = state["noise"][player.learner.name].numpy()
         self._previous = {a: each.numpy() for a, each in state["previous"].items()}
         self._guests.load_state_dict(state)
-        physics, memory, progress = map(state.get, ("physics", "memory", "progress"))
-        worlds = EnvState(physics, memory, progress, self.env.identity)
+        parts = {part: state[part] for part in _PARTS}
+        worlds = EnvState(**parts, identity=self.env.identity)
         self._observations = self.env.set_state(worlds.map(torch.Tensor.numpy))
 
     def close(self) -> None:

@@ -141,14 +141,8 @@ class Guests:
     ) -> None:
         """Write a guest's actions for some agents in some worlds into `actions`.
 
-        Args:
-          name: the guest's.
-          agents: for whom it acts.
-          observations: of all worlds.
-          worlds: ids of those where it acts.
-          scripted: actions of scripted policies in all worlds, by name; filled as
-            needed.
-          actions: (num_envs, k) by agent.
+        Observations and actions are those of `act`; `scripted` keeps what scripted
+        policies do in all worlds, by name.
         """
         policy = self._policy(name, agents)
         if isinstance(policy, NetworkPolicy):

@@ -28,7 +28,7 @@ from collaborative_gym.learning.config import Mode, Resources, recipe
 from collaborative_gym.learning.display import ManyDisplay
 from collaborative_gym.learning.folder import LAST
 from collaborative_gym.learning.run import Result
-from collaborative_gym.learning.settings import Options, check_options, make_settings
+from collaborative_gym.learning.settings import Options, make_settings, take_interval
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.learning.train import train
 from collaborative_gym.plugins import load_modules, loaded_files
@@ -127,12 +127,9 @@ def train_all(
       ValueError: if such runs are not possible; a run that is there already and was
         started with other settings fails when its turn comes.
     """
-    check_options(options)
+    every = {"checkpoint_interval": take_interval(options)}
     check_callback("on_row", on_row)
     check_kind("output", output, (str, Path), "a folder's name")
-    interval = check_count(
-        "checkpoint_interval", options.pop("checkpoint_interval", 100_000), at_least=1
-    )
     resources = options.pop("resources", None)
     advised, progress = check_flag("advised", advised), check_flag("progress", progress)
     algorithm = options.get("algorithm") or "ppo"
@@ -150,8 +147,7 @@ def train_all(
                 folder = Path(output) / settings.folder.name
                 if folder in plans:
                     raise ValueError(f"{folder.name} is asked for twice; ask once")
-                given = {"env": task, "seed": settings.seed, **own}
-                given["checkpoint_interval"] = interval
+                given = {"env": task, "seed": settings.seed, **own} | every
                 plans[folder] = Plan(folder, numbers.total_steps, given)
     totals = {folder.name: plan.total_steps for folder, plan in plans.items()}
     with ManyDisplay(totals) if progress else nullcontext() as display:

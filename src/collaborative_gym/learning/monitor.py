@@ -56,9 +56,8 @@ def summarize(
         "steps": steps,
         "seconds": float(seconds),
         "steps_per_second": float(steps_per_second),
+        "episodes": len(episodes := iteration.episodes),
     }
-    episodes = iteration.episodes
-    row["episodes"] = len(episodes)
     for name in episodes[0] if episodes else ():
         if name not in _NOT_AVERAGED and not name.endswith("/time_to_success"):
             values = [float(episode[name]) for episode in episodes]

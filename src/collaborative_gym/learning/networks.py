@@ -71,7 +71,9 @@ class Actor(nn.Module):
         if learner.network == "flat":
             sets = [None] * len(networks)
         self.nets = nn.ModuleList(
-            make_network(inputs, outputs, hyperparameters, gain=0.01, at=at)
+            perceptron(inputs, outputs, hyperparameters, gain=0.01)
+            if at is None
+            else SetNetwork(inputs, outputs, hyperparameters, gain=0.01, at=at)
             for (inputs, outputs), at in zip(networks.values(), sets, strict=True)
         )
         is_grip = learner.is_grip(layout)
@@ -106,9 +108,8 @@ class Actor(nn.Module):
                 layer.weight.data.copy_(torch.from_numpy(weight))
                 layer.bias.data.copy_(torch.from_numpy(bias))
         mean, std = ([getattr(each, name) for each in own] for name in ("mean", "std"))
-        return torch.from_numpy(np.concatenate(mean)), torch.from_numpy(
-            np.concatenate(std)
-        )
+        mean, std = (torch.from_numpy(np.concatenate(each)) for each in (mean, std))
+        return mean, std
 
     def weights(self, mean: Tensor, std: Tensor) -> dict[str, Weights]:
         """Return the networks as arrays, by name.
@@ -218,20 +219,6 @@ class TeamNetwork(nn.Module):
         parts = zip(self._kinds, rows.split(self._widths, dim=1), strict=True)
         found = torch.stack([self.agents[kind](part) for kind, part in parts])
         return self.team(found.mean(dim=0))
-
-
-def make_network(
-    inputs: int,
-    outputs: int,
-    hyperparameters: Hyperparameters,
-    *,
-    gain: float,
-    at: SetColumns | None,
-) -> nn.Module:
-    """Return a perceptron, or a network for sets where there is one in the rows."""
-    if at is None:
-        return perceptron(inputs, outputs, hyperparameters, gain)
-    return SetNetwork(inputs, outputs, hyperparameters, gain=gain, at=at)
 
 
 def _linears(net: nn.Module) -> list[nn.Linear]:

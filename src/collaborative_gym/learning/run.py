@@ -106,7 +106,12 @@ class Run:
         self._before = started.seconds if started else 0.0
         self._collectors = _make_collectors(task, settings, resources, self._casting)
         try:
-            self._learners = self._make_learners(resources.device)
+            learns = _LEARNERS[settings.algorithm]
+            how = settings.hyperparameters, resources.device, self._casting
+            self._learners: dict[str, SkrlLearner] = {
+                each.name: learns(each, settings.layout, *how)
+                for each in settings.learners(task)
+            }
             if started is None and settings.start_from:
                 policy = first_policy(settings, task)
                 for learner in self._learners.values():
@@ -231,15 +236,6 @@ class Run:
             self._monitor.close()
         finally:
             self._collectors.close()
-
-    def _make_learners(self, device: str) -> dict[str, SkrlLearner]:
-        settings = self._settings
-        learns, layout = _LEARNERS[settings.algorithm], settings.layout
-        numbers, casting = settings.hyperparameters, self._casting
-        return {
-            each.name: learns(each, layout, numbers, device, casting)
-            for each in settings.learners(self._task)
-        }
 
     def _make_pool(self) -> Pool:
         settings, casting = self._settings, self._casting

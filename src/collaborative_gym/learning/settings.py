@@ -11,6 +11,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.envs.world import World
 from collaborative_gym.errors import (
     UnknownOption,
+    check_count,
     check_kind,
     check_name,
     unknown,
@@ -85,8 +86,13 @@ class Options(TypedDict, total=False):
     checkpoint_interval: int
 
 
-def check_options(options: Options) -> None:
-    """Raise TypeError if there is a keyword that `Options` lacks."""
+def take_interval(options: Options) -> int:
+    """Take the interval of checkpoints out of options, and return it.
+
+    Raises:
+      TypeError: if it is no integer, or there is a keyword that `Options` lacks.
+      ValueError: if it is below 1.
+    """
     names = Options.__annotations__
     for name in options:
         if name not in names:
@@ -94,6 +100,8 @@ def check_options(options: Options) -> None:
                 f"got an unexpected keyword argument {name!r};"
                 f" {unknown('option', name, names)}"
             )
+    interval = options.pop("checkpoint_interval", 100_000)
+    return check_count("checkpoint_interval", interval, at_least=1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,6 @@ from typing import Unpack
 
 from collaborative_gym.errors import (
     check_callback,
-    check_count,
     check_flag,
     check_kind,
     how_to_install,
@@ -29,7 +28,7 @@ from collaborative_gym.learning.config import Hyperparameters, Mode, Resources
 from collaborative_gym.learning.display import Display
 from collaborative_gym.learning.folder import CONFIG, LAST, claimed
 from collaborative_gym.learning.run import OnRow, Result, Run
-from collaborative_gym.learning.settings import Options, check_options, make_settings
+from collaborative_gym.learning.settings import Options, make_settings, take_interval
 from collaborative_gym.learning.stopping import ctrl_c
 from collaborative_gym.tasks.registry import as_task, make_task
 from collaborative_gym.tasks.task import Randomization, Task
@@ -83,17 +82,18 @@ def train(
       ValueError: if the robots do not fit the mode, or a checkpoint is damaged or of
         another run or environment than the one asked for; says what differs.
     """
-    check_options(options)
-    interval = check_count(
-        "checkpoint_interval", options.pop("checkpoint_interval", 100_000), at_least=1
-    )
+    interval = take_interval(options)
     resources = _checked(options.pop("resources", None))
     check_callback("on_row", on_row)
     progress = check_flag("progress", progress)
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
-        folder, started = _resume(resume, stack)
+        folder = started = None
+        if resume is not None:
+            folder = _folder("resume", resume)
+            stack.enter_context(claimed(folder, LAST))
+            started = Checkpoint.load(folder / LAST)
         task = _task(env, started)
         settings = make_settings(
             task,
@@ -110,7 +110,7 @@ def train(
             )
         if folder is None:
             folder = _folder("output", settings.folder if output is None else output)
-            stack.enter_context(_begun(folder))
+            _begin(folder, stack)
         # Also of a run that goes on, whose total_steps may have grown.
         write_text(folder / CONFIG, sealed(settings.to_dict()))
         stack.enter_context(_torch(settings.seed, resources.torch_threads))
@@ -146,17 +146,6 @@ def _folder(name: str, given: str | Path) -> Path:
     return Path(given)
 
 
-def _resume(
-    resume: str | Path | None, stack: ExitStack
-) -> tuple[Path | None, Checkpoint | None]:
-    """Claim the folder of a run that goes on, if one does; return it, and its state."""
-    if resume is None:
-        return None, None
-    folder = _folder("resume", resume)
-    stack.enter_context(claimed(folder, LAST))
-    return folder, Checkpoint.load(folder / LAST)
-
-
 def _task(env: str | Task, started: Checkpoint | None) -> Task:
     """Return what to learn; a run that goes on knows its own arms and starts."""
     if started is None or isinstance(env, Task):
@@ -172,16 +161,14 @@ def _task(env: str | Task, started: Checkpoint | None) -> Task:
     )
 
 
-@contextmanager
-def _begun(folder: Path) -> Iterator[None]:
-    """Claim a new run's folder for a while, unless there is a run already."""
-    with claimed(folder):
-        if (folder / LAST).exists():
-            raise FileExistsError(
-                f"there is a run in {folder} already; continue it (--resume), or choose"
-                " another output"
-            )
-        yield
+def _begin(folder: Path, stack: ExitStack) -> None:
+    """Claim a new run's folder, unless there is a run already."""
+    stack.enter_context(claimed(folder))
+    if (folder / LAST).exists():
+        raise FileExistsError(
+            f"there is a run in {folder} already; continue it (--resume), or choose"
+            " another output"
+        )
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from collaborative_gym.motion.poses import central_pose
 from collaborative_gym.motion.solver import Chains, descend, greatest
 from collaborative_gym.scene import Arm
 
+_PLACES = 9  # solved along each axis
 _STEPS = 150
 _NEAR = 3e-4  # m and rad within which a place counts as reached
 
@@ -28,7 +29,6 @@ class Chart:
       along: edges of the area in the world frame, (2, 3): from its middle to the ends
         along its first and second axis, in m.
       approach: (3,) direction of the tcp's z axis.
-      shape: how many places are solved along each axis.
 
     Raises:
       ValueError: if the arm cannot reach all of the area.
@@ -45,7 +45,6 @@ class Chart:
         middle: ArrayLike,
         along: ArrayLike,
         approach: Array,
-        shape: tuple[int, int] = (9, 9),
     ):
         middle, along = np.asarray(middle, float), np.asarray(along, float)
 
@@ -56,7 +55,7 @@ class Chart:
 
         poses = [(place, approach) for place in places((-1, 1), (-1, 0, 1))]
         centre = central_pose(model, arm, poses=[(middle, approach), *poses])
-        goals = places(*(np.linspace(-1.0, 1.0, count) for count in shape))
+        goals = places(*[np.linspace(-1.0, 1.0, _PLACES)] * 2)
         self.chains = chains = Chains(model, [arm])
         angles, missed = descend(
             chains.of(np.zeros(len(goals), int)),
@@ -74,7 +73,7 @@ class Chart:
                 f"{arm.robot.name} cannot bring its tcp to {worst} as it is mounted;"
                 " mount it nearer, or choose an arm with a longer reach"
             )
-        self._angles = angles.reshape(*shape, -1)
+        self._angles = angles.reshape(_PLACES, _PLACES, -1)
 
     def at(self, share: Array) -> np.ndarray:
         """Return the angles at places, (n, joints), in rad.
@@ -83,9 +82,8 @@ class Chart:
           share: (n, 2) of the way from the middle to the ends along both axes; beyond
             1 it counts as 1.
         """
-        last = np.array(self._angles.shape[:2]) - 1
-        place = (np.clip(share, -1.0, 1.0) + 1.0) / 2 * last
-        low = np.minimum(place.astype(int), last - 1)
+        place = (np.clip(share, -1.0, 1.0) + 1.0) / 2 * (_PLACES - 1)
+        low = np.minimum(place.astype(int), _PLACES - 2)
         (x, y), (u, v) = low.T, (place - low).T[..., None]
         table = self._angles
         return (1 - u) * ((1 - v) * table[x, y] + v * table[x, y + 1]) + u * (

@@ -182,11 +182,9 @@ def descend(
         if aims:
             axis = math.axis_z(quat[goes_on])
             reduced, error = without_spin(reduced, error, axis)
-        free = (
-            nullspace(step, angle, rows, jacobian)
-            if nullspace
-            else np.zeros(angle.shape)
-        )
+        free = np.zeros(angle.shape)
+        if nullspace:
+            free = nullspace(step, angle, rows, jacobian)
         room = low[rows] - angle, high[rows] - angle
         angles[rows] = angle + change(reduced, error, nullspace=free, room=room)
     return angles, missed

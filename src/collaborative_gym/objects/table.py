@@ -41,7 +41,6 @@ def table(
             f"least {shortest_side} m and height more than {_TOP_THICKNESS} m"
         )
     spec, body = begin("table")
-
     box, size = mujoco.mjtGeom.mjGEOM_BOX, (length / 2, width / 2, _TOP_THICKNESS / 2)
     pos = (0, 0, height - _TOP_THICKNESS / 2)
     body.add_geom(name="table_top_collision", type=box, size=size, pos=pos, group=3)

@@ -52,7 +52,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import safest_way
 from collaborative_gym.objects.assembly import ARM, DEEP, HALF, KNOB, block, peg, pin
@@ -63,7 +63,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import assemble as player
 from collaborative_gym.tasks.experts.assemble import HEIGHT, WAIT
 from collaborative_gym.tasks.handing import either_way
-from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
@@ -317,9 +317,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             }
         return seen
 
-    def reward(
-        self, facts: AssembleFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: AssembleFacts, commands: Commands) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.stage), {}
         zero = xp.zeros_like(facts.stage)
         arrived = xp.where(self.success(facts), zero + 1.0, zero)
@@ -365,5 +363,4 @@ def _angle(quat: Array, other: Array) -> Array:
 
 
 register_task("Assemble", Assemble)
-register_env(EnvSpec("AssemblePandas3-v0", Assemble, ("panda",) * 3))
-register_env(EnvSpec("AssembleMixed3-v0", Assemble, ("panda", "sawyer", "jaco")))
+register_teams("Assemble", Assemble, pandas=[3])

@@ -45,8 +45,7 @@ import numpy as np
 
 from collaborative_gym import math, motion
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
-from collaborative_gym.errors import check_flag
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.objects.ball import RADIUS, ball
 from collaborative_gym.objects.board import (
@@ -106,11 +105,6 @@ class BalanceConfig(TaskConfig):
     board_height: float = bounded(0.95, 0.0, 10.0)
     push: float = bounded(0.0, 0.0, 1000.0)
     egocentric: bool | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.egocentric is not None:
-            check_flag("egocentric", self.egocentric)
 
 
 @dataclass(frozen=True)
@@ -344,9 +338,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             "mates": mates_block(frames.directions(agent, rows)),
         }
 
-    def reward(
-        self, facts: BalanceFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: BalanceFacts, commands: Commands) -> dict[str, Terms]:
         fell = array_namespace(facts.distance).where(facts.fell, -1.0, 0.0)
         terms = {"distance": -facts.distance, "fell": fell}
         return dict.fromkeys(self.agents, terms)

@@ -44,10 +44,10 @@ from collaborative_gym.tasks.balance import (
 )
 from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.registry import (
-    EnvSpec,
     get_env,
     register_env,
     register_task,
+    register_teams,
 )
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks
@@ -192,8 +192,4 @@ register_task("BalancePath", BalancePath)
 for _arms in ("Sawyers", "JacoSawyer"):
     _spec = get_env(f"BalanceTask{_arms}-v0")
     register_env(replace(_spec, env_id=f"BalancePath{_arms}-v0", task=BalancePath))
-_TEAMS = {f"BalancePathPandas{n}-v0": ("panda",) * n for n in (3, 4, 6)} | {
-    "BalancePathMixed3-v0": ("panda", "sawyer", "jaco"),
-}
-for _id, _team in _TEAMS.items():
-    register_env(EnvSpec(_id, BalancePath, _team))
+register_teams("BalancePath", BalancePath, pandas=[3, 4, 6])

@@ -70,9 +70,9 @@ import mujoco
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
-from collaborative_gym.motion import Chains, Chart, hold
+from collaborative_gym.motion import Chart, hold
 from collaborative_gym.objects.mallet import GRIP, mallet
 from collaborative_gym.objects.mallet import HEIGHT as MALLET_HEIGHT
 from collaborative_gym.objects.mallet import RADIUS as MALLET
@@ -159,8 +159,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     @property
     def turns(self) -> dict[str, float]:
         """1 where an agent's frame is the table's, -1 where it is turned round."""
-        half = len(self.agents) // 2
-        return dict(zip(self.agents, [1.0] * half + [-1.0] * half, strict=True))
+        return dict.fromkeys(self.sides[0], 1.0) | dict.fromkeys(self.sides[1], -1.0)
 
     @property
     def lanes(self) -> dict[str, float]:
@@ -208,7 +207,6 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
         model = sim.model
-        self._chains = Chains(model, list(scene.arms.values()))
         self.charts = {}
         for agent, arm in scene.arms.items():
             edges = np.diag(self.turns[agent] * AREA_SIZE)
@@ -247,7 +245,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             angles = self.charts[agent].at((place - AREA_MIDDLE) / AREA_SIZE)
             near.append(angles + rng.within(bounds.joint_noise, arm.num_joints))
             goals.append((self._hand(agent, place), _DOWN))
-        found, _ = hold(self._chains, goals, near=near)
+        found, _ = hold(self.chains, goals, near=near)
         for agent, angles in zip(self.agents, found, strict=True):
             self.scene.bend(sim, env_ids, agent=agent, angles=angles)
         wide = self.half_sizes[0] - 2 * PUCK
@@ -323,7 +321,9 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         for agent, way in self.turns.items():
             turn = xp.asarray([way, way, 1.0])
             place, quat = facts.mallet[agent]
-            others = {a: way * facts.mallet[a][0][:, :2] for a in self._others(agent)}
+            # Those of the own side first.
+            own, other = self.sides if way > 0 else self.sides[::-1]
+            others = [facts.mallet[a][0] for a in (*own, *other) if a != agent]
             seen[agent] = {
                 "joints": facts.joints[agent],
                 "joint speeds": facts.joint_speeds[agent],
@@ -331,21 +331,14 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
                 "mallet axis": turn * math.axis_z(quat),
                 "puck": way * facts.puck,
                 "puck velocity": way * facts.puck_velocity,
-                **{f"mallet {i + 1}": each for i, each in enumerate(others.values())},
+                **{f"mallet {i + 1}": way * x[:, :2] for i, x in enumerate(others)},
                 # How near a foul is; below 0 where it would be the own side's.
                 "clock": (way * facts.half * facts.clock)[:, None]
                 / self.config.foul_after,
             }
         return seen
 
-    def _others(self, agent: str) -> tuple[str, ...]:
-        """Return the other agents, those of the agent's own side first."""
-        own, other = self.sides if self.turns[agent] > 0 else self.sides[::-1]
-        return tuple(each for each in (*own, *other) if each != agent)
-
-    def reward(
-        self, facts: HockeyFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: HockeyFacts, commands: Commands) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.puck), {}
         for agent, way in self.turns.items():
             place, quat = facts.mallet[agent]

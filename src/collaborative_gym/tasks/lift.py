@@ -62,8 +62,8 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
-from collaborative_gym.errors import check_flag, check_numbers
+from collaborative_gym.control import ActionMode, Commands
+from collaborative_gym.errors import check_numbers
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import solve_pose, strength, turn_fingers
 from collaborative_gym.motion.lift_mass import weigh
@@ -84,7 +84,12 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import lift as player
 from collaborative_gym.tasks.experts.lift import START
 from collaborative_gym.tasks.holding import start_holding
-from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.registry import (
+    EnvSpec,
+    register_env,
+    register_task,
+    register_teams,
+)
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
@@ -154,8 +159,6 @@ class LiftConfig(TaskConfig):
         if self.target is not None:
             target = check_numbers("target", self.target, 3)
             object.__setattr__(self, "target", target)
-        if self.egocentric is not None:
-            check_flag("egocentric", self.egocentric)
 
 
 @dataclass(frozen=True)
@@ -442,9 +445,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             "mates": mates_block(rows),
         }
 
-    def reward(
-        self, facts: LiftFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: LiftFacts, commands: Commands) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.to_target), {}
         for agent in self.agents:
             command, near = commands[agent], facts.to_handle[agent]
@@ -489,12 +490,8 @@ _JACOS = {
     "target": (0.0, 0.0, 1.2),
     "picking_threshold": 0.04,
 }
-_TEAMS = {f"LiftPandas{n}-v0": ("panda",) * n for n in (2, 3, 4, 6, 8)} | {
-    "LiftMixed3-v0": ("panda", "sawyer", "jaco"),
-    "LiftMixed4-v0": ("panda", "sawyer", "jaco", "panda"),
-}
 register_task("Lift", Lift)
 register_env(EnvSpec("LiftTaskSawyers-v0", Lift, ("sawyer", "sawyer"), _SAWYERS))
 register_env(EnvSpec("LiftTaskJacos-v0", Lift, ("jaco", "jaco"), _JACOS))
-for env_id, robots in _TEAMS.items():
-    register_env(EnvSpec(env_id, Lift, robots, {"egocentric": True}))
+_TEAM = {"egocentric": True}
+register_teams("Lift", Lift, pandas=(2, 3, 4, 6, 8), mixed=(3, 4), settings=_TEAM)

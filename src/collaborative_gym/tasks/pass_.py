@@ -62,8 +62,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
-from collaborative_gym.errors import check_flag
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import quickest_way, safest_way
 from collaborative_gym.objects.cube import cube
@@ -83,7 +82,12 @@ from collaborative_gym.tasks.handing import (
     own_thing,
     stand_in_row,
 )
-from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.registry import (
+    EnvSpec,
+    register_env,
+    register_task,
+    register_teams,
+)
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
@@ -134,11 +138,6 @@ class PassConfig(TaskConfig):
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
     handover_threshold: float = bounded(0.05, 0.0, 1.0)
     relay: bool | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.relay is not None:
-            check_flag("relay", self.relay)
 
 
 @dataclass(frozen=True)
@@ -424,9 +423,7 @@ class Pass(Task[PassConfig, PassFacts]):
             "mates": mates,
         }
 
-    def reward(
-        self, facts: PassFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: PassFacts, commands: Commands) -> dict[str, Terms]:
         xp, config = array_namespace(facts.to_target), self.config
         zero, terms = xp.zeros_like(facts.to_target), {}
         farthest = zero + (_FARTHEST if config.relay else np.inf)
@@ -488,6 +485,4 @@ register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JA
 for grasp in ("pinch", "friction"):
     own, name = {**_SAWYERS, "grasp": grasp}, f"Pass{grasp.title()}Sawyers-v0"
     register_env(EnvSpec(name, Pass, ("sawyer", "sawyer"), own))
-for n in (3, 4, 6):
-    register_env(EnvSpec(f"PassPandas{n}-v0", Pass, ("panda",) * n))
-register_env(EnvSpec("PassMixed3-v0", Pass, ("panda", "sawyer", "jaco")))
+register_teams("Pass", Pass, pandas=[3, 4, 6])

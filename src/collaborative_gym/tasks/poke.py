@@ -36,7 +36,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import solve_pose
 from collaborative_gym.objects.donut import BAR, HOLE, THICKNESS, donut
@@ -228,9 +228,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         joints = facts.joints.items()
         return {a: {"joints": own, "stick": stick, "donut": donut} for a, own in joints}
 
-    def reward(
-        self, facts: PokeFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: PokeFacts, commands: Commands) -> dict[str, Terms]:
         xp = array_namespace(facts.distance)
         is_lined_up = facts.cosine < _INSIDE_COSINE
         is_inside = is_lined_up & (facts.distance < _INSIDE_DISTANCE)

@@ -52,7 +52,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import solve_pose
 from collaborative_gym.objects.pedestal import pedestal
@@ -63,7 +63,7 @@ from collaborative_gym.scene.contacts import depth_sensors
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import reach as player
 from collaborative_gym.tasks.experts.reach import approach
-from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import (
     LEVEL,
@@ -167,8 +167,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return a ring, or a part of it, whose arms' places are equally far apart."""
-        angles, inner = _ring(len(self.agents))
-        places = []
+        step, places = 2 * np.pi / max(len(self.agents), _QUARTERS), []
+        angles, inner = step * np.arange(len(self.agents)), _GAP / 2 / np.sin(step / 2)
         for angle, robot in zip(angles, self.robots.values(), strict=True):
             far = inner + _AHEAD * robot.reach
             x, y = np.round([far * np.cos(angle), far * np.sin(angle)], 12).tolist()
@@ -291,9 +291,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
         for i, agent in enumerate(self.agents):
             far[agent] = math.distance(tcps[agent][0], goals[agent])
             nearer[agent] = memory["before"][:, i] - far[agent]
-            is_there = (far[agent] < config.radius) & (
-                math.norm(speeds[agent]) < config.at_rest
-            )
+            is_still = math.norm(speeds[agent]) < config.at_rest
+            is_there = (far[agent] < config.radius) & is_still
             reached[agent] = is_there & (memory["done"][:, i] < config.goals)
             done[agent] = memory["done"][:, i] + reached[agent]
         rows = [xp.astype(own, xp.float64) for own in reached.values()]
@@ -361,9 +360,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
         """Return the share of an agent's goals that are left, (num_envs, 1)."""
         return (1.0 - facts.done[agent] / self.config.goals)[:, None]
 
-    def reward(
-        self, facts: ReachFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: ReachFacts, commands: Commands) -> dict[str, Terms]:
         terms, goals = {}, self.config.goals
         for agent in self.agents:
             reached, done = facts.reached[agent], facts.done[agent]
@@ -398,14 +395,5 @@ class Reach(Task[ReachConfig, ReachFacts]):
         return self.success(facts) | reduce(or_, facts.touches.values())
 
 
-def _ring(count: int) -> tuple[np.ndarray, float]:
-    """Return at which angles arms stand, and how far from the middle their places."""
-    step = 2 * np.pi / max(count, _QUARTERS)
-    return step * np.arange(count), _GAP / 2 / np.sin(step / 2)
-
-
 register_task("Reach", Reach)
-register_env(EnvSpec("ReachPandas2-v0", Reach, ("panda",) * 2))
-register_env(EnvSpec("ReachPandas4-v0", Reach, ("panda",) * 4))
-register_env(EnvSpec("ReachPandas8-v0", Reach, ("panda",) * 8))
-register_env(EnvSpec("ReachMixed3-v0", Reach, ("panda", "sawyer", "jaco")))
+register_teams("Reach", Reach, pandas=[2, 4, 8])

@@ -90,6 +90,21 @@ def register_env(spec: EnvSpec) -> None:
     note_registration()
 
 
+def register_teams(
+    name: str,
+    task: type[Task],
+    *,
+    pandas: Sequence[int],
+    mixed: Sequence[int] = (3,),
+    settings: Mapping[str, Any] | None = None,
+) -> None:
+    """Register a task's teams of so many Pandas, and of so many arms of three kinds."""
+    teams = {f"Pandas{count}": ("panda",) * count for count in pandas}
+    teams |= {f"Mixed{n}": ("panda", "sawyer", "jaco", "panda")[:n] for n in mixed}
+    for team, robots in teams.items():
+        register_env(EnvSpec(f"{name}{team}-v0", task, robots, settings or {}))
+
+
 def list_envs() -> tuple[str, ...]:
     """Return the ids of all environments."""
     return tuple(_ENVS)

@@ -14,7 +14,7 @@ def bounded(default: float | None, at_least: float, at_most: float) -> Any:
 
 
 def check_settings(settings: Any) -> None:
-    """Check the fields whose defaults are numbers or booleans, and make them Python's.
+    """Check the fields that are numbers or booleans, and make them Python's.
 
     Raises:
       TypeError: if one is of another kind than its default.
@@ -29,7 +29,7 @@ def check_settings(settings: Any) -> None:
             )
         elif kind is float or (option.metadata and given is not None):
             number = check_number(name, given, **option.metadata)
-        elif kind is bool:
+        elif kind is bool or (option.type == bool | None and given is not None):
             number = check_flag(name, given)
         else:
             continue

@@ -46,7 +46,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.blocks import POSE
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import alone, quickest_way
 from collaborative_gym.motion.loads import (
@@ -65,7 +65,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import sort as player
 from collaborative_gym.tasks.experts.sort import HEIGHT, MIDDLE, SIZE
 from collaborative_gym.tasks.handing import PICKING, either_way, of
-from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
+from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Kept, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
@@ -354,9 +354,7 @@ class Sort(Task[SortConfig, SortFacts]):
         middle = xp.stack([x, zero, zero + HEIGHT + SIZE / 2], axis=1)
         return xp.where(mates[:, None], middle, spot)
 
-    def reward(
-        self, facts: SortFacts, commands: dict[str, Command]
-    ) -> dict[str, Terms]:
+    def reward(self, facts: SortFacts, commands: Commands) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.cubes), {}
         zero = xp.zeros_like(facts.sorted)
         for i, (agent, command) in enumerate(commands.items()):
@@ -428,9 +426,5 @@ def _stations(robot: Robot, spots: Positions) -> tuple[np.ndarray, list[np.ndarr
     raise failure
 
 
-_TEAMS = {f"SortPandas{n}-v0": ("panda",) * n for n in (2, 4, 8)} | {
-    "SortMixed3-v0": ("panda", "sawyer", "jaco"),
-}
 register_task("Sort", Sort)
-for env_id, robots in _TEAMS.items():
-    register_env(EnvSpec(env_id, Sort, robots))
+register_teams("Sort", Sort, pandas=[2, 4, 8])

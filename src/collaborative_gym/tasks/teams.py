@@ -13,7 +13,6 @@ from collaborative_gym.scene import Placement, Scene
 MOST_MATES = 7
 """Elements of a block of mates, so that robots of teams of two to eight see alike."""
 
-
 MOST_JOINTS = 7
 """Numbers of a block of joint angles that arms of all kinds share."""
 

@@ -55,7 +55,7 @@ from typing import ClassVar
 import numpy as np
 
 from collaborative_gym import math, motion
-from collaborative_gym.control import ActionMode, Command
+from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion.loads import strong_paths
 from collaborative_gym.objects.bar import KNOB, KNOBS, LENGTH, bar, line
@@ -65,6 +65,7 @@ from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.experts import tug as player
+from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, face_to_face
@@ -188,7 +189,6 @@ class Tug(Task[TugConfig, TugFacts]):
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        self._chains = motion.Chains(sim.model, list(scene.arms.values()))
         self._bar = sim.model.body("bar/bar").id
         self._knob, self._approach, self._posture = {}, {}, {}
         for agent, knob in zip(self.agents, KNOBS, strict=True):
@@ -202,17 +202,10 @@ class Tug(Task[TugConfig, TugFacts]):
             )
 
     def reset(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        bounds = self.config.randomization
-        moved = rng.within(bounds.moves, 4)
-        near = [
-            posture + rng.within(bounds.joint_noise, len(posture))
-            for posture in self._posture.values()
-        ]
-        angles, moved = motion.hold_moved(
-            self._chains, self._grasps, moved=moved, near=near
+        moved, near = rng.within(self.config.randomization.moves, 4), self._posture
+        moved = start_holding(
+            self, sim, env_ids, self._grasps, rng=rng, moved=moved, postures=near
         )
-        for agent, found in zip(self.agents, angles, strict=True):
-            self.scene.bend(sim, env_ids, agent=agent, angles=found)
         place, quat = _CENTRE + moved[:, :3], math.from_yaw(moved[:, 3])
         self.scene.place(sim, env_ids, name="bar", position=place, quat=quat)
 
@@ -270,7 +263,7 @@ class Tug(Task[TugConfig, TugFacts]):
         way, (x, y, z) = self.ways[agent], (vector[:, i] for i in range(3))
         return array_namespace(vector).stack([-way * y, way * x, z], axis=1)
 
-    def reward(self, facts: TugFacts, commands: dict[str, Command]) -> dict[str, Terms]:
+    def reward(self, facts: TugFacts, commands: Commands) -> dict[str, Terms]:
         xp, terms = array_namespace(facts.bar), {}
         for agent in self.agents:
             [other] = [each for each in self.agents if each != agent]

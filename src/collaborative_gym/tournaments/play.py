@@ -413,9 +413,7 @@ def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Playe
             own = read_policy(given, env)
             if isinstance(own, NetworkPolicy):
                 own.check(env, any_env=any_env)
-            elif given not in list(
-                STATES
-            ):  # Of those the worlds come with the pairing.
+            elif given not in [*STATES]:  # Their worlds come with the pairing.
                 commanding(agents, own, env, any_env)
             policies |= dict.fromkeys(agents, own)
             marks |= dict.fromkeys(agents, _mark(given, own))

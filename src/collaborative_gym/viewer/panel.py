@@ -201,14 +201,10 @@ class Panel:
         self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
             old.remove()
+        starts = menu.randomizations(choice.env)
         asked: list[tuple[str, Iterable[str], str, Any]] = [
             ("Environment", menu.envs, choice.env, menu.moved),
-            (
-                "Starts",
-                menu.randomizations(choice.env),
-                choice.randomization,
-                menu.drawn,
-            ),
+            ("Starts", starts, choice.randomization, menu.drawn),
         ]
         for i, agent in enumerate(env.agents):
             arm, policy = choice.robots[i], choice.policies[i]

@@ -76,7 +76,7 @@ def read(
     seed, episode, step = (
         int(progress[name][world]) for name in ("seed", "episode", "step")
     )
-    infos = _OneWorld(infos, world)
+    infos = _one_world(infos, world)
     rewards = {
         agent: {name: float(term[0]) for name, term in named.items()}
         for agent, named in infos["reward_terms"].items()
@@ -107,23 +107,11 @@ def read(
     )
 
 
-class _OneWorld(Mapping[str, Any]):
-    """Infos of one of the worlds, as of a batch of one."""
-
-    def __init__(self, infos: Mapping[str, Any], world: int):
-        self._infos, self._world = infos, world
-
-    def __getitem__(self, name: str) -> Any:
-        value = self._infos[name]
-        if isinstance(value, Mapping):
-            return _OneWorld(value, self._world)
-        return value[self._world : self._world + 1]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._infos)
-
-    def __len__(self) -> int:
-        return len(self._infos)
+def _one_world(infos: Any, world: int) -> Any:
+    """Return infos of one of the worlds, as of a batch of one."""
+    if isinstance(infos, Mapping):
+        return {name: _one_world(value, world) for name, value in infos.items()}
+    return infos[world : world + 1]
 
 
 def _by_side(sides: Iterable[str], given: Any) -> list[tuple[str, Any]]:
