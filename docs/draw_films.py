@@ -16,7 +16,6 @@ MEDIA = Path(__file__).parent / "media"
 SIZE = 480, 270
 TEAMS = (
     "PassPandas4-v0",
-    "ReachPandas4-v0",
     "SortPandas4-v0",
     "AssemblePandas3-v0",
 )
