@@ -432,17 +432,18 @@ def test_pages_say_the_speeds_of_the_table():
     assert f"with random ones {median(random)} and {random[0]} %" in text
 
 
-def test_pages_count_the_tasks_and_those_for_teams():
+def test_pages_count_the_tasks_those_for_teams_and_the_arms():
     words = dict(enumerate(("six", "seven", "eight", "nine", "ten", "eleven"), 6))
     tasks = [cg.task(name) for name in list_tasks()]
-    count = words[len(tasks)]
+    count, arms = words[len(tasks)], words[len(cg.list_robots())]
     teams = words[sum(len(task.robot_counts) > 2 for task in tasks)]
     readme, index, compared = (
         (ROOT / path).read_text()
         for path in ("README.md", "docs/index.md", "docs/comparison.md")
     )
     for page in readme, index:
-        assert f"or win: {count} tasks" in page and f"All {count} tasks" in page
+        assert f"or win: {count} tasks, {arms} commercial arms" in page
+        assert f"All {count} tasks" in page
     assert f"[any team](docs/teams.md) into {teams} of them" in readme
     assert f"eight arms do {teams} of the {count} tasks here" in compared
 
