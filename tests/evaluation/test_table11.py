@@ -160,7 +160,11 @@ def test_bad_input_shows_before_the_work(tmp_path, monkeypatch):
         raise AssertionError("the work began")
 
     for env_ids, error, message in (
-        (["PokeTaskSawyers-v0", "Poke"], KeyError, "no environment 'Poke' .*Balance"),
+        (
+            ["PokeTaskSawyers-v0", "Poke"],
+            KeyError,
+            "no environment 'Poke' .*; environments: Balance",
+        ),
         ([], ValueError, "env_ids is empty"),
     ):
         with pytest.raises(error, match=message):

@@ -19,9 +19,9 @@ for the block it is the target. The pin's is 0.14 m before it while the peg is n
 
 Each arm observes, in the frame of its own base: its tool centre point, its part, that
 part's goal, how far the block is from its own goal and turned from it, and how much of
-their way into the block peg and pin are in (0 to 1). The
-set `mates` has of each other arm: 1, how many seats away it is (as a share of 7),
-whether it grips, and from the own tool centre point to that arm's.
+their way into the block peg and pin are in (0 to 1). The set `mates` has of each other
+arm: 1, how many seats away it is (as a share of 7), whether it grips, and from the own
+tool centre point to that arm's.
 
 Reward of each agent:
 
