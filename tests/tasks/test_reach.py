@@ -210,8 +210,8 @@ def test_a_robot_sees_whose_turn_it_is(make):
     assert all((done[agent] > 0).any() for agent in env.agents)
     for agent, mate in zip(env.agents, env.agents[::-1], strict=True):
         left = 1.0 - done[mate] / env.task.config.goals
-        seats = (1 if agent == "robot_1" else -1) / MOST_MATES
-        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], seats)
+        after = 1.0 if agent == "robot_1" else -1.0
+        np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 1], after)
         np.testing.assert_array_equal(seen[agent]["mates"][:, 0, 2], left)
         np.testing.assert_array_equal(seen[mate]["goals left"][:, 0], left)
 

@@ -242,7 +242,6 @@ def training_commands(settings: Settings, resources: Resources) -> list[str]:
 def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> str:
     """Return the command that trains a run again, by the metadata of its policy."""
     numbers = dict(own["hyperparameters"])
-    numbers["hidden_sizes"] = tuple(numbers["hidden_sizes"])
     advised = numbers.get("imitation", 0.0) > 0.0
     others = changed(Hyperparameters(**numbers), recipe(env_id, advised=advised))
     if own["start_from"]:

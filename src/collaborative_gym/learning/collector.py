@@ -1,7 +1,7 @@
 """Collectors: worlds, and players that act in them and record rollouts."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -412,3 +412,36 @@ class Collector:
             stagger=True,
         )
         return observations
+
+
+class Collectors:
+    """Several collectors in this process that are called as one is.
+
+    Args:
+      jobs: of each; they share the worlds evenly.
+
+    Attributes:
+      count: how many there are.
+    """
+
+    def __init__(self, jobs: Sequence[Job]):
+        self.count = len(jobs)
+        self._all = [Collector(job, i, self.count) for i, job in enumerate(jobs)]
+
+    def collect(self, *given: Any) -> list[Collected]:
+        """Return one rollout of each, as `Collector.collect` does."""
+        return [one for each in self._all for one in each.collect(*given)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the states of all, by their numbers as text."""
+        return {n: own for each in self._all for n, own in each.state_dict().items()}
+
+    def load_state_dict(self, states: Mapping[str, Any]) -> None:
+        """Go on from what `state_dict` returned."""
+        for each in self._all:
+            each.load_state_dict(states)
+
+    def close(self) -> None:
+        """Free the worlds."""
+        for each in self._all:
+            each.close()

@@ -168,6 +168,8 @@ class Hyperparameters:
       network: flat for networks on all numbers of an observation; set for networks that
         look at each mate of a robot alike and pool what they find, so that a policy
         plays in teams of any size. With it, shared gives robots no index.
+      team_sizes: numbers of arms of further teams, which share the worlds evenly with
+        the task's own; for a policy for sets that is shared by arms of one kind.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for only one, at
@@ -207,7 +209,7 @@ class Hyperparameters:
     miss_penalty: float = bounded(0.0, 0.0, 1e3)
     range_penalty: float = bounded(0.0, 0.0, 1e3)
     action_penalty: float = bounded(0.0, 0.0, 1e3)
-    imitation: float = bounded(0.0, 0.0, 1e3)
+    imitation: float = bounded(0.0, 0.0, 1e6)
     refined: int = bounded(0, 0, 1)
     delayed: float = bounded(0.0, 0.0, 1.0)
     mishaps: float = bounded(0.0, 0.0, 1.0)
@@ -226,6 +228,7 @@ class Hyperparameters:
     league_fresh: float = bounded(0.0, 0.0, 1.0)
     league_decay: float = bounded(0.99, 0.0, 1.0)
     network: Network = "flat"
+    team_sizes: tuple[int, ...] = ()
     hidden_sizes: tuple[int, ...] = (256, 256)
     activation: Activation = "relu"
     validation_interval: int = bounded(250_000, 0, 10**15)
@@ -233,13 +236,13 @@ class Hyperparameters:
 
     def __post_init__(self):
         check_settings(self)
-        sizes, a = self.hidden_sizes, "a sequence of integers, such as (256, 256)"
-        check_kind("hidden_sizes", sizes, (tuple, list), a)
-        if not sizes:
-            raise ValueError(f"hidden_sizes must name at least one layer, got {sizes}")
-        checked = [check_count("each of hidden_sizes", n, 1, 2**16) for n in sizes]
-        if isinstance(sizes, list):
-            object.__setattr__(self, "hidden_sizes", tuple(checked))
+        for name, most in (("hidden_sizes", 2**16), ("team_sizes", 100)):
+            sizes, a = getattr(self, name), "a sequence of integers, such as (256, 256)"
+            check_kind(name, sizes, (tuple, list), a)
+            checked = [check_count(f"each of {name}", n, 1, most) for n in sizes]
+            object.__setattr__(self, name, tuple(checked))
+        if not self.hidden_sizes:
+            raise ValueError("hidden_sizes must name at least one layer, got ()")
         if self.min_learning_rate > self.max_learning_rate:
             raise ValueError(
                 f"min_learning_rate {self.min_learning_rate:g} is above"

@@ -11,11 +11,12 @@ from typing import Any
 
 import torch
 
+from collaborative_gym.envs.world import World
 from collaborative_gym.evaluation import evaluate
 from collaborative_gym.learning.assistance import Assistance
-from collaborative_gym.learning.casting import LEAGUE, SELF, Casting
+from collaborative_gym.learning.casting import LEAGUE, SELF
 from collaborative_gym.learning.checkpoint import Checkpoint
-from collaborative_gym.learning.collector import Collected, Collector, Job
+from collaborative_gym.learning.collector import Collected, Collector, Collectors, Job
 from collaborative_gym.learning.config import PENALTIES, Resources
 from collaborative_gym.learning.folder import BEST, LAST
 from collaborative_gym.learning.learner import SkrlLearner
@@ -27,7 +28,7 @@ from collaborative_gym.learning.settings import Settings, first_policy
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import POLICY_FILE, player_file
 from collaborative_gym.rng import validation_seed
-from collaborative_gym.tasks.registry import disturbed
+from collaborative_gym.tasks.registry import disturbed, resized
 from collaborative_gym.tasks.task import Task
 
 _LEARNERS = {"ppo": PPOLearner, "sac": SACLearner}
@@ -104,7 +105,7 @@ class Run:
         self._has_policy, self._quietness = bool(settings.start_from), 0.0
         self._best: dict[str, float] = dict(started.best) if started else {}
         self._before = started.seconds if started else 0.0
-        self._collectors = _make_collectors(task, settings, resources, self._casting)
+        self._collectors = _make_collectors(task, settings, resources)
         try:
             learns = _LEARNERS[settings.algorithm]
             how = settings.hyperparameters, resources.device, self._casting
@@ -381,23 +382,25 @@ class Run:
         ).save(self._folder / name)
 
 
-def _make_collectors(
-    task: Task, settings: Settings, resources: Resources, casting: Casting
-) -> Any:
+def _make_collectors(task: Task, settings: Settings, resources: Resources) -> Any:
     """Return a collector, or several elsewhere that are called as one is."""
     if settings.hyperparameters.mishaps:
         task = disturbed(task, lost=settings.hyperparameters.mishaps)
-    job = Job(
-        task,
-        settings.learners(task),
-        settings.layout,
-        settings.seed,
-        settings.hyperparameters,
-        resources.num_threads,
-        casting,
+    teams = task, *(resized(task, n) for n in settings.hyperparameters.team_sizes)
+    job, *others = (
+        Job(
+            team,
+            settings.learners(team),
+            World.of(team, strain=True).definition.layout,
+            settings.seed,
+            settings.hyperparameters,
+            resources.num_threads,
+            settings.casting(team),
+        )
+        for team in teams
     )
     if settings.backend != "ray":
-        return Collector(job)
+        return Collectors([job, *others]) if others else Collector(job)
     from collaborative_gym.learning.ray_collectors import RayCollectors
 
     return RayCollectors(job, resources.num_collectors, resources.ray_address)

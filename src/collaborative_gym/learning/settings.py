@@ -40,7 +40,7 @@ from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.policy import read_policy
 from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.registry import disturbed
+from collaborative_gym.tasks.registry import disturbed, resized
 from collaborative_gym.tasks.task import Task, TaskConfig
 
 BACKENDS = ("skrl", "ray")
@@ -142,7 +142,7 @@ class Settings:
         )
 
     def learners(self, task: Task) -> tuple[Learner, ...]:
-        """Return the learners of all members.
+        """Return the learners of all members, in the task or in another team of it.
 
         Raises:
           ValueError: if the robots do not fit the mode.
@@ -153,7 +153,7 @@ class Settings:
             for member in casting.members
             for learner in make_learners(
                 self.mode,
-                self.layout,
+                World.of(task, strain=True).definition.layout,
                 task.sides,
                 seats=casting.learned(member) or None,
                 member=member,
@@ -188,7 +188,8 @@ class Settings:
         """Return it as plain lists, dictionaries, numbers and texts."""
         content = asdict(self) | {"layout": self.layout.to_dict()}
         numbers = content["hyperparameters"]
-        numbers["hidden_sizes"] = list(numbers["hidden_sizes"])
+        for name in ("hidden_sizes", "team_sizes"):
+            numbers[name] = list(numbers[name])
         lists = {name: list(content[name]) for name in ("opponents", "partners")}
         return content | lists
 
@@ -380,6 +381,8 @@ def _check_seats(settings: Settings, task: Task) -> None:
     if settings.hyperparameters.mishaps:
         disturbed(task, lost=1.0)  # Refused by tasks without mishaps.
     settings.learners(task)
+    if settings.hyperparameters.team_sizes:
+        _check_teams(settings, task)
     casting = settings.casting(task)
     by_turns = len(task.sides) == 1 and len(casting.learned(casting.members[0])) > 1
     if settings.mode == "centralized" and by_turns:
@@ -389,6 +392,19 @@ def _check_seats(settings: Settings, task: Task) -> None:
         )
     casting.check(settings.hyperparameters.num_envs)
     read_guests(task, casting, settings.opponents or settings.partners)
+
+
+def _check_teams(settings: Settings, task: Task) -> None:
+    """Raise unless one policy can learn in teams of several sizes at once."""
+    numbers = settings.hyperparameters
+    others = settings.opponents or settings.partners or settings.backend == "ray"
+    if settings.mode != "shared" or numbers.network != "set" or others:
+        raise ValueError(
+            "team_sizes are for one policy of any team: give --network set and the mode"
+            " shared, and neither partners, opponents nor Ray"
+        )
+    for count in numbers.team_sizes:
+        resized(task, count)
 
 
 def check_company(

@@ -17,11 +17,12 @@ turns about the vertical; the target's place.
 All parts have one pose once they are assembled. A part's goal is that of the block;
 for the block it is the target. The pin's is 0.14 m before it while the peg is not in.
 
-Each arm observes, in the frame of its own base: its tool centre point, its part, that
-part's goal, how far the block is from its own goal and turned from it, and how much of
-their way into the block peg and pin are in (0 to 1). The set `mates` has of each other
-arm: 1, how many seats away it is (as a share of 7), whether it grips, and from the own
-tool centre point to that arm's.
+Each arm observes, in the frame of its own base: its tool centre point; its part; how a
+hand must still move to hold that, and the part to be at its goal (`to_part`, `to_goal`:
+a way, and the axis of a turn times its angle); how far the block is from its own goal
+and turned from it; and how much of their way into the block peg and pin are in (0 to
+1). The set `mates` has of each other arm: 1, how many seats away it is (as a share of
+7), whether it grips, and from the own tool centre point to that arm's.
 
 Reward of each agent:
 
@@ -89,6 +90,7 @@ _AXES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 _YAW = np.pi / 4  # of what is assembled, so that each knob is before its arm
 _BESIDE, _TURNED = 0.003, 0.1  # m and rad, of an axis in a hole
 _ENOUGH = 1.0 - 0.004 / np.maximum(DEEP, 0.004)  # shares of their way, for 4 mm less
+_SEEN = 4.0  # m and rad, within which parts are seen: one that rolls off goes far
 _LEVER = 0.05  # m; about what two pads bear on a knob that is 0.04 m wide and high
 
 
@@ -146,8 +148,8 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
     coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
-        **dict.fromkeys(("tcp", "part", "goal"), POSE),
-        "block": "m; rad",
+        **dict.fromkeys(("tcp", "part"), POSE),
+        **dict.fromkeys(("to_part", "to_goal", "block"), "m; rad"),
     }
     expert = player.expert
 
@@ -239,7 +241,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         xp, agents = sim.xp, self.agents
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
         parts = dict(zip(agents, map(sim.pose, PARTS), strict=True))
-        knobs = {a: sim.pose(f"{n}/knob") for a, n in zip(agents, PARTS, strict=True)}
+        knobs = {a: self._knob(sim, a, n) for a, n in zip(agents, PARTS, strict=True)}
         holds = {agent: self.scene.holds(sim, agent) for agent in agents}
         out, beside, fits = self._in_block(parts)
         share = xp.clip(1.0 - out / xp.asarray(np.maximum(DEEP, 1e-9)), 0.0, 1.0)
@@ -262,6 +264,12 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             stage=xp.mean(inside[:, 1:], axis=1),
             idle=self.share_idle(sim, holds.values()),
         )
+
+    def _knob(self, sim: Sim, agent: str, part: str) -> tuple[Array, Array]:
+        """Return the pose of a hand that would hold the part."""
+        place, quat = sim.pose(f"{part}/knob")
+        turn = sim.xp.asarray(self.turns[agent], dtype=quat.dtype) + 0.0 * quat
+        return place, math.multiply(quat, turn)
 
     def _in_block(
         self, parts: dict[str, tuple[Array, Array]]
@@ -304,12 +312,17 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         kind, seen, first = facts.stage.dtype, {}, self.agents[0]
         grips = {a: xp.astype(held, kind)[:, None] for a, held in facts.holds.items()}
         for agent in self.agents:
+            tcp, own, goal = facts.tcp[agent], facts.parts[agent], facts.goals[agent]
+            part = math.pose(*frames.pose(agent, own))
+            to_part = frames.way(agent, tcp, facts.knobs[agent])
+            to_goal = frames.way(agent, own, goal)
             seen[agent] = {
                 "joints": alike(facts.joints[agent]),
                 "gripping": grips[agent],
-                "tcp": math.pose(*frames.pose(agent, facts.tcp[agent])),
-                "part": math.pose(*frames.pose(agent, facts.parts[agent])),
-                "goal": math.pose(*frames.pose(agent, facts.goals[agent])),
+                "tcp": math.pose(*frames.pose(agent, tcp)),
+                "part": xp.clip(part, -_SEEN, _SEEN),
+                "to_part": xp.clip(to_part, -_SEEN, _SEEN),
+                "to_goal": xp.clip(to_goal, -_SEEN, _SEEN),
                 # Whoever pushes must see whether the block gives way.
                 "block": xp.stack([facts.to_goal[first], facts.turn[first]], axis=1),
                 "inside": facts.inside[:, 1:],

@@ -6,11 +6,11 @@ lift the pot to a target above the table and keep it level.
 Agents: of two, `robot_1` stands at -y and takes the handle at -y, `robot_2` stands at
 +y and takes the other. Both observe everything. Larger teams stand evenly around a
 round pot, `robot_1` at -y and the others counterclockwise. Each of them observes its
-own arm, its handle, the pot and the target in the frame of its own base, the pot
-turned as if its handle were the first. Of each mate it observes, in the block `mates`:
+own arm, its handle, turned as if it were the first, and the way from the pot to the
+target, in the frame of its own base. Of each mate it observes, in the block `mates`:
 whether there is one, whether it grips, the distance from its tool centre point to its
-handle, and from the robot's own handle to the mate's: the height, and x and y in radii
-of the circle of handles. So all seats, and teams of any size, observe alike.
+handle, and how far its handle is above the robot's own. Nothing of this depends on the
+size of the team, so all seats, and teams of any size, observe alike.
 
 Randomised: the arms' start, the pot's place and turn on the table, the target.
 
@@ -204,7 +204,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
         "handle_spread": "greatest",
     }
     block_units: ClassVar[Mapping[str, str]] = {
-        **{"joints": "rad", "target": "m"},
+        **{"joints": "rad", "target": "m", "to_target": "m"},
         **dict.fromkeys(("handle", "tcp", "pot"), POSE),
     }
     styles = player.STYLES
@@ -425,23 +425,20 @@ class Lift(Task[LiftConfig, LiftFacts]):
         Its own handle counts as the first, and mates are seen from there.
         """
         xp, frames = array_namespace(facts.target), self._frames
-        radius, kind = grip_radius(len(self.agents)), facts.target.dtype
         place, turn = facts.handles[agent][0], facts.pot[1]
-        spin = xp.asarray(self._spins[agent], dtype=kind)
+        spin = xp.asarray(self._spins[agent], dtype=turn.dtype)
         turn = math.multiply(turn, xp.broadcast_to(spin, turn.shape))
-        rows, mates = [], mates_of(self.agents, agent)
-        ways = frames.directions(agent, [facts.handles[m][0] - place for m in mates])
-        for mate, apart in zip(mates, ways, strict=True):
-            gap = facts.to_handle[mate][:, None]
-            parts = [grips[mate], gap, apart[:, 2:], apart[:, :2] / radius]
+        rows = []
+        for mate in mates_of(self.agents, agent):
+            gap, above = facts.to_handle[mate], facts.handles[mate][0] - place
+            parts = [grips[mate], gap[:, None], above[:, 2:]]
             rows.append(xp.concat(parts, axis=1))
         return {
             "joints": alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, facts.tcps[agent])),
             "handle": math.pose(*frames.pose(agent, (place, turn))),
-            "pot": math.pose(*frames.pose(agent, (facts.pot[0], turn))),
-            "target": frames.place(agent, facts.target),
+            "to_target": frames.direction(agent, facts.target - facts.pot[0]),
             "mates": mates_block(rows),
         }
 

@@ -24,10 +24,10 @@ Coordination: `stage` is the share of all goals that were reached, `idle` the me
 of the arms that waited, as in Lift.
 
 The observation is the same for teams of all sizes. `mates` is a set of seven elements,
-one for each mate in the order of the ring and zeros for the others: 1, how many seats
-after the robot's own it has (of equal arms the first one goes), the share of its goals
-that is left, and the places of its tcp, its elbow and its goal. Places are in the frame
-of the robot's own base, and `goal` and `mates` begin at its own tcp.
+one for each mate in the order of the ring and zeros for the others: 1; 1 if its number
+is higher than the robot's own, else -1 (of equal arms the first one goes); the share of
+its goals that is left; and the places of its tcp, its elbow and its goal. Places are in
+the frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
 
 Teamwork is what is hard. The expert lets one of two arms whose ways cross go first. If
 it looks at nobody, it touches another arm in most episodes. Each goal lies where
@@ -352,8 +352,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
         xp, rows = array_namespace(tcp), []
         for i, mate in enumerate(mates):
             left = self._left(facts, mate)
-            seats = 0.0 * left + away(self.agents, agent, mate)
-            rows.append(xp.concat([seats, left, *turned[3 * i : 3 * i + 3]], axis=1))
+            after = 0.0 * left + np.sign(away(self.agents, agent, mate))
+            rows.append(xp.concat([after, left, *turned[3 * i : 3 * i + 3]], axis=1))
         return mates_block(rows)
 
     def _left(self, facts: ReachFacts, agent: str) -> Array:

@@ -169,17 +169,9 @@ def make_task(
     }
     spec = look_up_registered("environment", name, {**_ENVS, **tasks})
     arms = _arms(spec, robots, num_robots)
-    counts = spec.task.robot_counts
-    if len(arms) not in counts:
-        given = counted(arm.name for arm in arms)
-        is_own = robots is None and num_robots is None
-        numbers = " or ".join(map(str, counts))
-        if len(counts) > 2:
-            numbers = f"{min(counts)} to {max(counts)}"
-        remedy = "; name as many in its EnvSpec" if is_own else ""
-        raise ValueError(
-            f"{name} needs {numbers} robots, got {len(arms)} ({given}){remedy}"
-        )
+    is_own = robots is None and num_robots is None
+    remedy = "; name as many in its EnvSpec" if is_own else ""
+    _check_number(name, spec.task, arms, remedy)
     same = tuple(arm.name for arm in arms) == spec.robots
     own = dict(spec.settings) if same else {}
     config = _configure(spec.task, {**own, **settings})
@@ -188,6 +180,21 @@ def make_task(
     task = spec.task(arms, config)
     task.name = name
     return task
+
+
+def _check_number(
+    name: str, task: type[Task], arms: Sequence[Robot], remedy: str
+) -> None:
+    """Raise ValueError if a task takes another number of robots."""
+    counts = task.robot_counts
+    if len(arms) not in counts:
+        given = counted(arm.name for arm in arms)
+        numbers = " or ".join(map(str, counts))
+        if len(counts) > 2:
+            numbers = f"{min(counts)} to {max(counts)}"
+        raise ValueError(
+            f"{name} needs {numbers} robots, got {len(arms)} ({given}){remedy}"
+        )
 
 
 def _arms(
@@ -245,6 +252,24 @@ def as_task(
 def disturbed(task: Task, **changes: Any) -> Task:
     """Return the same task with changes of its randomization's fields."""
     return task.varied(randomization=replace(task.config.randomization, **changes))
+
+
+def resized(task: Task, count: int) -> Task:
+    """Return the same task for another number of its arms.
+
+    Raises:
+      ValueError: if its arms are of several kinds or have given places, or if it takes
+        another number.
+    """
+    arms = set(task.robots.values())
+    if len(arms) > 1 or task.config.placements is not None:
+        raise ValueError(
+            "a team of another size needs arms of one kind that the task places"
+        )
+    _check_number(task.name, type(task), arms := (*arms,) * count, "")
+    other = type(task)(arms, task.given)
+    other.name = task.name
+    return other
 
 
 def _check_task(task: Any) -> None:

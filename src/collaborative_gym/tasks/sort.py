@@ -12,9 +12,11 @@ their turns about the vertical; which of the two cubes in a lane comes first.
 
 Each arm observes, in the frame of its own base, three cubes: its `own cube`, the
 `mate's cube`, which it moves to the middle, and the `moved cube`, its second. Of each:
-its place, and 1 while it is still to be dealt with, else zeros. The block `mates` has
-of each other arm: 1, how many seats away it is (as a share of 7), whether it grips, and
-from the own tool centre point to that arm's. So teams of all sizes observe alike.
+its place, and 1 while it is still to be dealt with, else zeros. Its `next cube` is the
+one that it deals with now: the way from its tool centre point, 1 if it is the mate's,
+and 1 if it is within reach. The block `mates` has of each other arm: 1, how many seats
+away it is (as a share of 7), whether it grips, and from the own tool centre point to
+that arm's. So teams of all sizes observe alike.
 
 Reward of each agent: "its cube" is the one in its hand, or else the one that comes next
 of those that it reaches or will reach; distances count up to 1 m.
@@ -323,7 +325,13 @@ class Sort(Task[SortConfig, SortFacts]):
             a: xp.astype(xp.any(held, axis=1), kind)[:, None]
             for a, held in facts.grips.items()
         }
-        nothing, seen = xp.zeros_like(facts.cubes[:, 0, :1]), {}
+        own, busy = facts.own[agent], xp.any(facts.to_do[agent], axis=1)
+        way = frames.direction(agent, of(facts.cubes, own) - tcp[0])
+        kinds = self.is_mates(agent, own), of(facts.near[agent], own)
+        flags = xp.astype(xp.stack(kinds, axis=1), kind)
+        now = xp.concat([way, flags], axis=1)
+        nothing = xp.zeros_like(facts.cubes[:, 0, :1])
+        seen = {"next cube": xp.where(busy[:, None], now, 0.0 * now)}
         for name, wanted in (
             ("own cube", Cube(i, -1)),
             ("mate's cube", Cube(i + 1, i)),
@@ -345,10 +353,14 @@ class Sort(Task[SortConfig, SortFacts]):
             "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
         }
 
+    def is_mates(self, agent: str, which: Array) -> Array:
+        """Return which cubes, of these indices, an agent moves for its mate."""
+        movers = [each.mover == self.agents.index(agent) for each in self.cubes]
+        return array_namespace(which).asarray(movers)[which]
+
     def bring_to(self, agent: str, which: Array, tcp: Array) -> Array:
         """Return where an agent brings a cube of these indices, (num_envs, 3), in m."""
-        xp, i = array_namespace(tcp), self.agents.index(agent)
-        mates = xp.asarray([each.mover == i for each in self.cubes])[which]
+        xp, mates = array_namespace(tcp), self.is_mates(agent, which)
         spot = xp.asarray(self.totes[agent], dtype=tcp.dtype) + 0.0 * tcp
         x, zero = tcp[:, 0], 0.0 * tcp[:, 0]
         middle = xp.stack([x, zero, zero + HEIGHT + SIZE / 2], axis=1)

@@ -148,6 +148,7 @@ class Task(Generic[ConfigT, FactsT]):
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
+      given: they, before the task filled in those that are None.
       worlds: the compiled worlds of this task and its variations; see `World`.
     """
 
@@ -167,6 +168,7 @@ class Task(Generic[ConfigT, FactsT]):
         self.name = type(self).__name__
         self.agents = name_agents(len(robots))
         self.robots = dict(zip(self.agents, robots, strict=True))
+        self.given = config
         self._take(config)
         self.worlds: dict[bool, Any] = {}
 
@@ -192,6 +194,7 @@ class Task(Generic[ConfigT, FactsT]):
             )
         other = copy(self)
         other.worlds = self.worlds
+        other.given = replace(self.given, **changes)
         other._take(replace(self.config, **changes))
         return other
 

@@ -156,6 +156,18 @@ class Frames:
         turn = xp.broadcast_to(turn, quat.shape)
         return self.place(agent, position), math.multiply(turn, quat)
 
+    def way(
+        self, agent: str, pose: tuple[Array, Array], goal: tuple[Array, Array]
+    ) -> Array:
+        """Return how a pose must move to a goal, (num_envs, 6), in its base's frame.
+
+        It is a way in m, then the axis of a turn times its angle, in rad.
+        """
+        turn = math.multiply(goal[1], math.conjugate(pose[1]))
+        both = goal[0] - pose[0], math.rotation_vector(turn)
+        xp = array_namespace(turn)
+        return xp.concat(self.directions(agent, both), axis=1)
+
 
 def seat_turns(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
     """Return turns by agent, so that equal seats evenly around see one thing alike.

@@ -43,7 +43,7 @@ def expert(self: "Assemble", sim: Sim, facts: "AssembleFacts") -> dict[str, Moti
     for i, agent in enumerate(self.agents):
         arm, (tcp, quat) = self.scene.arms[agent], facts.tcp[agent]
         holds = facts.holds[agent][:, None]
-        taking, closes = _take(self, facts, agent)
+        taking, closes = _take(facts, agent)
         bringing, lifts = _bring(self, facts, i)
         place, turn = (np.where(holds, bringing[k], taking[k]) for k in (0, 1))
         posture = self.angles[agent][np.where(holds & ~lifts, 1, 0)[:, 0]]
@@ -57,15 +57,12 @@ def expert(self: "Assemble", sim: Sim, facts: "AssembleFacts") -> dict[str, Moti
     return motions
 
 
-def _take(
-    task: "Assemble", facts: "AssembleFacts", agent: str
-) -> tuple[tuple[Array, Array], Array]:
+def _take(facts: "AssembleFacts", agent: str) -> tuple[tuple[Array, Array], Array]:
     """Take the part by its knob, from above.
 
     Returns the hand's pose, and where it closes, (num_envs,).
     """
-    (tcp, quat), (knob, turned) = facts.tcp[agent], facts.knobs[agent]
-    hand = math.multiply(turned, np.broadcast_to(task.turns[agent], turned.shape))
+    (tcp, quat), (knob, hand) = facts.tcp[agent], facts.knobs[agent]
     uneven = math.norm(rotation_error(quat, hand))
     gap = standoff(tcp - knob, _DOWN, **_ABOVE)
     gap = np.maximum(gap, np.clip(uneven - _EVEN, 0.0, _ABOVE["most"])[:, None])

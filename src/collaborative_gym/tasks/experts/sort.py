@@ -24,7 +24,7 @@ SIZE = 0.04  # m, of a cube
 MIDDLE = 0.1  # m from the middle, within which a cube is in reach of either side
 
 _DOWN = np.array([0.0, 0.0, -1.0])
-_ABOVE = {"slack": 0.01, "least": 0.0, "most": 0.08}
+_ABOVE = {"slack": 0.015, "least": 0.0, "most": 0.08}
 _CLOSE = 0.8  # share of the greatest distance of a grip at which a hand grips
 _BACK = 0.01  # m; a hand that goes back by more does not grip
 _LEAD = 0.22  # s by which a hand that follows a moving cube would come late
@@ -92,7 +92,7 @@ def _bring(task: "Sort", facts: "SortFacts", agent: str) -> tuple[_Aim, Array]:
     i, tcp, which = task.agents.index(agent), facts.tcp[agent][0], facts.own[agent]
     # Hands that draw nothing to their tcp hold it where they took it.
     at = tcp if task.scene.grasp.draws else of(facts.cubes, which)
-    is_mates = np.array([cube.mover == i for cube in task.cubes])[which]
+    is_mates = task.is_mates(agent, which)
     across, lies = np.abs(at[:, 1]), HEIGHT + SIZE / 2
     x = np.clip(at[:, 0], task.seats[i] - _ASIDE, task.seats[i] + _ASIDE)
     beyond = np.full_like(x, -_BEYOND * np.sign(task.placements[agent].position[1]))
