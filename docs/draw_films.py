@@ -14,6 +14,10 @@ from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
 SIZE = 480, 270
+LEAST = 9.0
+"""Length of a film, in s, at which no further start begins."""
+WIDE = {"PassPandas3-v0": (720, 270), "PassPandas4-v0": (720, 270)}
+"""Sizes of films of long rows, of whose height less is shown."""
 TEAMS = (
     "PassPandas4-v0",
     "SortPandas4-v0",
@@ -39,7 +43,9 @@ def film(env_id: str) -> None:
     elif len(sides) > 1:  # Tug is over within a second.
         record(env_id, path, policy=policy, speed=0.25, size=SIZE)
     else:
-        record(env_id, path, policy=policy, size=SIZE)
+        size = WIDE.get(env_id, SIZE)
+        more = {"size": size, "seconds": LEAST, "slow_motion": True}
+        record(env_id, path, policy=policy, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 

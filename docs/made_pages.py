@@ -68,6 +68,9 @@ _TASKS = (
     "Assemble",
 )
 _MOMENT = {"LiftTaskSawyers-v0": 27, "LiftTaskJacos-v0": 40, "TugPandas-v0": 30}
+_MOMENT |= dict.fromkeys(
+    ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0"), 32
+)
 """Moments of films, in % of their time, that show more than the half."""
 
 _AGAINST = ("Hockey", "Tug")

@@ -2,6 +2,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,6 +73,40 @@ def test_slow_motion_has_more_pictures_of_a_step(
     assert f"0.3 s, speed {speed:g}" in labels[-1]
 
 
+@pytest.mark.parametrize(
+    ("kept", "bound"), [({}, 0.6), ({"highest": "greatest"}, 0.55)]
+)
+def test_slow_motion_is_about_the_last_progress_or_success(
+    carry, tmp_path, monkeypatch, kept, bound
+):
+    class Raised(type(carry())):
+        coordination = kept
+
+        def measure(self, sim):
+            facts = super().measure(sim)
+            return replace(facts, highest=1.0 * (facts.height > 0.55))
+
+    plain, told = carry(), []
+    task = Raised(list(plain.robots.values()), plain.config)
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: told.append(text) or frame
+    )
+    frame = np.zeros((*SIZE[::-1], 3), np.uint8)
+    monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
+    path = tmp_path / "a.gif"
+    recording.record(task, path, seconds=0.1, size=SIZE, slow_motion=True)
+    env = VectorEnv(task, 1, num_threads=1)
+    env.reset(seed=0)
+    while env.facts.height[0] < bound:
+        *_, infos = env.step(env.expert())
+    moment = int(infos["step"][0])
+    times = [float(text.split()[0]) for text in told if ", speed 0.2" in text]
+    # A start has one picture.
+    shown = [step for step in range(moment - 5, moment + 2) if step >= 0]
+    slow = [round(0.1 * step, 1) for step in shown for _ in range(5 if step else 1)]
+    assert times == slow
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.05, 3.0, float("nan"), "slow"])
 def test_a_speed_out_of_bounds_is_refused(carry, tmp_path, speed):
     with pytest.raises((ValueError, TypeError), match="speed must be"):
@@ -104,9 +139,10 @@ def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
     draw = recording._Screen(env, env.expert, {}, 1, SIZE, 1.0)._draw
-    first, again = draw(), draw()
-    env.sim.qpos[0, 3] += 0.1
-    moved = draw()
+    sim = env.sim
+    first, again = (draw(sim.qpos[0], sim.mocap_pos[0]) for _ in range(2))
+    sim.qpos[0, 3] += 0.1
+    moved = draw(sim.qpos[0], sim.mocap_pos[0])
     assert first is again
     assert not np.array_equal(first, moved)
     assert np.array_equal(moved, env.render(width=SIZE[0], height=SIZE[1]))

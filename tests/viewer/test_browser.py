@@ -307,7 +307,7 @@ def test_a_link_opens_the_same_start(serve, open_tab, wait_until):
 
 def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     session, page = serve(ENVS[0])
-    tab = open_tab(page, width=390, height=800)
+    tab = open_tab(page, width=390, height=844)
     wait_until(lambda: not page._stage._hint.visible)  # A phone has no Ctrl.
     for agent in session.env.agents:
         base = f"{agent}/base"
@@ -318,7 +318,10 @@ def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     for part, least in ((play, 44), (plots, 44), (tab.locator(thumb).first, 28)):
         assert (part.bounding_box() or {})["height"] >= least  # for a thumb
     panel = tab.locator(".mantine-Paper-root").filter(has=play).bounding_box() or {}
-    assert panel["height"] <= 0.45 * 800
+    assert panel["height"] <= 0.45 * 844
+    # All controls and the tabs are in view, unless somebody scrolls.
+    shown = play.bounding_box() or {}, plots.bounding_box() or {}
+    assert panel["y"] < shown[0]["y"] and shown[1]["y"] + shown[1]["height"] <= 844
     for agent in session.env.agents:
         assert pixel_of(tab, page, f"{agent}/base")[1] < panel["y"]
 

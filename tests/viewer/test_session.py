@@ -199,7 +199,7 @@ def test_a_policy_that_fails_is_told_and_may_go_on(make_env, start, wait_until):
     assert len(calls) == 6 and "actions are for robot_1; give one" in warned[1]
     session.reset()
     wait_until(lambda: session.reading.time == 0)
-    assert session.reading.trouble == ""
+    wait_until(lambda: session.reading.trouble == "")
 
 
 def test_what_fails_to_draw_ends_it(make_session):
@@ -376,4 +376,4 @@ def test_what_cannot_be_loaded_is_told_and_changes_nothing(make_env, start, wait
     assert session.env is env and not session.reading.is_loading
     session.step()
     wait_until(lambda: steps_done(session) == 1)
-    assert session.reading.trouble == ""
+    wait_until(lambda: session.reading.trouble == "")

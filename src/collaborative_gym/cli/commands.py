@@ -90,6 +90,7 @@ class Record(Watched, _Policy):
       size: width and height in pixels, of each policy's picture.
       speed: simulated seconds per second of the film, 0.1 to 2; below 1 it is slow
         motion.
+      slow_motion: show the team's last progress, such as a hand-over, more slowly.
     """
 
     env: Env
@@ -101,6 +102,7 @@ class Record(Watched, _Policy):
     only_episodes: Annotated[tuple[int, ...], option("INDEX ...", "none")] = ()
     size: Size = OWN_SIZE
     speed: float = 1.0
+    slow_motion: bool = False
 
     def run(self) -> None:
         """Write the file."""
@@ -117,6 +119,7 @@ class Record(Watched, _Policy):
                 only_episodes=self.only_episodes or None,
                 size=None if self.size == OWN_SIZE else self.size,
                 speed=self.speed,
+                slow_motion=self.slow_motion,
                 on_progress=progress(self.env),
             )
         show(f"wrote {self.output}")

@@ -7,6 +7,9 @@ import mujoco
 _SEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 """Settings of a geom that is only seen."""
 
+_WIRE = 0.005
+"""Radius of a ring's wire, in m; if it is less, small pictures show dots."""
+
 
 def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
     """Return a model that has a name, and its body of that name."""
@@ -39,9 +42,10 @@ def add_visual(
 def add_wire_sphere(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, radius: float, rgba: Sequence[float]
 ) -> None:
-    """Add a sphere that hides nothing and throws no shadow: a ring about each axis."""
+    """Add a sphere that hides little: a ring about each axis."""
     mesh = spec.add_mesh(name=f"{body.name} ring", scale=[radius] * 3)
-    mesh.make_supertorus(resolution=40, radius=0.025, s=1, t=1)
+    thick = min(max(_WIRE / radius, 0.025), 0.25)
+    mesh.make_supertorus(resolution=40, radius=thick, s=1, t=1)
     half = 0.5**0.5
     for turn in ((1.0, 0.0, 0.0, 0.0), (half, half, 0.0, 0.0), (half, 0.0, half, 0.0)):
         body.add_geom(

@@ -5,10 +5,10 @@ import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from importlib import import_module
-from itertools import chain, count, islice
+from itertools import chain, count, islice, repeat
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,6 +18,7 @@ from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import (
     check_callback,
     check_count,
+    check_flag,
     check_kind,
     check_number,
     how_to_install,
@@ -52,6 +53,10 @@ _SLOWEST, _FASTEST = 0.1, 2.0
 _SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
 """How many pictures of a control step a film may have."""
 
+_SLOWER, _AROUND = 5, (-5, 2)
+"""How many times as many it has in slow motion, if it may, and from which control step
+to before which one, counted from the decisive one."""
+
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
 
@@ -70,6 +75,7 @@ def record(
     only_episodes: Sequence[int] | None = None,
     size: tuple[int, int] | None = None,
     speed: float = 1.0,
+    slow_motion: bool = False,
     on_progress: OnProgress = None,
 ) -> Path:
     """Write a video of a seed's episodes and return its path.
@@ -94,6 +100,9 @@ def record(
         of a GIF 416 x 234.
       speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
         for slow motion, which draws more pictures of each second of the world.
+      slow_motion: whether 0.7 s about the first policy's last progress are shown at a
+        fifth of the speed, or at 0.1. Progress is the first measure in the task's
+        `coordination` that is kept at its greatest, or else success.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -130,6 +139,7 @@ def record(
     width, height = _sides(usual if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
+    slow_motion = check_flag("slow_motion", slow_motion)
     check_callback("on_progress", on_progress)
     policies: Sequence[Any] = policy if isinstance(policy, list | tuple) else [policy]
     if not policies:
@@ -143,9 +153,11 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            cast.append(_Screen(world, act, players, shots, (width, height), speed))
-        frames = _film(cast, seconds * speed, seed, only_episodes, on_progress)
-        write(output, frames, shots * speed / CONTROL_DT)
+            screen = _Screen(world, act, players, shots, (width, height), speed)
+            stack.callback(screen.camera.close)
+            cast.append(screen)
+        frames = _film(cast, seconds, seed, only_episodes, slow_motion, on_progress)
+        write(output, frames, cast[0].rate)
     return output
 
 
@@ -240,6 +252,20 @@ def _spread(env: VectorEnv) -> float:
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
 
+class _Step(NamedTuple):
+    """A control step that was played."""
+
+    infos: dict[str, Any]
+    states: list[tuple[np.ndarray, np.ndarray]]  # qpos and mocap_pos, evenly spread
+
+
+def _is_success(step: _Step) -> bool:
+    """Return whether the goal is met, of opponents by one side."""
+    success = step.infos["success"]
+    sides = success.values() if isinstance(success, Mapping) else [success]
+    return any(bool(met[0]) for met in sides)
+
+
 class _Screen:
     """A policy that plays one world, and its camera.
 
@@ -256,47 +282,65 @@ class _Screen:
         size: tuple[int, int],
         speed: float,
     ):
-        self.speed = speed
+        self.camera = Camera(env.world.drawn_model, *size)
+        self.speed, self.rate = speed, shots * speed / CONTROL_DT
         self._env, self._policy, self._players = env, policy, players
-        self._shots, self._size = shots, size
+        self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
-        self._frames: list[np.ndarray] = []
-        env.watch(lambda: self._frames.append(self._draw()), shots)
+        self._states: list[tuple[np.ndarray, np.ndarray]] = []
+        env.watch(self._keep, self._most)
 
-    @property
-    def is_done(self) -> bool:
-        """Whether the goal was met, or the episode has ended."""
-        if self._infos["ended"][0] or len(self._players) > 1:
-            return bool(self._infos["ended"][0])
-        return not np.isnan(self._infos["metrics"]["time_to_success"][0])
+    def is_done(self, step: _Step) -> bool:
+        """Return whether the goal was met, or the episode has ended."""
+        if step.infos["ended"][0] or len(self._players) > 1:
+            return bool(step.infos["ended"][0])
+        return not np.isnan(step.infos["metrics"]["time_to_success"][0])
 
-    def start(self, seed: int, episode: int) -> list[np.ndarray]:
-        """Start an episode and return its first picture."""
-        self._observations, self._infos = self._env.reset(seed, [episode])
-        return self._labelled([self._draw()])
+    def play(self, seed: int, episode: int) -> Iterator[_Step]:
+        """Yield the steps of an episode for ever; after its end all stands still."""
+        observations, infos = self._env.reset(seed, [episode])
+        self._keep()
+        yield _Step(infos, self._states[-1:])
+        while not infos["ended"][0]:
+            self._states = []
+            actions = self._policy(observations)
+            observations, *_, infos = self._env.step(actions)
+            yield _Step(infos, self._states)
+        yield from repeat(_Step(infos, self._states[-1:] * self._most))
 
-    def step(self) -> list[np.ndarray]:
-        """Do a control step and return its pictures; after the end all stands still."""
-        if self._infos["ended"][0]:
-            return self._labelled([self._draw()]) * self._shots
-        self._frames.clear()
-        actions = self._policy(self._observations)
-        self._observations, *_, self._infos = self._env.step(actions)
-        return self._labelled(self._frames)
+    def draw(self, step: _Step, is_slow: bool) -> Iterator[np.ndarray]:
+        """Yield pictures of a step; in slow motion, of all its states."""
+        every = 1 if is_slow else -(-len(step.states) // self._shots)
+        pace = self.speed * (self._shots / self._most if is_slow else 1)
+        said = f", speed {pace:g}" if pace != 1 else ""
+        seconds = step.infos["step"][0] * CONTROL_DT
+        label = f"{seconds:.1f} s{said}  {standing(self._players, step.infos)}"
+        for state in step.states[every - 1 :: every]:
+            yield _labelled(self._draw(*state), label)
 
-    def _draw(self) -> np.ndarray:
+    def decisive(self, steps: Sequence[_Step]) -> range:
+        """Return the indices of the steps around the last progress, or the success."""
+        kept = self._env.task.coordination
+        name = next((name for name in kept if kept[name] == "greatest"), None)
+        if name is not None:
+            rows = [each.infos["metrics"]["coordination"][name][0] for each in steps]
+        else:
+            rows = np.maximum.accumulate([_is_success(each) for each in steps])
+        rises = np.flatnonzero(np.diff(rows, prepend=0) > 0).tolist()
+        return (
+            range(rises[-1] + _AROUND[0], rises[-1] + _AROUND[1]) if rises else range(0)
+        )
+
+    def _keep(self) -> None:
         sim = self._env.sim
-        places = np.concatenate([sim.qpos[0], sim.mocap_pos[0].ravel()])
+        self._states.append((sim.qpos[0].copy(), sim.mocap_pos[0].copy()))
+
+    def _draw(self, qpos: np.ndarray, mocap_pos: np.ndarray) -> np.ndarray:
+        places = np.concatenate([qpos, mocap_pos.ravel()])
         if np.abs(places - self._drawn).max() > _VISIBLE:
-            self._frame = self._env.render(width=self._size[0], height=self._size[1])
+            self._frame = self.camera.picture(qpos, mocap_pos)
             self._drawn = places
         return self._frame
-
-    def _labelled(self, frames: Iterable[np.ndarray]) -> list[np.ndarray]:
-        seconds = self._infos["step"][0] * CONTROL_DT
-        pace = f", speed {self.speed:g}" if self.speed != 1 else ""
-        label = f"{seconds:.1f} s{pace}  {standing(self._players, self._infos)}"
-        return [_labelled(frame, label) for frame in frames]
 
 
 def _film(
@@ -304,29 +348,36 @@ def _film(
     seconds: float,
     seed: int,
     episodes: Sequence[int] | None,
+    slow_motion: bool,
     on_progress: OnProgress,
 ) -> Frames:
     """Yield the players' pictures side by side, one start after the other.
 
-    The film shows all `episodes`, or the first ones for at least so many seconds of
-    the world.
+    The film shows all `episodes`, or the first ones for at least so many seconds.
     """
-    played = 0.0
+    shown, first = 0.0, cast[0]
     for i, episode in enumerate(count() if episodes is None else episodes):
-        if episodes is None and played >= seconds:
+        if episodes is None and shown >= seconds:
             break
-        rows = [player.start(seed, episode) for player in cast]
-        left = max(1, round(_HOLD * cast[0].speed / CONTROL_DT))
-        while rows:
-            for frames in zip(*rows, strict=True):
+        rows: list[tuple[_Step, ...]] = []
+        left = max(1, round(_HOLD * first.speed / CONTROL_DT))
+        for row in zip(*(player.play(seed, episode) for player in cast), strict=True):
+            rows.append(row)
+            left -= first.is_done(row[0])
+            if left < 0:
+                break
+        slow = first.decisive([own for own, *_ in rows]) if slow_motion else ()
+        for j, row in enumerate(rows):
+            drawn = zip(cast, row, strict=True)
+            for frames in zip(
+                *(s.draw(own, j in slow) for s, own in drawn), strict=True
+            ):
                 yield np.concatenate(frames, axis=1)
-            played += CONTROL_DT
+                shown += 1 / first.rate
             if on_progress is not None:
                 # The last start is shown to its end, whenever that comes.
-                done = played / seconds if episodes is None else i / len(episodes)
+                done = shown / seconds if episodes is None else i / len(episodes)
                 on_progress(min(0.99, done))
-            left -= cast[0].is_done
-            rows = [player.step() for player in cast] if left >= 0 else []
     if on_progress is not None:
         on_progress(1.0)
 

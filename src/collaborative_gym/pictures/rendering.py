@@ -48,6 +48,8 @@ class Camera:
             check_count("width", width, 1, visual.offwidth),
             check_count("height", height, 1, visual.offheight),
         )
+        # Share of the camera's height that a picture wider than 16:9 shows.
+        self._share = min(1.0, 16 / 9 * self.size[1] / self.size[0])
         self._model = model
         self._data = mujoco.MjData(model)
         # Group 2 is what is seen, group 3 what collides.
@@ -76,6 +78,9 @@ class Camera:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         self._renderer.update_scene(self._data, CAMERA, self._options)
+        for eye in self._renderer.scene.camera:
+            eye.frustum_bottom *= self._share
+            eye.frustum_top *= self._share
         return self._renderer.render()
 
 

@@ -165,7 +165,7 @@ class Scene:
         self.tools.setdefault(agent, []).append(name)
 
     def add_target(
-        self, name: str, radius: float, *, rgba: Sequence[float] = (0.1, 0.6, 0.2, 1)
+        self, name: str, radius: float, *, rgba: Sequence[float] = (0.0, 0.7, 0.2, 1)
     ) -> None:
         """Add a marker of a goal; `place` moves it and `Sim.pose` reads it.
 

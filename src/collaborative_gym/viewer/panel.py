@@ -152,11 +152,6 @@ class Panel:
         self._worlds = gui.add_dropdown(
             "Read", worlds, visible=len(worlds) > 1, hint="What the panel says"
         )
-        moves_on = gui.add_checkbox(
-            "Move on",
-            session.moves_on,
-            hint="Go to the next start a second after a success",
-        )
         # Not in a tab: no script finds what is in a tab that is not open.
         self._shadows = gui.add_checkbox(
             _SHADOWS, True, hint="Slow where there is no graphics card"
@@ -169,12 +164,14 @@ class Panel:
         _on_user(self._time, lambda value: session.seek(round(value / step)))
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
         _on_user(self._worlds, lambda world: self._read(worlds.index(world)))
-        _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
 
     def _add_looks(self) -> None:
-        gui = self._gui
+        session, gui = self._session, self._gui
         self._view = gui.add_dropdown("Camera", [CAMERA])
         _on_user(self._view, self._on_view)
+        hint = "Go to the next start a second after a success"
+        moves_on = gui.add_checkbox("Move on", session.moves_on, hint=hint)
+        _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
         arrows = f"Arrows, 1 m long for {NEWTONS_PER_METRE:g} N"
         self._looks = {
             "shadows": self._shadows,
