@@ -25,15 +25,14 @@ def array_namespace(*arrays: Array) -> Any:
 def dot(a: Array, b: Array) -> Array:
     """Return the inner product over the last axis."""
     product = a * b
-    total = product[..., 0]
-    for i in range(1, product.shape[-1]):
-        total = total + product[..., i]
-    return total
+    columns = (product[..., i] for i in range(1, product.shape[-1]))
+    return sum(columns, product[..., 0])
 
 
 def norm(a: Array) -> Array:
     """Return the Euclidean length over the last axis."""
-    return dot(a, a) ** 0.5
+    square = a * a
+    return sum((square[..., i] for i in range(1, a.shape[-1])), square[..., 0]) ** 0.5
 
 
 def distance(a: Array, b: Array) -> Array:

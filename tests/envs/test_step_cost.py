@@ -48,4 +48,4 @@ def test_a_control_step_runs_few_files_at_little_depth(env_id):
         found[num_envs] = profile(env)
     files, depth, calls = found[16]
     assert calls == found[2][2]
-    assert len(files) <= 19 and depth <= 7 and calls <= 119, (files, depth, calls)
+    assert len(files) <= 18 and depth <= 6 and calls <= 106, (files, depth, calls)

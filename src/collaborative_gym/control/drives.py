@@ -119,7 +119,8 @@ class Servo:
         # last, in rad/s. It is the same in all worlds, but NumPy is quicker with a row
         # for each.
         ramp = np.arange(1.0, SUBSTEPS + 2)[:, None] * (full * SIM_DT / _RAMP)
-        self._ramp = xp.asarray(np.stack([ramp] * sim.num_envs, axis=1))
+        ramp = np.stack([ramp] * sim.num_envs, axis=1)
+        self._least, self._most = xp.asarray(-ramp), xp.asarray(ramp)
 
     def hold(self, sim: Sim, env_ids: EnvIds) -> None:
         """Make the servos of these worlds hold the present angles."""
@@ -170,8 +171,8 @@ class Servo:
         final = (change - start * ramp / 2) / (CONTROL_DT - ramp / 2)
         final = xp.minimum(xp.maximum(final, -fastest), fastest)
         # The reference speed of each physics step, and of the one after the last.
-        ramped = xp.maximum(final - start, -self._ramp)
-        reference = start + xp.minimum(ramped, self._ramp)
+        ramped = xp.minimum(xp.maximum(final - start, self._least), self._most)
+        reference = start + ramped
         ahead = lead / SIM_DT * (reference[1:] - reference[:-1])
         sim.act[:, self._act] = angle + lead * reference[0] + load
         controls[:, :, arm.servos] = xp.moveaxis(reference[:-1] + ahead, 0, 1)

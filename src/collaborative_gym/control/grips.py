@@ -71,9 +71,10 @@ class Grips:
         load, gap = self._bonds.loads(sensordata), self._bonds.gaps(sensordata)
         holds = active[..., self._equalities]
         torn = (load > self._strengths) | (gap > _TEARING * self._thresholds)
-        torn = xp.any((torn & holds)[..., None, :] & self._same_site, axis=-1)
-        tears = xp.zeros(shape, dtype=xp.bool)
-        tears[..., self._equalities] = torn & holds
+        torn, tears = torn & holds, xp.zeros(shape, dtype=xp.bool)
+        if xp.any(torn):  # Seldom.
+            slips = xp.any(torn[..., None, :] & self._same_site, axis=-1)
+            tears[..., self._equalities] = slips & holds
         return tears
 
 

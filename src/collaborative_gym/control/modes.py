@@ -9,6 +9,7 @@ above 0.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -268,6 +269,10 @@ class ActionMode:
                     " for each world and joint, in rad"
                 )
 
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, int]]:
+        return {agent: (self._sim.num_envs, self.size(agent)) for agent in self.arms}
+
     def check(self, actions: Any) -> dict[str, Array]:
         """Return each agent's actions as numbers within [-1, 1].
 
@@ -288,7 +293,7 @@ class ActionMode:
         return {agent: self._checked(agent, actions[agent]) for agent in agents}
 
     def _checked(self, agent: str, given: Any) -> Array:
-        xp, shape = self._sim.xp, (self._sim.num_envs, self.size(agent))
+        xp, shape = self._sim.xp, self._shapes[agent]
         try:
             given = xp.asarray(given)
         except (TypeError, ValueError, RuntimeError) as error:

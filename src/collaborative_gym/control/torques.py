@@ -22,7 +22,6 @@ from collaborative_gym.quiet import quiet
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene import Scene
-from collaborative_gym.sim.judged import STATE
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT
 
@@ -41,6 +40,7 @@ step, which turns the others as well, and of what held an arm back, that the nex
 torques make up for. With 0.7, arms that lift a pot swing; with 0.5 for arms in step,
 every second ball that Sawyers balance falls."""
 
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # all that decides a world's future
 _FEEDFORWARD = 4  # MuJoCo's bit for a motor's only input, a torque
 
 
@@ -137,7 +137,7 @@ class Torques(ActionMode):
         """
         model, data, felt = self._sim.own_model(env_id), self._data, {}
         with quiet():
-            mujoco.mj_setState(model, data, state, STATE)
+            mujoco.mj_setState(model, data, state, _STATE)
             mujoco.mj_forward(model, data)
         inertia, lever = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
         mujoco.mj_fullM(model, data, inertia)

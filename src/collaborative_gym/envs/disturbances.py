@@ -30,6 +30,10 @@ class Disturbances:
     The reward counts what an arm does. A late or lost action costs what the arm does
     instead, not what the policy asked for. The rows of the progress get the actions
     that are on their way.
+
+    Attributes:
+      changes_actions: whether other actions than the asked ones may arrive.
+      has_noise: whether robots may see or feel something else than what is there.
     """
 
     def __init__(
@@ -46,6 +50,7 @@ class Disturbances:
         feels = self._felt.stop - self._felt.start
         self._shakes = feels > 0 and any(getattr(bounds, name) for name in _OF_WRISTS)
         self.has_noise = self._blurs or self._shakes
+        self.changes_actions = bounds.delay > 0 or bounds.lost_actions > 0
         self._is_on = (
             self._changes_models
             or self._shakes

@@ -92,13 +92,15 @@ class Progress:
         times = env_ids * length // self._num_envs
         self.rows["step"][env_ids] = self._xp.asarray(times)
 
-    def count(self, facts: Any, terms: Mapping[str, Terms], diverged: Array) -> Any:
+    def count(
+        self, facts: Any, terms: Mapping[str, Terms], diverged: Array, resting: Array
+    ) -> Any:
         """Bring all up to a control step; return where the goal is met.
 
-        Nothing counts where an episode had ended before.
+        Nothing counts where worlds rest because their episode had ended before.
         """
         rows, task, xp = self.rows, self._task, self._xp
-        moved = ~self.has_ended
+        moved = ~resting
         rows["diverged"] = rows["diverged"] | diverged
         counts = ~rows["diverged"]
         for name in "step", "length":

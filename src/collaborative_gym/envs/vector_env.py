@@ -230,12 +230,13 @@ class VectorEnv:
             if xp.all(resting):
                 raise RuntimeError("the episode has ended; call reset() before step()")
             actions = self.action_mode.check(actions)
-            actions = self._disturbances.deliver(actions, resting)
+            if self._disturbances.changes_actions:
+                actions = self._disturbances.deliver(actions, resting)
             commands, diverged = self._advance(actions, resting)
             facts = self._facts = self.task.measure(self.sim)
             lost = resting | diverged
             terms, rewards = self._reward(facts, commands, lost)
-            success = progress.count(facts, terms, diverged)
+            success = progress.count(facts, terms, diverged, resting)
             last = self._seen()
             if xp.any(lost):
                 for agent in self.agents:
@@ -483,7 +484,9 @@ class VectorEnv:
 
     def _seen(self) -> Observations:
         """Return what the robots see of the present state."""
-        world, felt = self.world, {}
+        world, facts, felt = self.world, self.facts, {}
         if world.feels:
             felt = self._disturbances.feel(world.feel(self.sim))
-        return world.flat(self._disturbances.see(self.facts), felt, self.sim.xp)
+        if self._disturbances.has_noise:
+            facts = self._disturbances.see(facts)
+        return world.flat(facts, felt, self.sim.xp)

@@ -55,9 +55,9 @@ def rotation_error(quat: Array, target: Array) -> Array:
     angle = np.arctan2(sine, cosine)
     # Opposite directions leave the way round open; turn about the x axis then.
     opposite = (sine < 1e-6) & (cosine < 0)
-    unit = np.where(
-        opposite[..., None], math.axis_x(quat), turn / np.maximum(sine, 1e-9)[..., None]
-    )
+    unit = turn / np.maximum(sine, 1e-9)[..., None]
+    if opposite.any():
+        unit = np.where(opposite[..., None], math.axis_x(quat), unit)
     return unit * angle[..., None]
 
 

@@ -4,8 +4,6 @@
 """
 
 from collections.abc import Mapping, Sequence
-from functools import reduce
-from operator import or_
 
 import mujoco
 import numpy as np
@@ -183,12 +181,6 @@ class Hands:
 
     def renew(self, sim: Sim) -> None:
         """Put what holds things to where the states of the worlds remember them."""
-
-    def holds(self, sim: Sim, agent: str, site: str | None) -> Array:
-        """Return in which worlds an agent holds a site, or any, (num_envs,)."""
-        own = [g.agent == agent and site in (None, g.site) for g in self._grips]
-        held = self.is_held(sim)
-        return reduce(or_, (held[:, i] for i in np.flatnonzero(own).tolist()))
 
     def pad_forces(self, sensordata: Array, eq_active: Array) -> Array:
         """Return with what force each of two pads presses, (..., grips), in N.

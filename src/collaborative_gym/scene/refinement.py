@@ -12,6 +12,7 @@ controls. So results stay the same to the bit for any number of worlds and threa
 worlds in which nothing crashes do not change by a bit.
 """
 
+import math
 from collections.abc import Collection
 
 import mujoco
@@ -70,18 +71,27 @@ class _Rules:
 
         One that is not finite is both.
         """
-        xp = array_namespace(qpos)
-        low, high = xp.asarray(self._low), xp.asarray(self._high)
-        is_slow = xp.abs(qvel) <= xp.asarray(_FASTEST * self._limits)
-        is_within = (qpos >= low) & (qpos <= high)
-        if xp.all(is_slow) and xp.all(is_within):  # Nearly always, and faster.
-            return xp.zeros(qpos.shape[:-1], dtype=xp.bool)
-        return ~(xp.all(is_slow, axis=-1) & xp.all(is_within, axis=-1))
+        xp, fastest = array_namespace(qpos), _FASTEST * self._limits
+        steps, stray = math.prod(qpos.shape[1:-1]), False
+        for values, *bounds in (
+            (qpos, self._low, self._high),
+            (qvel, -fastest, fastest),
+        ):
+            # All steps of a world are one row: few long ones are faster than many.
+            rows = xp.reshape(values, (len(values), steps * len(bounds[0])))
+            low, high = (xp.asarray(np.tile(bound, steps)) for bound in bounds)
+            inside = (rows >= low) & (rows <= high)
+            if not xp.all(inside):  # Seldom.
+                stray = stray | ~xp.all(xp.reshape(inside, values.shape), axis=-1)
+        return xp.zeros(qpos.shape[:-1], dtype=xp.bool) | stray
 
     def too_deep(self, sensordata: Array) -> Array:
         """Return after which steps something is too deep in something else."""
         xp = array_namespace(sensordata)
-        return xp.any(~(sensordata[..., self._depths] >= -_DEEPEST), axis=-1)
+        is_shallow = sensordata[..., self._depths] >= -_DEEPEST
+        if xp.all(is_shallow):  # Nearly always, and faster.
+            return xp.zeros(sensordata.shape[:-1], dtype=xp.bool)
+        return ~xp.all(is_shallow, axis=-1)
 
     def too_fast(self, qvel: Array) -> Array:
         """Return after which short steps an arm needs a protective stop."""

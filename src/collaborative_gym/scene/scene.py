@@ -8,6 +8,8 @@ world.
 """
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import or_
 
 import mujoco
 import numpy as np
@@ -357,13 +359,16 @@ class Scene:
           site: what it holds; None for anything.
 
         Raises:
-          ValueError: if the agent has no grip.
+          ValueError: if the agent has no such grip.
         """
-        if not any(agent == grip.agent for grip in self.grips):
+        own = [g.agent == agent and site in (None, g.site) for g in self.grips]
+        if not any(own):
             raise ValueError(
-                f"{agent} has no grip; give it one by add_grip when the world is built"
+                f"{agent} has no {f'grip of {site!r}' if site else 'grip'}; give it one"
+                " by add_grip when the world is built"
             )
-        return self.hands.holds(sim, agent, site)
+        held = self.hands.is_held(sim)
+        return reduce(or_, (held[:, i] for i in range(len(own)) if own[i]))
 
     def add_pad_sensors(self) -> None:
         """Add to a scene that is not compiled yet what `Hands.pad_forces` reads."""

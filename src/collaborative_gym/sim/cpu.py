@@ -47,6 +47,7 @@ class CpuSim:
         self._find_sensors()
         self.memory: dict[str, Array] = {}
         self.refined: list[Refined] = []
+        # What judged steps find, which every call writes anew.
         self._records = {name: np.empty((0, 0, 0)) for name in JUDGED}
         self._own_model: mujoco.MjModel | None = None
 
@@ -75,7 +76,11 @@ class CpuSim:
         env_ids: EnvIds = None,
     ) -> None:
         rows = None if env_ids is None else np.arange(self.num_envs)[env_ids]
-        found, given = self._blank(controls.shape[:2]), records or {}
+        found, given = self._records, records or {}
+        if found["qpos"].shape[:2] != controls.shape[:2]:
+            sizes = {name: self._batch.bind(name).shape[1] for name in JUDGED}
+            found = {n: np.empty((*controls.shape[:2], k)) for n, k in sizes.items()}
+            self._records = found
         if rows is None:
             found = found | given
         else:
@@ -91,13 +96,6 @@ class CpuSim:
         if steps.failed.any():
             ids = np.flatnonzero(steps.failed)
             raise SimulationDiverged(ids if rows is None else rows[ids])
-
-    def _blank(self, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
-        """Return arrays for what judged steps find, which every call writes anew."""
-        if self._records["qpos"].shape[:2] != shape:
-            sizes = {name: self._batch.bind(name).shape[1] for name in JUDGED}
-            self._records = {n: np.empty((*shape, k)) for n, k in sizes.items()}
-        return self._records
 
     @quiet()
     def forward(self, env_ids: EnvIds = None) -> None:

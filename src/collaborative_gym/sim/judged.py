@@ -1,8 +1,8 @@
 """Physics steps that are judged, and taken again where one of them was wrong.
 
-All steps are taken at once. Only in the worlds in which one was wrong, because it broke
-a constraint or was too long for what happened in it, the worlds go back and take them
-again: up to the first that was wrong, which is mended alone, and then all that follow.
+All steps are taken at once. Only the worlds in which one was wrong, because it broke a
+constraint or was too long for what happened in it, go back to the first such step. It
+is mended alone, and then all that follow are taken again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,9 +15,6 @@ from mujoco import batch
 
 from collaborative_gym.math import Array
 from collaborative_gym.sim.sim import Breaks, Refined, Refinement
-
-STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-"""The state that decides a world's future, as rollouts record it."""
 
 CURRENT = mujoco.mjtStage.mjSTAGE_VEL.value
 """Up to where sensors of positions, velocities and contacts are current."""
@@ -37,7 +34,7 @@ class Worlds:
         self.sensordata = rows.bind("sensordata")
 
     def roll(
-        self, rows: np.ndarray | None, controls: Array, records: Mapping[Any, Array]
+        self, rows: np.ndarray | None, controls: Array, records: Mapping[str, Array]
     ) -> np.ndarray:
         """Advance worlds as `Steps` says; return which of them MuJoCo gave up."""
         every = slice(None) if rows is None else rows
@@ -71,7 +68,7 @@ class Steps:
       rows: ids of those that take the steps; None for all.
       controls: (rows, steps, nu).
       records: where to record what the steps find, (rows, steps, ...) by MuJoCo's
-        names; those of `JUDGED` among them, and `STATE` where steps are retaken.
+        names; those of `JUDGED` among them.
       breaks: as in `Sim.step`.
       refinement: as in `Sim`.
 
@@ -85,7 +82,7 @@ class Steps:
         worlds: Worlds,
         rows: np.ndarray | None,
         controls: Array,
-        records: dict[Any, Array],
+        records: dict[str, Array],
         *,
         breaks: Breaks | None,
         refinement: Refinement | None,
@@ -97,58 +94,45 @@ class Steps:
         self.refined: list[Refined] = []
 
     def take(self) -> None:
-        """Take all steps at once, and all of a world again where one was wrong."""
-        worlds, every = self._worlds, self._ids(slice(None))
-        before = worlds.state[every].copy()
-        self.failed = worlds.roll(self._rows, self._controls, self.records)
-        broken, rough = self._judge(slice(None))
-        again = np.flatnonzero((broken | rough).any(axis=1))
-        if not len(again):
-            return
-        rows, controls = self._ids(again), self._controls[again]
-        worlds.state[rows] = before[again]
-        found = {name: each[again] for name, each in self.records.items()}
-        found[STATE] = np.zeros((*controls.shape[:2], before.shape[1]))
-        how = {"breaks": self._breaks, "refinement": self._refinement}
-        retaken = Steps(worlds, rows, controls, found, **how)
-        retaken.retake()
-        for name, each in self.records.items():
-            each[again] = found[name]
-        self.failed[again], self.refined = retaken.failed, retaken.refined
-        self.failed[again] |= worlds.sense(rows)
-
-    def retake(self) -> None:
-        """Take the steps from the present state on, and mend those that are wrong."""
+        """Take all steps at once; where one is wrong, mend it and go on from there."""
         state, steps = self._worlds.state, np.arange(self._controls.shape[1])
         left, start = np.arange(len(self.failed)), np.zeros(len(self.failed), int)
-        while len(left):
-            before = state[self._ids(left)]
-            self._roll(left, start)
-            broken, rough = self._judge(left)
+        before = state[self._ids(slice(None))].copy()
+        self.failed = self._worlds.roll(self._rows, self._controls, self.records)
+        broken, rough = self._judge(slice(None))
+        while True:
             # What is judged of earlier steps was mended before.
             wrong = (broken | rough) & (steps >= start[:, None])
             found = np.flatnonzero(wrong.any(axis=1))
-            left, at = left[found], wrong[found].argmax(axis=1)
-            is_first = (at == start[found])[:, None]
-            earlier = self.records[STATE][left, at - 1]
-            state[self._ids(left)] = np.where(is_first, before[found], earlier)
+            if not len(found):
+                return
+            left, start, at = left[found], start[found], wrong[found].argmax(axis=1)
+            state[self._ids(left)] = before[found]
+            self._roll(left, start, at, {})
             self.failed[left] = False
             self._mend(left, at, broken[found, at])
-            goes_on = (at + 1 < len(steps)) & ~self.failed[left]
-            left, start = left[goes_on], at[goes_on] + 1
+            start = np.where(self.failed[left], len(steps), at + 1)
+            before = state[self._ids(left)]
+            self._roll(left, start, len(steps), self.records)
+            broken, rough = self._judge(left)
 
     def _ids(self, left: Any) -> Any:
         return left if self._rows is None else self._rows[left]
 
-    def _roll(self, left: np.ndarray, start: np.ndarray) -> None:
-        """Take the steps that are left of some worlds, each from its own on."""
-        for first in np.unique(start):
-            group = left[start == first]
-            found = {name: each[group, first:] for name, each in self.records.items()}
-            parts = self._ids(group), self._controls[group, first:], found
+    def _roll(
+        self, left: np.ndarray, start: np.ndarray, end: Any, records: dict[str, Array]
+    ) -> None:
+        """Take steps of some worlds, from one each and before another; record them."""
+        ends = np.broadcast_to(end, start.shape)
+        for first, last in sorted(set(zip(start.tolist(), ends.tolist(), strict=True))):
+            if first == last:
+                continue
+            group = left[(start == first) & (ends == last)]
+            found = {name: each[group, first:last] for name, each in records.items()}
+            parts = self._ids(group), self._controls[group, first:last], found
             self.failed[group] |= self._worlds.roll(*parts)
             for name, array in found.items():
-                self.records[name][group, first:] = array
+                records[name][group, first:last] = array
 
     def _judge(self, left: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return which steps break a constraint, and which need refinement.
@@ -235,9 +219,8 @@ class Steps:
         how = {"breaks": self._breaks, "refinement": refinement}
         short = _ShortSteps(self._worlds, rows, controls, records, **how)
         with self._shortened(refinement, rows):
-            short.retake()
+            short.take()
         self.failed[left] = short.failed
-        del records[STATE]
         self.refined.append(Refined(rows, at, records))
 
     @contextmanager
