@@ -12,6 +12,7 @@ from collaborative_gym.learning.ppo import PPOLearner
 from collaborative_gym.learning.team import make_learners
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.tasks.identity import Identity
+from collaborative_gym.tasks.registry import make_task, resized
 from collaborative_gym.tasks.teams import MOST_MATES, mates_block, mates_of
 
 OWN, MATE, ROWS = 3, 4, 40
@@ -215,6 +216,43 @@ def test_robots_that_are_alike_share_one_by_themselves(crew, train_tiny, tiny):
     with pytest.raises(ValueError, match="has layers of"):
         start = {"hyperparameters": tiny(), "start_from": result.folder}
         train_tiny(result.folder / "flat", mode="shared", task=crew, **start)
+
+
+def test_one_run_learns_in_teams_of_several_sizes(train_tiny, tiny, tmp_path):
+    def numbers(steps):
+        own = {"lost_grips": 0.0, "missed_grips": 0.0, "validation_interval": 0}
+        own |= {"network": "set", "team_sizes": [3], "total_steps": steps}
+        return replace(tiny(), **own, validation_episodes=1)
+
+    task = make_task("Reach", "panda", num_robots=2, max_episode_steps=4)
+    whole = train_tiny(tmp_path / "run", task=task, hyperparameters=numbers(64))
+    part = tmp_path / "part"
+    train_tiny(part, task=task, hyperparameters=numbers(32))
+    again = train_tiny(resume=part, task=task, hyperparameters=numbers(64))
+    assert again.policy().digest == whole.policy().digest
+    alone = replace(numbers(64), team_sizes=())
+    other = train_tiny(tmp_path / "one", task=task, hyperparameters=alone)
+    assert other.policy().digest != whole.policy().digest
+    own = make_task("Lift", "panda", num_robots=3).varied(max_episode_steps=7)
+    team = resized(own, 2)
+    assert team.config.success_radius == 0.15 and team.config.max_episode_steps == 7
+
+
+@pytest.mark.parametrize(
+    ("robots", "sizes", "mode", "reason"),
+    [
+        ("panda", (3,), "collaborative", "one policy of any team: give --network set"),
+        ("panda", (9,), "shared", "Reach needs 2 to 8 robots, got 9"),
+        (("panda", "sawyer"), (3,), "shared", "arms of one kind"),
+    ],
+)
+def test_teams_of_several_sizes_that_cannot_be_are_refused(
+    robots, sizes, mode, reason, train_tiny, tiny
+):
+    numbers = replace(tiny(), network="set", team_sizes=sizes)
+    task = make_task("Reach", robots, num_robots=2 if robots == "panda" else None)
+    with pytest.raises(ValueError, match=reason):
+        train_tiny(task=task, mode=mode, hyperparameters=numbers)
 
 
 def test_what_needs_a_set_and_has_none_is_refused(train_tiny, tiny, crew):
