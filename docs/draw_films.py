@@ -20,7 +20,6 @@ WIDE = {"PassPandas3-v0": (720, 270), "PassPandas4-v0": (720, 270)}
 """Sizes of films of long rows, of whose height less is shown."""
 TEAMS = (
     "PassPandas4-v0",
-    "SortPandas4-v0",
     "AssemblePandas3-v0",
 )
 """Teams without a baseline, whose experts are filmed."""
