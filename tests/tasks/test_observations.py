@@ -95,16 +95,14 @@ def seen_from_base(env, data, block, agent):
         for a, s in zip(agents, sites, strict=True)
     ]
     if block == "mates":
-        rows = np.zeros((7, 6))
+        rows = np.zeros((7, 4))
         for row, j in enumerate([*range(i + 1, len(agents)), *range(i)]):
-            apart = back @ (sites[j] - sites[i])
-            radius = np.hypot(*env.model.site("pot/handle_1").pos[:2])
             grips = expected(env.model, data, f"{agents[j]} gripping", agent)
-            rows[row] = 1.0, *grips, gaps[j], apart[2], *apart[:2] / radius
+            rows[row] = 1.0, *grips, gaps[j], (sites[j] - sites[i])[2]
         return rows.ravel()
-    if block == "target":
+    if block == "to_target":
         place = data.mocap_pos[env.model.body("target").mocapid[0]]
-        return back @ (place - placement.position)
+        return back @ (place - data.site("pot/pot").xpos)
     name = f"{agent}/tcp" if block == "tcp" else "pot/pot"
     spin = np.eye(3) if block == "tcp" else turn(2 * np.pi * i / len(agents))
     place = sites[i] if block == "handle" else data.site(name).xpos
@@ -220,17 +218,31 @@ def seen_in_assemble(env, data, block, agent):
         target, frame = data.mocap_pos[body.mocapid[0]], site.xmat.reshape(3, 3)
         turned = np.arccos((np.trace(frame.T @ turn(np.pi / 4)) - 1.0) / 2.0)
         return [np.linalg.norm(site.xpos - target), turned]
-    site = {"tcp": f"{agent}/tcp", "part": f"{PARTS[i]}/{PARTS[i]}"}
-    seen = data.site(site.get(block, "block/block"))
-    place, frame = seen.xpos, seen.xmat.reshape(3, 3)
-    if block == "goal" and i == 0:
-        place = data.mocap_pos[env.model.body("target").mocapid[0]]
-        frame = turn(np.pi / 4)
-    elif block == "goal" and i == 2:
-        place = place + WAIT * frame[:, 1]
-    turned, quat = back @ frame, np.zeros(4)
-    mujoco.mju_mat2Quat(quat, turned.ravel())
+    sites = {"tcp": f"{agent}/tcp", "part": f"{PARTS[i]}/{PARTS[i]}"}
+    seen = {name: data.site(site) for name, site in sites.items()}
+    seen = {name: (x.xpos, x.xmat.reshape(3, 3)) for name, x in seen.items()}
+    if block == "to_part":
+        knob, hand = data.site(f"{PARTS[i]}/knob"), np.zeros(9)
+        mujoco.mju_quat2Mat(hand, env.task.turns[agent])
+        goal = knob.xpos, knob.xmat.reshape(3, 3) @ hand.reshape(3, 3)
+        return way(back, seen["tcp"], goal)
+    if block == "to_goal":
+        site = data.site("block/block")
+        frame = site.xmat.reshape(3, 3)
+        target = data.mocap_pos[env.model.body("target").mocapid[0]], turn(np.pi / 4)
+        pin = site.xpos + WAIT * frame[:, 1], frame
+        return way(back, seen["part"], (target, (site.xpos, frame), pin)[i])
+    (place, frame), quat = seen[block], np.zeros(4)
+    mujoco.mju_mat2Quat(quat, (back @ frame).ravel())
     return np.concatenate([back @ (place - placement.position), quat[1:], quat[:1]])
+
+
+def way(back, pose, goal):
+    """Return the way and the turn from one place and frame to another."""
+    quat, vector = np.zeros(4), np.zeros(3)
+    mujoco.mju_mat2Quat(quat, (goal[1] @ pose[1].T).ravel())
+    mujoco.mju_quat2Vel(vector, quat, 1.0)
+    return [*(back @ (goal[0] - pose[0])), *(back @ vector)]
 
 
 @pytest.mark.parametrize("env_id", ONE_SIDED)
@@ -256,7 +268,15 @@ def check(env, observations):
                 if block in ("target velocity", "goals left", "cubes left"):
                     # MuJoCo has none; see test_balance_path.py, test_pass_teams.py.
                     continue
-                if block == "gripping" and "tote" in sizes:
+                if block == "next cube":
+                    facts, task = env.facts, env.task
+                    own = facts.own[agent][i]
+                    cube = data.site(f"cube_{own + 1}/centre").xpos
+                    back = turn(task.placements[agent].yaw).T
+                    is_mates = task.cubes[own].mover == env.agents.index(agent)
+                    place = back @ (cube - data.site(f"{agent}/tcp").xpos)
+                    wanted = [*place, is_mates, facts.near[agent][i, own]]
+                elif block == "gripping" and "tote" in sizes:
                     own = expected(env.model, data, f"{agent} gripping", agent)
                     wanted = [np.max(own)]
                 elif "mates" in sizes and block not in ("joints", "gripping"):

@@ -240,7 +240,8 @@ class Hyperparameters:
             sizes, a = getattr(self, name), "a sequence of integers, such as (256, 256)"
             check_kind(name, sizes, (tuple, list), a)
             checked = [check_count(f"each of {name}", n, 1, most) for n in sizes]
-            object.__setattr__(self, name, tuple(checked))
+            if isinstance(sizes, list):  # What was not given stays the default itself.
+                object.__setattr__(self, name, tuple(checked))
         if not self.hidden_sizes:
             raise ValueError("hidden_sizes must name at least one layer, got ()")
         if self.min_learning_rate > self.max_learning_rate:
