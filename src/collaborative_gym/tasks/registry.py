@@ -183,7 +183,7 @@ def make_task(
 
 
 def _check_number(
-    name: str, task: type[Task], arms: Sequence[Robot], remedy: str
+    name: str, task: type[Task], arms: Sequence[Robot], remedy: str = ""
 ) -> None:
     """Raise ValueError if a task takes another number of robots."""
     counts = task.robot_counts
@@ -261,12 +261,13 @@ def resized(task: Task, count: int) -> Task:
       ValueError: if its arms are of several kinds or have given places, or if it takes
         another number.
     """
-    arms = set(task.robots.values())
-    if len(arms) > 1 or task.config.placements is not None:
+    kinds = set(task.robots.values())
+    if len(kinds) > 1 or task.config.placements is not None:
         raise ValueError(
             "a team of another size needs arms of one kind that the task places"
         )
-    _check_number(task.name, type(task), arms := (*arms,) * count, "")
+    arms = tuple(kinds) * count
+    _check_number(task.name, type(task), arms)
     other = type(task)(arms, task.given)
     other.name = task.name
     return other
