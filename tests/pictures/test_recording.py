@@ -80,7 +80,7 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     carry, tmp_path, monkeypatch, kept, bound
 ):
     class Raised(type(carry())):
-        coordination = kept
+        coordination, success_for = kept, 4
 
         def measure(self, sim):
             facts = super().measure(sim)

@@ -102,7 +102,8 @@ def record(
         for slow motion, which draws more pictures of each second of the world.
       slow_motion: whether 0.7 s about the first policy's last progress are shown at a
         fifth of the speed, or at 0.1. Progress is the first measure in the task's
-        `coordination` that is kept at its greatest, or else success.
+        `coordination` that is kept at its greatest; a task without one is slow where
+        the goal begins to be met that ends in success.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -319,7 +320,10 @@ class _Screen:
             yield _labelled(self._draw(*state), label)
 
     def decisive(self, steps: Sequence[_Step]) -> range:
-        """Return the indices of the steps around the last progress, or the success."""
+        """Return the indices of the steps around the last progress.
+
+        Without a measure of it, they are around the step from which the goal was met.
+        """
         kept = self._env.task.coordination
         name = next((name for name in kept if kept[name] == "greatest"), None)
         if name is not None:
@@ -327,9 +331,10 @@ class _Screen:
         else:
             rows = np.maximum.accumulate([_is_success(each) for each in steps])
         rises = np.flatnonzero(np.diff(rows, prepend=0) > 0).tolist()
-        return (
-            range(rises[-1] + _AROUND[0], rises[-1] + _AROUND[1]) if rises else range(0)
-        )
+        if not rises:
+            return range(0)
+        met = rises[-1] - (self._env.task.success_for - 1 if name is None else 0)
+        return range(met + _AROUND[0], met + _AROUND[1])
 
     def _keep(self) -> None:
         sim = self._env.sim
