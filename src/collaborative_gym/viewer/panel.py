@@ -55,9 +55,14 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Paper-root:has(.mantine-Tabs-root) {
   max-height: 45% !important; width: 100% !important; }
 .mantine-ScrollArea-content > div { width: 100% !important; }
+div:has(> div > [data-block]) { display: grid; grid-template-columns: 6em 1fr; }
+div:has(> div > [data-block]) > div { grid-column: 1 / 3; }
+div > div:has(> [data-block]) { grid-column: 1 !important; }
+div:has(> [data-block]) + div { grid-column: 2 !important; }
+div:has(> [data-block]) + div > div > :first-child { display: none; }
 }</style>"""
 """Sizes of buttons, tabs, boxes and sliders that a thumb can hit, and of a panel on a
-phone, where it leaves the arms in view."""
+phone, where it leaves the arms in view and `Play` stands beside the other buttons."""
 
 
 class Panel:
@@ -147,7 +152,6 @@ class Panel:
         self._time = gui.add_slider(
             "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
         )
-        self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
         worlds = [f"world {i + 1}" for i in range(session.env.num_envs)]
         self._worlds = gui.add_dropdown(
             "Read", worlds, visible=len(worlds) > 1, hint="What the panel says"
@@ -162,11 +166,12 @@ class Panel:
         self._moves.on_click(lambda event: moves[event.target.value]())
         step = session.env.control_dt
         _on_user(self._time, lambda value: session.seek(round(value / step)))
-        _on_user(self._speed, lambda value: setattr(session, "speed", value))
         _on_user(self._worlds, lambda world: self._read(worlds.index(world)))
 
     def _add_looks(self) -> None:
         session, gui = self._session, self._gui
+        self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
+        _on_user(self._speed, lambda value: setattr(session, "speed", value))
         self._view = gui.add_dropdown("Camera", [CAMERA])
         _on_user(self._view, self._on_view)
         hint = "Go to the next start a second after a success"
