@@ -26,8 +26,8 @@ class TcpChanges(ServoMode):
     Three numbers are the translation, three the rotation vector, as shares of 0.05 m
     and 0.15 rad; a longer vector is shortened to that. They become joint changes, which
     keep the limits of joints, speeds and torques: where one joint would be too fast,
-    all are slower. So the tool slows down near singular poses. An arm that can hold the
-    tool in many ways goes to its posture meanwhile, as `Scene.postures` has it.
+    all are slower. So the tool slows down near singular poses. A redundant arm also
+    moves towards its posture in `Scene.postures`.
     """
 
     axes = (0, 1, 2, 3, 4, 5)
@@ -138,7 +138,7 @@ class TcpPositionChanges(TcpChanges):
     """A change of the tool's place and of its turn about the vertical.
 
     The tool keeps its tilt. Three numbers are the translation and one is the turn; all
-    else is as in `TcpChanges`.
+    else is as in `tcp`.
     """
 
     axes = (0, 1, 2, 5)
