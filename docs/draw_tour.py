@@ -13,18 +13,18 @@ import collaborative_gym as cg
 
 SIZE = 288, 162
 BAND = 34
-STEPS, HOLD = 80, 10
+STEPS, HOLD = 78, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": ("Poke: a stick, a ring", "baseline", (1.25, 0.40)),
+    "PokeTaskPandaSawyer-v0": ("Poke: a stick, a ring", "baseline", (1.1, 0.42)),
     "LiftTaskSawyers-v0": ("Lift: too heavy for one", "baseline", (1.35, 0.42)),
-    "PassTaskJacoSawyer-v0": ("Pass: hand to hand", "baseline", (1.15, 0.45)),
+    "PassTaskJacoSawyer-v0": ("Pass: hand to hand", "baseline", (1.0, 0.5)),
     "BalanceTaskJacoSawyer-v0": ("Balance: keep the ball", "baseline", (1.3, 0.36)),
-    "BalancePathPandas4-v0": ("BalancePath: an eight", "baseline", (1.25, 0.45)),
+    "BalancePathPandas4-v0": ("BalancePath: an eight", "baseline", (1.1, 0.48)),
     "ReachPandas4-v0": ("Reach: ways that cross", "baseline", (1.2, 0.4)),
     "SortPandas4-v0": ("Sort: by colour", "expert", (1.2, 0.5)),
-    "AssemblePandas3-v0": ("Assemble: three parts", "expert", (1.3, 0.5)),
+    "AssemblePandas3-v0": ("Assemble: three parts", "expert", (1.15, 0.5)),
     "HockeyPandas-v0": ("Hockey: one on one", "expert", (1.3, 0.4)),
     "TugPandas-v0": ("Tug: who is stronger?", "expert", (1.3, 0.4)),
 }

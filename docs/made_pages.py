@@ -67,10 +67,17 @@ _TASKS = (
     "Sort",
     "Assemble",
 )
-_MOMENT = {"LiftTaskSawyers-v0": 27, "LiftTaskJacos-v0": 40, "TugPandas-v0": 30}
-_MOMENT |= dict.fromkeys(
-    ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0"), 32
-)
+_MOMENT = {
+    "LiftTaskSawyers-v0": 27,
+    "LiftTaskJacos-v0": 40,
+    "LiftPandas4-v0": 44,
+    "BalanceTaskSawyers-v0": 45,
+    "BalanceTaskJacoSawyer-v0": 45,
+    "TugPandas-v0": 30,
+    **dict.fromkeys(
+        ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0"), 32
+    ),
+}
 """Moments of films, in % of their time, that show more than the half."""
 
 _AGAINST = ("Hockey", "Tug")

@@ -65,11 +65,10 @@ class _Policy(Command):
       policy: who commands the robots: expert (also in another style, such as
         expert:late), random, baseline (the trained policy that is shipped), the id of
         another environment (its baseline), ego (a shipped one that works with partners
-        of many kinds), a path to a policy file, to one of ONNX or to a training folder,
-        or one of idle, gripping and frozen, which hold still (with an open grip, with a
-        closed grip, with the grip as it is). Or one for each robot, such as
-        robot_1=baseline robot_2=idle, also robot_2=limp, an arm without torque, and
-        robot_2=absent, an arm that touches nothing.
+        of many kinds), a policy file, an ONNX file, a training folder, or one of idle,
+        gripping and frozen, which hold still (with an open grip, a closed one, the grip
+        as it is). Or one for each robot, such as robot_1=baseline robot_2=idle, also
+        robot_2=limp, an arm without torque, and robot_2=absent, which touches nothing.
     """
 
     policy: Policies = ("expert",)

@@ -53,7 +53,7 @@ _SLOWEST, _FASTEST = 0.1, 2.0
 _SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
 """How many pictures of a control step a film may have."""
 
-_SLOWER, _AROUND = 5, (-5, 2)
+_SLOWER, _AROUND = 5, np.array([-5, 2])
 """How many times as many it has in slow motion, if it may, and from which control step
 to before which one, counted from the decisive one."""
 
@@ -102,8 +102,7 @@ def record(
         for slow motion, which draws more pictures of each second of the world.
       slow_motion: whether 0.7 s about the first policy's last progress are shown at a
         fifth of the speed, or at 0.1. Progress is the first measure in the task's
-        `coordination` that is kept at its greatest; a task without one is slow where
-        the goal begins to be met that ends in success.
+        `coordination` that is kept at its greatest, or else where success begins.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -320,21 +319,16 @@ class _Screen:
             yield _labelled(self._draw(*state), label)
 
     def decisive(self, steps: Sequence[_Step]) -> range:
-        """Return the indices of the steps around the last progress.
-
-        Without a measure of it, they are around the step from which the goal was met.
-        """
-        kept = self._env.task.coordination
+        """Return the indices of the steps around the last progress or first success."""
+        kept, late = self._env.task.coordination, 0
         name = next((name for name in kept if kept[name] == "greatest"), None)
         if name is not None:
             rows = [each.infos["metrics"]["coordination"][name][0] for each in steps]
         else:
+            late = self._env.task.success_for - 1  # Success began so long before.
             rows = np.maximum.accumulate([_is_success(each) for each in steps])
-        rises = np.flatnonzero(np.diff(rows, prepend=0) > 0).tolist()
-        if not rises:
-            return range(0)
-        met = rises[-1] - (self._env.task.success_for - 1 if name is None else 0)
-        return range(met + _AROUND[0], met + _AROUND[1])
+        rises = np.flatnonzero(np.diff(rows, prepend=0) > 0) - late
+        return range(*(rises[-1] + _AROUND).tolist()) if rises.size else range(0)
 
     def _keep(self) -> None:
         sim = self._env.sim

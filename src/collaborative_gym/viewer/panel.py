@@ -55,10 +55,8 @@ _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Paper-root:has(.mantine-Tabs-root) {
   max-height: 45% !important; width: 100% !important; }
 .mantine-ScrollArea-content > div { width: 100% !important; }
-div:has(> div > [data-block]) { display: grid; grid-template-columns: 6em 1fr; }
-div:has(> div > [data-block]) > div { grid-column: 1 / 3; }
-div > div:has(> [data-block]) { grid-column: 1 !important; }
-div:has(> [data-block]) + div { grid-column: 2 !important; }
+div:has(> [data-block]) { float: left; width: 6em; }
+div:has(> [data-block]) + div + div { clear: left; }
 div:has(> [data-block]) + div > div > :first-child { display: none; }
 }</style>"""
 """Sizes of buttons, tabs, boxes and sliders that a thumb can hit, and of a panel on a
@@ -183,9 +181,7 @@ class Panel:
             "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
             "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
         }
-        gui.add_markdown(
-            "To pull at an object, drag it with Ctrl (on a Mac Cmd) held down."
-        )
+        gui.add_markdown("Hold down Ctrl (Mac: Cmd) and drag to pull at an object.")
 
     def _read(self, world: int) -> None:
         """Read another world, and look at it where not all are seen."""
