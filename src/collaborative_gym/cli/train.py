@@ -78,9 +78,8 @@ class Train(Command):
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
-    TensorBoard's events, and checkpoints. It lasts --total-steps. Hyperparameters that
-    you do not give have the values with which the environment's baseline was trained,
-    or else the defaults that --help-all shows.
+    TensorBoard's events, and checkpoints. It lasts --total-steps. Hyperparameters are
+    those of the environment's baseline, or else the defaults that --help-all shows.
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.

@@ -49,6 +49,7 @@ there is no graphics card: a picture with them takes a second there."""
 _THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
 .mantine-Input-input { min-height: 44px !important; }
+.mantine-Slider-root { translate: 0 14px; }
 .mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
 .mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
 } @media (max-width: 36em) {
