@@ -227,7 +227,7 @@ def test_tournament_prints_tables_writes_files_and_goes_on(carry_id, capsys, tmp
     told = capsys.readouterr().out
     assert "idle + expert" in told and "robot_1 / robot_2" in told
     assert "worst: idle" in told and "self-play" in told and "2 of scripted" in told
-    assert "Groups of partners that the same robot_2 suits:" in told
+    assert "Groups of partners with which one robot_2 plays well:" in told
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names >= {"pairings", "tournament.json", "tournament.csv"}
     assert main([*line, "--json", "-"]) == 0

@@ -164,7 +164,7 @@ def _partners_table(tournament: Tournament, names: Mapping[str, str]) -> Table:
     caption = _tournament_caption(tournament)
     for seat, lists in tournament.conventions.items():
         listed = " | ".join(", ".join(map(names.__getitem__, own)) for own in lists)
-        caption += f"\nGroups of partners that the same {seat} suits: {listed}."
+        caption += f"\nGroups of partners with which one {seat} plays well: {listed}."
     heads = ["player", "measure", "self-play", "cross-play", "gap", *tournament.turns]
     return new_table(heads, rows, words=2, caption=caption)
 

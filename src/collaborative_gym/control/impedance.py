@@ -36,7 +36,7 @@ class _Springs(Servo):
 
 
 class Impedance(TcpChanges):
-    """A change of the tool's pose, as in `tcp`, of a tool that springs hold.
+    """A change of the pose, as in `tcp`, of a tool that is held by springs.
 
     In the operational space (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987), springs K between the tool and its target turn the

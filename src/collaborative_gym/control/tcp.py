@@ -135,7 +135,7 @@ class TcpChanges(ServoMode):
 
 
 class TcpPositionChanges(TcpChanges):
-    """A change of the tool's place and of its turn about the vertical.
+    """A change of the tool's position and yaw, its turn about the vertical.
 
     The tool keeps its tilt. Three numbers are the translation and one is the turn; all
     else is as in `tcp`.
