@@ -101,11 +101,14 @@ class AssembleConfig(TaskConfig):
     """Settings of Assemble.
 
     Attributes:
+      action: as in all tasks; changes of the tool's pose, in which parts go in straight,
+        unless told otherwise.
       grasp: as in all tasks, but no magnet.
       success_radius: greatest distance of the block from the target, in m.
       picking_threshold: greatest distance at which a grip starts, in m.
     """
 
+    action: str = "tcp"
     grasp: str = "pinch"
     success_radius: float = bounded(0.05, 0.001, 10.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
