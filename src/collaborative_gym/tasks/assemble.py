@@ -101,8 +101,7 @@ class AssembleConfig(TaskConfig):
     """Settings of Assemble.
 
     Attributes:
-      action: as in all tasks; changes of the tool's pose, in which parts go in straight,
-        unless told otherwise.
+      action: as in all tasks, but "tcp", in which parts go in straight.
       grasp: as in all tasks, but no magnet.
       success_radius: greatest distance of the block from the target, in m.
       picking_threshold: greatest distance at which a grip starts, in m.

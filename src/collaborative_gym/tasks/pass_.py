@@ -102,13 +102,7 @@ from collaborative_gym.tasks.task import (
     columns,
     presets,
 )
-from collaborative_gym.tasks.teams import (
-    MOST_MATES,
-    Frames,
-    alike,
-    fine,
-    hands_block,
-)
+from collaborative_gym.tasks.teams import MOST_MATES, Frames, alike, fine, hands_block
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
