@@ -18,10 +18,7 @@ LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 WIDE = {"PassPandas3-v0": (720, 270), "PassPandas4-v0": (720, 270)}
 """Sizes of films of long rows, of whose height less is shown."""
-TEAMS = (
-    "PassPandas4-v0",
-    "AssemblePandas3-v0",
-)
+TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""

@@ -130,12 +130,13 @@ def test_evaluate_prints_a_table_and_writes_files(carry_id, capsys, tmp_path):
 
 def test_settings_of_the_task_are_options(carry_id, capsys):
     arguments = ["evaluate", carry_id, "--episodes", "1", "--policy", "idle"]
-    settings = ["--settings", "max_episode_steps=7", "wrench=raw", "--json", "-"]
-    assert main([*arguments, *settings]) == 0
+    settings = "max_episode_steps=7", "wrench=raw", "pad_force=true"
+    assert main([*arguments, "--settings", *settings, "--json", "-"]) == 0
     printed = capsys.readouterr()
     (report,) = json.loads(printed.out).values()
     config = report["settings"]["identity"]["config"]
     assert (config["max_episode_steps"], config["wrench"]) == (7, "raw")
+    assert config["pad_force"] is True
     assert "idle on default, max_episode_steps=7, wrench=raw" in printed.err
     assert "Means over 1 episode;" in printed.err
 

@@ -221,10 +221,10 @@ def test_robots_that_are_alike_share_one_by_themselves(crew, train_tiny, tiny):
 def test_one_run_learns_in_teams_of_several_sizes(train_tiny, tiny, tmp_path):
     def numbers(steps):
         own = {"lost_grips": 0.0, "missed_grips": 0.0, "validation_interval": 0}
-        own |= {"network": "set", "team_sizes": [3], "total_steps": steps}
+        own |= {"network": "set", "team_sizes": [2], "total_steps": steps}
         return replace(tiny(), **own, validation_episodes=1)
 
-    task = make_task("Reach", "panda", num_robots=2, max_episode_steps=4)
+    task = make_task("Reach", "panda", num_robots=3, max_episode_steps=4)
     whole = train_tiny(tmp_path / "run", task=task, hyperparameters=numbers(64))
     part = tmp_path / "part"
     train_tiny(part, task=task, hyperparameters=numbers(32))

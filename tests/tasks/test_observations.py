@@ -168,12 +168,15 @@ def seen_in_pass(env, data, block, agent):
         for row, j in enumerate([*range(i + 1, len(agents)), *range(i)]):
             place = data.site(f"{agents[j]}/tcp").xpos
             grips = expected(env.model, data, f"{agents[j]} gripping", agent)
-            far = np.linalg.norm(place - cube)
+            far = fine(np.linalg.norm(place - cube))
             rows[row] = 1.0, (j - i) / 7, *grips, *(place - tcp), far
         return rows.ravel()
-    if block == "goal":
+    if block == "to_cube":
+        return fine(cube - tcp)
+    if block == "to_goal":
         target = data.mocap_pos[env.model.body("target").mocapid[0]]
-        return (target if i == len(agents) - 1 else env.task.meetings[i]) - base
+        goal = target if i == len(agents) - 1 else env.task.meetings[i]
+        return fine(goal - cube)
     site = f"{agent}/tcp" if block == "tcp" else "cube/centre"
     return pose(env.model, data, site) - [*base, 0.0, 0.0, 0.0, 0.0]
 
@@ -225,16 +228,22 @@ def seen_in_assemble(env, data, block, agent):
         knob, hand = data.site(f"{PARTS[i]}/knob"), np.zeros(9)
         mujoco.mju_quat2Mat(hand, env.task.turns[agent])
         goal = knob.xpos, knob.xmat.reshape(3, 3) @ hand.reshape(3, 3)
-        return way(back, seen["tcp"], goal)
+        return fine(way(back, seen["tcp"], goal))
     if block == "to_goal":
         site = data.site("block/block")
         frame = site.xmat.reshape(3, 3)
         target = data.mocap_pos[env.model.body("target").mocapid[0]], turn(np.pi / 4)
         pin = site.xpos + WAIT * frame[:, 1], frame
-        return way(back, seen["part"], (target, (site.xpos, frame), pin)[i])
+        goals = target, (site.xpos, frame), pin
+        return fine(way(back, seen["part"], goals[i]))
     (place, frame), quat = seen[block], np.zeros(4)
     mujoco.mju_mat2Quat(quat, (back @ frame).ravel())
     return np.concatenate([back @ (place - placement.position), quat[1:], quat[:1]])
+
+
+def fine(way):
+    """Return ways or turns by their logarithms, 1 cm or 0.01 rad as log 2."""
+    return np.sign(way) * np.log(1.0 + np.abs(way) / 0.01)
 
 
 def way(back, pose, goal):

@@ -110,8 +110,8 @@ def chosen_task(
             )
         try:
             own[name] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):  # A word, such as raw.
-            own[name] = value
+        except (ValueError, SyntaxError):  # A word, such as raw or true.
+            own[name] = {"true": True, "false": False}.get(value, value)
     arms = robots[0] if len(robots) == 1 else robots or None
     own |= {"num_robots": num_robots, "randomization": randomization}
     return make_task(env, arms, **own)

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,10 @@ def summarize(
         "steps_per_second": float(steps_per_second),
         "episodes": len(episodes := iteration.episodes),
     }
-    for name in episodes[0] if episodes else ():
+    # Of teams of several sizes, the smaller ones have no such agent.
+    for name in dict.fromkeys(chain(*episodes)):
         if name not in _NOT_AVERAGED and not name.endswith("/time_to_success"):
-            values = [float(episode[name]) for episode in episodes]
+            values = [float(each[name]) for each in episodes if name in each]
             row[name] = math.fsum(values) / len(values)
     for learner, update in iteration.updates.items():
         row |= {f"{learner}/{name}": float(value) for name, value in update.items()}

@@ -19,10 +19,11 @@ for the block it is the target. The pin's is 0.14 m before it while the peg is n
 
 Each arm observes, in the frame of its own base: its tool centre point; its part; how a
 hand must still move to hold that, and the part to be at its goal (`to_part`, `to_goal`:
-a way, and the axis of a turn times its angle); how far the block is from its own goal
-and turned from it; and how much of their way into the block peg and pin are in (0 to
-1). The set `mates` has of each other arm: 1, how many seats away it is (as a share of
-7), whether it grips, and from the own tool centre point to that arm's.
+a way, and the axis of a turn times its angle, each x as log(1 + 100 |x|) with its sign,
+in which millimetres show); how far the block is from its own goal and turned from it;
+and how much of their way into the block peg and pin are in (0 to 1). The set `mates`
+has of each other arm: 1, how many seats away it is (as a share of 7), whether it grips,
+and from the own tool centre point to that arm's.
 
 Reward of each agent:
 
@@ -73,6 +74,7 @@ from collaborative_gym.tasks.teams import (
     add_team_camera,
     alike,
     around,
+    fine,
     hands_block,
 )
 
@@ -99,11 +101,13 @@ class AssembleConfig(TaskConfig):
     """Settings of Assemble.
 
     Attributes:
+      action: as in all tasks, but "tcp", in which parts go in straight.
       grasp: as in all tasks, but no magnet.
       success_radius: greatest distance of the block from the target, in m.
       picking_threshold: greatest distance at which a grip starts, in m.
     """
 
+    action: str = "tcp"
     grasp: str = "pinch"
     success_radius: float = bounded(0.05, 0.001, 10.0)
     picking_threshold: float = bounded(0.03, 0.0, 1.0)
@@ -149,7 +153,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
         **dict.fromkeys(("tcp", "part"), POSE),
-        **dict.fromkeys(("to_part", "to_goal", "block"), "m; rad"),
+        "block": "m; rad",
     }
     expert = player.expert
 
@@ -314,15 +318,13 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         for agent in self.agents:
             tcp, own, goal = facts.tcp[agent], facts.parts[agent], facts.goals[agent]
             part = math.pose(*frames.pose(agent, own))
-            to_part = frames.way(agent, tcp, facts.knobs[agent])
-            to_goal = frames.way(agent, own, goal)
             seen[agent] = {
                 "joints": alike(facts.joints[agent]),
                 "gripping": grips[agent],
                 "tcp": math.pose(*frames.pose(agent, tcp)),
                 "part": xp.clip(part, -_SEEN, _SEEN),
-                "to_part": xp.clip(to_part, -_SEEN, _SEEN),
-                "to_goal": xp.clip(to_goal, -_SEEN, _SEEN),
+                "to_part": fine(frames.way(agent, tcp, facts.knobs[agent])),
+                "to_goal": fine(frames.way(agent, own, goal)),
                 # Whoever pushes must see whether the block gives way.
                 "block": xp.stack([facts.to_goal[first], facts.turn[first]], axis=1),
                 "inside": facts.inside[:, 1:],

@@ -10,11 +10,13 @@ With two arms the target hangs in the air in front of robot_2. Three arms and mo
 relay: the cube goes through all hands to its target on the last arm's table. From four
 arms on a second cube follows, with a target of its own. Neighbours alone reach each
 other, at one place between them. Each arm sees in the frame of its own base: its own
-cube, which is the one in its hand, or the first that it has not passed on; the goal,
-where it hands that over or puts it down; the share of cubes left. Of each mate it sees,
-in the block `mates`: whether there is one, how many seats away (over 7), whether it
-grips, from its own tool centre point to the mate's, and how far that is from its cube.
-So all seats, and relays of any length, observe alike.
+cube, which is the one in its hand, or the first that it has not passed on; the way to
+it, and the cube's to where it hands that over or puts it down; the share of cubes left.
+Of each mate it sees, in the block `mates`: whether there is one, how many seats away
+(over 7), whether it grips, from its own tool centre point to the mate's, and how far
+that is from its cube. Ways and that distance are fine: log(1 + 100 |x|) with their
+sign, x in m (symlog, arXiv 2301.04104). So all seats, and relays of any length, observe
+alike.
 
 Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 
@@ -100,7 +102,7 @@ from collaborative_gym.tasks.task import (
     columns,
     presets,
 )
-from collaborative_gym.tasks.teams import MOST_MATES, Frames, alike, hands_block
+from collaborative_gym.tasks.teams import MOST_MATES, Frames, alike, fine, hands_block
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
@@ -186,7 +188,7 @@ class Pass(Task[PassConfig, PassFacts]):
     )
     coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
-        **{"joints": "rad", "target": "m", "goal": "m"},
+        **{"joints": "rad", "target": "m"},
         **dict.fromkeys(("end effector", "tcp", "cube"), POSE),
     }
     styles = player.STYLES
@@ -409,7 +411,7 @@ class Pass(Task[PassConfig, PassFacts]):
         if i < len(self.meetings):
             goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
         gaps = {
-            mate: math.distance(there, own[0])[:, None]
+            mate: fine(math.distance(there, own[0])[:, None])
             for mate, (there, _) in facts.tcp.items()
         }
         mates = hands_block(frames, agent, tcps=facts.tcp, grips=grips, more=gaps)
@@ -418,7 +420,8 @@ class Pass(Task[PassConfig, PassFacts]):
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, tcp)),
             "cube": math.pose(*frames.pose(agent, (own[0], own[1]))),
-            "goal": frames.place(agent, goal),
+            "to_cube": fine(frames.direction(agent, own[0] - tcp[0])),
+            "to_goal": fine(frames.direction(agent, goal - own[0])),
             "cubes left": self._left(i, facts)[:, None] / len(self.cubes),
             "mates": mates,
         }

@@ -16,6 +16,7 @@ MOST_MATES = 7
 MOST_JOINTS = 7
 """Numbers of a block of joint angles that arms of all kinds share."""
 
+_FINE = 0.01  # m or rad, beside which what is more shows by its logarithm
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
 _TALL, _MARGIN = 0.7, 0.1  # m, of an arm at work in a picture, and around it
@@ -92,6 +93,15 @@ def hands_block(
         row = [seats, grips[mate], apart]
         rows.append(xp.concat([*row, more[mate]] if more else row, axis=1))
     return mates_block(rows)
+
+
+def fine(way: Array) -> Array:
+    """Return ways in m, or turns in rad, so that networks see millimetres and metres.
+
+    It is log(1 + 100 |x|) with the sign of x (symlog, as in arXiv 2301.04104).
+    """
+    xp = array_namespace(way)
+    return xp.sign(way) * xp.log1p(xp.abs(way) / _FINE)
 
 
 def around(
