@@ -209,8 +209,8 @@ def test_all_seats_and_lengths_see_alike_and_count_the_cubes_that_are_left(four)
         assert seen[agent]["cubes left"][:, 0] == pytest.approx(left)
 
 
-def test_two_arms_may_play_as_a_relay():
-    env = worlds("Pass", robots=("panda", "jaco"), relay=True)
+def test_two_arms_may_play_as_a_relay_and_move_their_tools():
+    env = worlds("Pass", robots=("panda", "jaco"), relay=True, action="tcp")
     assert play(env).all() and env.facts.put.all()
 
 
