@@ -23,8 +23,8 @@ TOUR = {
     "BalanceTaskJacoSawyer-v0": ("Balance: keep the ball", "baseline", (1.3, 0.36)),
     "BalancePathPandas4-v0": ("BalancePath: an eight", "baseline", (1.1, 0.48)),
     "ReachPandas4-v0": ("Reach: ways that cross", "baseline", (1.2, 0.4)),
-    "SortPandas4-v0": ("Sort: by colour", "expert", (1.2, 0.5)),
-    "AssemblePandas3-v0": ("Assemble: three parts", "expert", (1.15, 0.5)),
+    "SortPandas4-v0": ("Sort: by colour", "baseline", (1.2, 0.5)),
+    "AssemblePandas3-v0": ("Assemble: three parts", "baseline", (1.15, 0.5)),
     "HockeyPandas-v0": ("Hockey: one on one", "expert", (1.3, 0.4)),
     "TugPandas-v0": ("Tug: who is stronger?", "expert", (1.3, 0.4)),
 }
