@@ -56,7 +56,8 @@ OTHERS = (
 FELT = (
     ("PassPinchSawyers-v0", "pad_force", (False, True)),
     ("PassFrictionSawyers-v0", "pad_force", (False, True)),
-    ("PassTaskSawyers-v0", "wrench", ("off", "raw", "compensated")),
+    ("PassTaskSawyers-v0", "wrench", ("off", "compensated")),
+    ("PokeTaskSawyers-v0", "wrench", ("off", "compensated")),
 )
 """Environments, and settings by which robots observe what they feel."""
 
