@@ -53,7 +53,7 @@ def test_a_tool_centre_inside_the_hand_is_named(own, faults, tmp_path, task):
     start = f"{task}: the expert completes 0 of 4 episodes; in most of the failures"
     assert told.startswith(start)
     assert "touches" in told
-    assert why.startswith("its tcp is 30 mm inside a shape of its hand, which may")
+    assert why.startswith("its tcp is 30 mm inside its hand, which may")
 
 
 def test_a_home_that_looks_away_or_up_is_named(own, faults):

@@ -160,24 +160,21 @@ def _hindrances(env: VectorEnv, world: int) -> set[str]:
 
 def unusual(robot: Robot) -> list[str]:
     """Return likely faults of an arm's definition, in sentences."""
-    spec = robot.spec()
-    site = spec.site(robot.tcp)
+    site = (spec := robot.spec()).site(robot.tcp)
     probe = {"name": "probe of the tcp", "contype": 0, "conaffinity": 0, "mass": 0.0}
     site.parent.add_geom(pos=site.pos, size=[1e-5] * 3, **probe)
-    model = spec.compile()
-    data = at_home(robot, model, robot.gripper.open_position)
+    data = at_home(robot, model := spec.compile(), robot.gripper.open_position)
     tip, nearest = model.geom(probe["name"]).id, (_ROOM, "")
     for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
         gap = mujoco.mj_geomDistance(model, data, tip, int(geom), _ROOM, None)
         nearest = min(nearest, (gap, model.body(int(model.geom_bodyid[geom])).name))
     gap, found = round(1000 * nearest[0]), []
     if nearest[1]:
-        far = f"{abs(gap)} mm {'inside' if gap < 0 else 'from'}" if gap else "on"
-        told = f"its tcp is {far} a shape of its {nearest[1]}, which may be in the way"
-        found.append(f"{told} of what it grips")
+        where = f"{abs(gap)} mm {'inside' if gap < 0 else 'from'}" if gap else "on"
+        found.append(f"its tcp is {where} its {nearest[1]}, which may be in the way")
     tcp = data.site(robot.tcp)
-    if tcp.xpos[0] < 0.0:
-        found.append(f"at home its hand is {-tcp.xpos[0]:.2f} m behind its base")
+    if (behind := -tcp.xpos[0]) > 0.0:
+        found.append(f"at home its hand is {behind:.2f} m behind its base")
     if tcp.xmat[8] > 0.5:
         found.append("at home its hand points up")
     for name, angle in zip(robot.joints, robot.home, strict=True):
