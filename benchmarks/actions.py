@@ -20,6 +20,7 @@ to `impedance`.
 
 import argparse
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
@@ -166,7 +167,7 @@ def limits(task: cg.Task) -> tuple[str, str, str]:
 
 
 def speeds(
-    env_id: str, setting: str, values: list[str], worlds: int, rounds: int
+    env_id: str, setting: str, values: Sequence[str | bool], worlds: int, rounds: int
 ) -> list[str]:
     """Return the speed with each value of a setting, as a share of the first's."""
     envs = [

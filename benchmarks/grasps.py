@@ -2,6 +2,7 @@
 
     python benchmarks/grasps.py --output docs/tables/grasps.md
     python benchmarks/grasps.py --others --output docs/tables/grasps.md
+    python benchmarks/grasps.py --felt
 
 Completion and time to success are the expert's, on episodes of seed 0 with `default`
 starts. In Pass, the first arm picks the cube up and stands still. "Creep" is how far
@@ -13,7 +14,8 @@ of a control step of 64 worlds with the expert's actions in one thread, as a sha
 the magnet's, by the processor's time: grasps take turns, and it is a median.
 
 With `--others` it measures completion and time in other action modes, in Sort and in
-teams of Pass, and writes the file's second table.
+teams of Pass, and writes the file's second table. With `--felt` it prints the speed of
+256 worlds whose robots observe what they feel, as a share of that without.
 """
 
 import argparse
@@ -51,6 +53,13 @@ OTHERS = (
     *((f"PassPandas{count}-v0", "joints") for count in (3, 4)),
 )
 """Environments and action modes of the second table."""
+FELT = (
+    ("PassPinchSawyers-v0", "pad_force", (False, True)),
+    ("PassFrictionSawyers-v0", "pad_force", (False, True)),
+    ("PassTaskSawyers-v0", "wrench", ("off", "compensated")),
+    ("PokeTaskSawyers-v0", "wrench", ("off", "compensated")),
+)
+"""Environments, and settings by which robots observe what they feel."""
 
 NOTE = (
     "Where Sort fails with `friction`, a cube slips from fingers as the arm lifts or"
@@ -68,12 +77,23 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--envs", nargs="*", default=ENVS)
     parser.add_argument("--others", action="store_true", help="the second table")
+    parser.add_argument("--felt", action="store_true", help="the cost of what is felt")
     options = parser.parse_args()
+    if options.felt:
+        return felt()
     table = (others if options.others else ladder)(options)
     if options.output:
         kept = options.output.read_text().strip().split("\n\n")
         tables = [kept[0], table] if options.others else [table, *kept[1:]]
         options.output.write_text("\n\n".join(tables) + "\n")
+
+
+def felt() -> None:
+    """Print the speed with what robots feel, as a share of that without."""
+    for env_id, setting, values in FELT:
+        shares = speeds(env_id, setting, values, 256, 5 * ROUNDS)
+        for value, share in zip(values, shares, strict=True):
+            show(f"{env_id}, {setting}={value}: {share}")
 
 
 def others(options: argparse.Namespace) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from collaborative_gym import robots
-from collaborative_gym.testing import check_robot
+from collaborative_gym.testing import _hindrances, check_robot
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_arm.py"
 
@@ -53,7 +53,7 @@ def test_a_tool_centre_inside_the_hand_is_named(own, faults, tmp_path, task):
     start = f"{task}: the expert completes 0 of 4 episodes; in most of the failures"
     assert told.startswith(start)
     assert "touches" in told
-    assert why.startswith("its tcp is 30 mm inside a shape of its hand, which may")
+    assert why.startswith("its tcp is 30 mm inside its hand, which may")
 
 
 def test_a_home_that_looks_away_or_up_is_named(own, faults):
@@ -75,3 +75,12 @@ def test_joints_at_their_ends_are_named(own, faults, tmp_path):
     file.write_text(text.replace('range="-2.7 2.7"', 'range="-1.95 1.95"'))
     told = faults(replace(own, model_file=file), "Pass")
     assert "robot_1's joint_3 is at the end of its range" in told[0]
+
+
+def test_a_singular_posture_is_named(make_env):
+    env = make_env(robots=("sawyer", "panda"))
+    env.reset(seed=0)
+    told = "robot_1 is in a singular posture, as an outstretched arm is"
+    assert told not in _hindrances(env, 0)
+    env.sim.qpos[:, env.scene.arms["robot_1"].qpos] = 0.0
+    assert told in _hindrances(env, 0)

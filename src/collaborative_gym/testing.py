@@ -12,6 +12,7 @@ import numpy as np
 from collaborative_gym.envs.starts import DEEPEST, deepest
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
+from collaborative_gym.motion.solver import DAMPING
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.robots.checks import at_home
@@ -140,7 +141,7 @@ def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
 
 
 def _hindrances(env: VectorEnv, world: int) -> set[str]:
-    """Return the contacts of arms, and their joints at an end, in words."""
+    """Return contacts of arms, joints at an end and singular postures, in words."""
     data, model, found = env.sim.data(world), env.model, set()
     for contact in data.contact:
         names = [model.body(int(model.geom_bodyid[g])).name for g in contact.geom]
@@ -151,28 +152,29 @@ def _hindrances(env: VectorEnv, world: int) -> set[str]:
         ends = np.minimum(angles - low, high - angles) < _AT_END
         for name in np.array(arm.robot.joints)[ends]:
             found.add(f"{agent}'s {name} is at the end of its range")
+        mujoco.mj_jacSite(model, data, rows := np.zeros((3, model.nv)), None, arm.tcp)
+        if np.linalg.svd(rows[:, arm.dof])[1][-1] < DAMPING:
+            found.add(f"{agent} is in a singular posture, as an outstretched arm is")
     return found
 
 
 def unusual(robot: Robot) -> list[str]:
     """Return likely faults of an arm's definition, in sentences."""
-    spec = robot.spec()
-    site = spec.site(robot.tcp)
+    site = (spec := robot.spec()).site(robot.tcp)
     probe = {"name": "probe of the tcp", "contype": 0, "conaffinity": 0, "mass": 0.0}
     site.parent.add_geom(pos=site.pos, size=[1e-5] * 3, **probe)
-    model = spec.compile()
-    data = at_home(robot, model, robot.gripper.open_position)
-    tip, found = model.geom(probe["name"]).id, []
+    data = at_home(robot, model := spec.compile(), robot.gripper.open_position)
+    tip, nearest = model.geom(probe["name"]).id, (_ROOM, "")
     for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
         gap = mujoco.mj_geomDistance(model, data, tip, int(geom), _ROOM, None)
-        if gap < _ROOM:
-            body = model.body(int(model.geom_bodyid[geom])).name
-            where = "inside" if gap < 0.0 else "from"
-            told = f"its tcp is {abs(gap) * 1000:.0f} mm {where} a shape of its {body},"
-            found.append(f"{told} which may be in the way of what it grips")
+        nearest = min(nearest, (gap, model.body(int(model.geom_bodyid[geom])).name))
+    gap, found = round(1000 * nearest[0]), []
+    if nearest[1]:
+        where = f"{abs(gap)} mm {'inside' if gap < 0 else 'from'}" if gap else "on"
+        found.append(f"its tcp is {where} its {nearest[1]}, which may be in the way")
     tcp = data.site(robot.tcp)
-    if tcp.xpos[0] < 0.0:
-        found.append(f"at home its hand is {-tcp.xpos[0]:.2f} m behind its base")
+    if (behind := -tcp.xpos[0]) > 0.0:
+        found.append(f"at home its hand is {behind:.2f} m behind its base")
     if tcp.xmat[8] > 0.5:
         found.append("at home its hand points up")
     for name, angle in zip(robot.joints, robot.home, strict=True):

@@ -98,9 +98,11 @@ class World:
         scene, xp = self.scene, sim.xp
         if not self.feels:
             return {}
-        if scene.grips:
-            scene.hands.renew(sim)
-        sim.feel()
+        # What pads press with is a number of the hand where no contact is felt.
+        if self.wrists is not None or scene.grasp.touches:
+            if scene.grips:
+                scene.hands.renew(sim)
+            sim.feel()
         felt = {agent: sim.qpos[:, :0] for agent in scene.arms}
         forces, sensed = sim.qpos[:, :0], sim.sensordata
         if self.wrists is not None:

@@ -32,6 +32,8 @@ _LEAST_RATIO = 1.02
 """That of larger teams. Their bound is loose: no such team was found that lifts the pot
 with an arm that only holds on, by `benchmarks/teams.py`."""
 
+_ALIKE = 0.95  # ratio of loads above which no arm is the one that carries too much
+
 LEAST_SHARE = 0.6
 """The pot weighs at least this share of what all carry."""
 
@@ -62,15 +64,14 @@ class Weighing:
         most, count = max(self.fewer), len(self.ways)
         ratio = _LEAST_RATIOS.get(count, _LEAST_RATIO)
         if self.together < ratio * most:
-            loads = [way.load for way in self.ways]
-            missing, weakest = self.fewer.index(most) + 1, loads.index(min(loads)) + 1
+            missing = f"robot_{self.fewer.index(most) + 1}"
+            alike = min(self.fewer) > _ALIKE * most
             raise ValueError(
                 f"{count - 1} of these {count} arms carry too much of Lift's pot:"
-                f" {most:.1f} kg without robot_{missing}, and {self.together:.1f} kg"
+                f" {most:.1f} kg without {missing}, and {self.together:.1f} kg"
                 f" together, which must be {ratio:.2f} times as much; mount"
-                f" robot_{weakest}, which carries least, nearer to the pot, or stronger"
-                " arms farther from it, or take arms that are more alike, or pass"
-                " pot_mass"
+                f" {'all' if alike else f'all but {missing}'} farther from the pot,"
+                " or take other arms, or pass pot_mass"
             )
         mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)
         return float(mass)

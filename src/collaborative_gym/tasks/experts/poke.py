@@ -20,7 +20,9 @@ STICK, DONUT = "robot_1", "robot_2"
 STICK_AHEAD = 0.08  # m from tcp to the stick's middle: 2 cm of it lie behind the tcp
 DONUT_AHEAD = 0.11  # m from tcp to the ring's centre: its rear bar is held
 WAIT = 0.2  # m before the ring's place, where the stick waits for it
-_FAR = 0.5  # m between stick and ring, below which hands go straight
+_FAR, _SHORT = 0.5, 0.25
+"""Distance of stick and ring below which hands go straight, in m, and as a share of
+both reaches: short arms are still turned aside where long ones have come round."""
 _BENT = 2.0  # rad from a joint of the posture, above which they do not
 
 
@@ -63,7 +65,8 @@ def _steer(
     moving: dict[str, tuple[Array, Array]],
 ) -> dict[str, Motion]:
     """Return motions to these poses, and for others to where both meet."""
-    motions, is_far = {}, facts.distance[:, None] > _FAR
+    reaches = sum(robot.reach for robot in task.robots.values())
+    is_far, motions = facts.distance[:, None] > min(_FAR, _SHORT * reaches), {}
     for agent, arm in task.scene.arms.items():
         tcp, posture = sim.pose(f"{agent}/tcp"), task.postures[agent]
         place, turn = (np.tile(x, (sim.num_envs, 1)) for x in task.goal[agent])
