@@ -70,14 +70,8 @@ def weigh_team(
     """Return the loads of three or more arms, of all and without each.
 
     Args:
-      robots: the arms.
-      placements: where they are mounted.
-      ends: start and end (3,) of the way of each arm's handle, in the world frame.
-      target: (3,) where the pot is to go.
-      handles: from the pot's middle to where each arm holds it, (arms, 3), in m.
-      radius: distance of the pot to the target that counts as there, in m.
-      tilt: of the pot that counts as level, in rad.
-      grasps: what each hand bears, in N.
+      tilt: of the pot that counts as level, in rad. The others are those of
+        `lift_mass.weigh`.
     """
     # All handles of a pot that counts as lifted are moved alike.
     up, out = np.array([[0.0, 0.0, 1.0]]), handles * (1.0, 1.0, 0.0)

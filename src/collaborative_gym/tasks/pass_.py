@@ -14,9 +14,8 @@ cube, which is the one in its hand, or the first that it has not passed on; the 
 it, and the cube's to where it hands that over or puts it down; the share of cubes left.
 Of each mate it sees, in the block `mates`: whether there is one, how many seats away
 (over 7), whether it grips, from its own tool centre point to the mate's, and how far
-that is from its cube. Ways and that distance are fine: log(1 + 100 |x|) with their
-sign, x in m (symlog, arXiv 2301.04104). So all seats, and relays of any length, observe
-alike.
+that is from its cube. Ways to cube and goal and that distance, x in m, are seen as
+log(1 + 100 |x|) with their sign. So seats and relays of any length observe alike.
 
 Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 

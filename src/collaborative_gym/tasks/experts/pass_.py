@@ -228,8 +228,7 @@ def _give(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
     """Bring the cube to the meeting: return the aim, where it is that, and let go."""
     usual, taken = view.task.meetings[view.i], view.held_by(view.i + 1)
     meeting, passed = usual + view.shift, taken | view.is_beyond(view.i)
-    # Elsewhere, and in a relay, which waits until it has settled there, it goes
-    # straight, once it is near the posture of the usual meeting.
+    # Elsewhere, and in a relay, which settles, it goes straight, once it is near.
     is_usual = (meeting == usual).all() and not view.task.config.relay
     near = math.distance(view.cube, usual) < _NEAR_MEETING
     straight = has & ~is_usual & near[:, None]
