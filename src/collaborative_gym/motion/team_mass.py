@@ -69,8 +69,8 @@ def weigh_team(
 ) -> Weighing:
     """Return the loads of three or more arms, of all and without each.
 
-    Arguments are those of `lift_mass.weigh`, and the `tilt` of the pot that counts as
-    level, in rad.
+    Arguments are those of `lift_mass.weigh`, with handles of all arms, (arms, 3), and
+    the `tilt` of the pot that counts as level, in rad.
     """
     # All handles of a pot that counts as lifted are moved alike.
     up, out = np.array([[0.0, 0.0, 1.0]]), handles * (1.0, 1.0, 0.0)

@@ -229,9 +229,9 @@ def _give(view: _View, has: Array) -> tuple[_Aim, Array, Array]:
     usual, taken = view.task.meetings[view.i], view.held_by(view.i + 1)
     meeting, passed = usual + view.shift, taken | view.is_beyond(view.i)
     # Elsewhere, and in a relay, which settles, it goes straight, once it is near.
-    is_usual = (meeting == usual).all() and not view.task.config.relay
+    goes_straight = bool(view.task.config.relay or (meeting != usual).any())
     near = math.distance(view.cube, usual) < _NEAR_MEETING
-    straight = has & ~is_usual & near[:, None]
+    straight = has & near[:, None] & goes_straight
     place = np.where(passed, meeting - _AWAY * ACROSS, meeting)
     angles = np.where(view.holds, view.angles[-1], view.angles[0])
     aim = _Aim(place, view.hands[-1], angles, ~passed & ~straight)
