@@ -51,7 +51,7 @@ WRONG_VALUES = [
     ({"damping": (np.inf,) + (1.0,) * 5}, r"damping\[0\] must be finite, got inf"),
     ({"armature": (-1.0,) + (1.0,) * 5}, "must be 0 to 1000 kg m2, got -1"),
     ({"stiffness": (1e300,) + (1.0,) * 5}, "stiffness of joint 'joint_1' must be"),
-    ({"payload": 0.0}, "payload must be above 0, got 0.0"),
+    ({"payload": 0.0}, "robot .*: payload must be above 0, got 0.0"),
     ({"payload": 5000.0}, "payload of 5000 kg weighs 49050.0 N, but its gripper's hol"),
     ({"reach": -1.0}, "reach must be above 0, got -1.0"),
     ({"reach": 900.0}, "its reach is 900 m, but .* 0.95 m away from the axis of its f"),

@@ -136,13 +136,13 @@ class RobotData:
             title=self.title or self.name,
             _overlaps=(),
         )
-        for field_name in _PER_JOINT:
-            values = check_numbers(field_name, getattr(self, field_name))
-            freeze(self, **{field_name: values})
-        for field_name in ("payload", "reach"):
-            given = getattr(self, field_name)
-            value = check_number(field_name, given, above=0, at_most=1e4)
-            freeze(self, **{field_name: value})
+        who = f"robot {self.name!r}: "
+        for name in _PER_JOINT:
+            values = check_numbers(who + name, getattr(self, name))
+            freeze(self, **{name: values})
+        for name in ("payload", "reach"):
+            value = check_number(who + name, getattr(self, name), above=0, at_most=1e4)
+            freeze(self, **{name: value})
         _check_values(self)
 
     @property
