@@ -12,7 +12,7 @@ from collaborative_gym.scene.hands import Bonds
 from collaborative_gym.sim.sim import Sim
 
 _TEARING = 2.0  # distance at which a grip tears, over that at which it can start
-_HOLDS, _CLOSED = 1.0, 2.0  # what `userdata` says of a hand that is not open
+_HOLDS, _CLOSED, _TORN = 1.0, 2.0, -3.0  # `userdata` of hands; below 0, they open
 
 
 class Grips:
@@ -20,13 +20,12 @@ class Grips:
 
     A grip starts at the beginning of a control step if the agent asks for it, the site
     is near and the hand was open: fingers that have closed on nothing take nothing
-    until they have opened, so that no hand can sweep up what it does not see. It lasts
-    while the agent asks for it, unless it tears. It tears before a physics step that
-    would load it above what the grasp bears, or at whose start the two are more than
-    twice the starting distance apart. What is torn out of one hand also slips out of
-    another hand that holds it at the same site; otherwise that hand could win a thing
-    by force. After a tear the hand opens for one control step and cannot grip;
-    otherwise a grip that is too weak would start and tear in every step.
+    until they have opened, so no hand can sweep up what it does not see. It lasts while
+    the agent asks for it, unless it tears: before a physics step that would load it
+    above what the grasp bears, or at whose start the two are more than twice the
+    starting distance apart. What is torn out of one hand also slips out of another that
+    holds it at the same site, and each opens for three control steps, while the thing
+    falls. Otherwise arms would win by force what they tear away or catch in the air.
     """
 
     def __init__(self, scene: Scene, sim: Sim):
@@ -54,13 +53,14 @@ class Grips:
         hands = sim.userdata[:, : len(self._agents)]
         # A grip that held at the last command, and does not now, has torn.
         has_torn = (hands == _HOLDS) & ~is_held & self._opens
+        opens = xp.where(has_torn, _TORN, xp.minimum(hands, xp.zeros_like(hands)))
         wanted = xp.stack([commands[agent].grips for agent in self._agents], axis=1)
+        wanted = wanted & (opens == 0.0)
         takes = (bonds.gaps(sim.sensordata) < self._thresholds) & (hands != _CLOSED)
-        holds = wanted & (is_held | takes) & ~has_torn
+        holds = wanted & (is_held | takes)
         bonds.hold(sim, holds)
         bonds.renew(sim)
-        is_empty = wanted & ~holds & ~has_torn
-        sim.userdata[:, : len(self._agents)] = _HOLDS * holds + _CLOSED * is_empty
+        hands[:] = _HOLDS * holds + _CLOSED * (wanted & ~holds) + opens + (opens < 0.0)
         for i, fingers in enumerate(self._fingers):
             is_closed, opened = holds[:, i, None, None], controls[:, :, fingers]
             controls[:, :, fingers] = xp.where(is_closed, self._closed[i], opened)
