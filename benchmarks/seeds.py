@@ -4,10 +4,9 @@
 
 RUN is a training run's folder, or a policy file. Its row replaces that of the same
 environment and seed in docs/tables/seeds.md, which is written anew after each; the
-numbers are in seeds.json beside it. Seeds that learned with the expert's advice have
-rows of their own. All policies of an environment play the same 1,000 starts of
-`default`, which no run was trained on or chosen by, and 200 of them with all actions
-one control step late.
+numbers are in seeds.json beside it. The files that are shipped have rows of their own.
+All policies of an environment play the same starts of `default`, which no run was
+trained on or chosen by, and some of them with all actions one control step late.
 """
 
 import argparse
@@ -23,8 +22,7 @@ from kept import keep
 COMPLETION, PERFORMANCE = 0.98, 0.95
 """What a seed has to reach."""
 
-ADVISED = ", advised"
-"""What follows a seed that learned with the expert's advice."""
+SHIPPED = Path(cg.__file__).parent / "baselines"
 
 
 def main() -> None:
@@ -37,9 +35,9 @@ def main() -> None:
     for run in options.runs:
         policy = cg.load_policy(run)
         env, seed = policy.identity.name, str(policy.metadata["seed"])
+        if run.resolve().parent == SHIPPED:
+            seed = "baseline"
         runs = list(runs_of(policy.metadata))
-        if any(run["hyperparameters"].get("imitation") for run in runs):
-            seed += ADVISED
         row = measured(env, policy, options.episodes, options.late_episodes)
         row["steps"] = [run["steps"] for run in runs[::-1]]
         keep("seeds", (env, seed), row, table)
@@ -80,7 +78,7 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     """Yield the lines of the page, in the order of the environments."""
     table, counts = [], []
     for env in sorted(rows, key=cg.list_envs().index):
-        for seed in sorted(rows[env], key=order):
+        for seed in sorted(rows[env], reverse=True):
             table.append(line(env, seed, rows[env][seed]))
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
@@ -92,14 +90,7 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
         f" {episodes:,} of {episodes:,} mean {100 * wilson(1.0, episodes)[0]:.1f} % or"
         f" more (Wilson, 95 %). Seeds that reach {100 * COMPLETION:.0f} % completion"
         f" and {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
-        " Seed 8 of PassTaskSawyers by reward alone has no row: it had completed"
-        " nothing after 2.25 million steps, and was stopped."
     )
-
-
-def order(seed: str) -> tuple[bool, int]:
-    """Return where a seed stands: those with advice come last."""
-    return seed.endswith(ADVISED), int(seed.removesuffix(ADVISED))
 
 
 def is_enough(row: dict) -> bool:
@@ -112,7 +103,7 @@ def line(env: str, seed: str, row: dict) -> list[str]:
     return [
         env,
         seed,
-        " + ".join(f"{length / 1e6:.1f}" for length in row["steps"]),
+        " + ".join(f"{length / 1e6:.2f}" for length in row["steps"]),
         f"{100 * row['completion']:.1f} %",
         f"{100 * row['performance']:.1f} %",
         f"{row['mean_reward']:.1f}",
