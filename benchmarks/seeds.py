@@ -78,7 +78,7 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     """Yield the lines of the page, in the order of the environments."""
     table, counts = [], []
     for env in sorted(rows, key=cg.list_envs().index):
-        for seed in sorted(rows[env], reverse=True):
+        for seed in sorted(rows[env], key=lambda seed: (seed != "baseline", seed)):
             table.append(line(env, seed, rows[env][seed]))
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
