@@ -456,7 +456,7 @@ def test_the_help_of_train_is_short_and_names_all_options(capsys):
             main(["train", asked])
         told[asked] = capsys.readouterr().out
     assert told["--help"].count("\n") < 130
-    assert "penalty of torque" in told["--help-all"]
+    assert "penalty on torque" in told["--help-all"]
     options = {f"--{each.name.replace('_', '-')}" for each in fields(Hyperparameters)}
     for text in told.values():
         assert options <= {*re.findall(r"--[a-z-]+", text)}

@@ -185,7 +185,7 @@ class Compare:
 
     It finds the settings in which the runs differ. It prints interquartile means,
     medians and means of the last validations, the steps and core-seconds to 90 %
-    completion, and how likely a run of one kind beats a run of another kind.
+    completion, and the probability that a run of one kind beats one of another.
 
     Attributes:
       runs: folders of runs, or folders that have runs in them at any depth.

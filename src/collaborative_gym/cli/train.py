@@ -44,12 +44,12 @@ _MOST_SEEDS = 10_000
 
 _SUBJECTS = {
     "device": "The machine",
-    "total_steps": "How long, and how much at a time",
+    "total_steps": "Length, and sizes of batches",
     "discount": "Learning",
     "replay_size": "SAC alone",
-    "initial_std": "Noise of actions, and grips",
-    "assistance": "Help that fades, and penalties",
-    "imitation": "The expert's advice, and mishaps in training alone",
+    "initial_std": "Action noise, and grips",
+    "assistance": "Assistance, and penalties",
+    "imitation": "The expert's advice, and mishaps in training",
     "population": "Populations and leagues",
     "hidden_sizes": "Networks and validations",
 }
@@ -78,8 +78,8 @@ class Train(Command):
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
-    TensorBoard's events, and checkpoints. It lasts --total-steps. Hyperparameters are
-    those of the environment's baseline, or else the defaults that --help-all shows.
+    TensorBoard's events, and checkpoints. A run lasts --total-steps. Hyperparameters
+    are those of the environment's recipe, or else the defaults that --help-all shows.
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.

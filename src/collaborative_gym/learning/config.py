@@ -357,7 +357,7 @@ _LIFT: Mapping[str, Any] = {
 }
 """More noise drops the pot, less does not lift it, and with an assistance of 0.5 one of
 two seeds did not either. Arms that ask for far more torque than they have do not learn;
-hence the penalty of actions."""
+hence the penalty on actions."""
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
