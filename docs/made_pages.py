@@ -540,15 +540,14 @@ def _picture(title: str, path: str, width: int) -> str:
 def _command_line_page() -> str:
     paragraphs = [
         "# Command line",
-        "This is what `collaborative-gym` says of itself. `python -m collaborative_gym`"
+        "This is the help of `collaborative-gym`. `python -m collaborative_gym`"
         " is the same command, for a shell that does not find the first one.",
-        "The exit status is 0 when the work is done, 1 where the machine lacks"
-        " something, 2 for wrong input, 130 after Ctrl-C, 141 where nobody reads the"
-        " output any more, and 143 after SIGTERM.",
+        "The exit status is 0 when the work is done, 1 if the machine lacks something,"
+        " 2 for wrong input, 130 after Ctrl-C, 141 if nobody reads the output any more,"
+        " and 143 after SIGTERM.",
         "`--json -` writes the results to standard output, and the tables to standard"
         " error.",
-        "The shell can complete commands and options, after one of these (and a new"
-        " shell):",
+        "To complete commands and options, run one of these and start a new shell:",
         _COMPLETION,
         _help(),
     ]

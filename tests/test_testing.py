@@ -126,7 +126,7 @@ def test_a_memory_that_is_kept_elsewhere(faults):
 
     found = faults(measure=measure)
     assert any("belongs in sim.memory, from remember()" in each for each in found)
-    assert any("measure() gives something else when it" in each for each in found)
+    assert any("measure() returns other facts when it" in each for each in found)
 
 
 def test_a_memory_that_is_written_to(faults):
@@ -223,7 +223,7 @@ def test_opponents_keep_promises_too(carry):
     steps = iter(range(10**6))
     parts["score"] = lambda self, facts: (facts.height + next(steps), facts.height)
     task = type("Duel", (type(carry()),), parts)
-    with pytest.raises(AssertionError, match=r"score\(\) gives something else when"):
+    with pytest.raises(AssertionError, match=r"score\(\) returns another value when"):
         check_task(task, episodes=3)
 
 
@@ -233,7 +233,7 @@ def test_an_expert_that_acts_otherwise_in_another_batch(faults):
         return {a: replace(m, change=m.change * pace) for a, m in motions.items()}
 
     found = faults(expert=expert)
-    assert any("the expert does something else in another batch" in x for x in found)
+    assert any("the expert acts differently in another batch" in x for x in found)
 
 
 def test_a_definition_that_makes_no_world_says_so_itself(faults):

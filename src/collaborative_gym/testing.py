@@ -356,14 +356,14 @@ def check_measuring(tested: TaskUnderTest) -> None:
     same = len(first) == len(second) and all(map(_equal, first, second))
     kept = all(_equal(array, env.sim.memory[name]) for name, array in memory.items())
     assert same and kept, (
-        "measure() gives something else when it is called again in the same state;"
+        "measure() returns other facts when it is called again in the same state;"
         " update sim.memory so that a second time changes nothing, as"
         " maximum(old, new) does"
     )
     held = dict(env.sim.memory)
     play(env, 5)
     assert all(_equal(array, held[name]) for name, array in memory.items()), (
-        "measure() writes into the arrays of sim.memory, which are kept in case that"
+        "measure() writes into the arrays of sim.memory, which are kept in case"
         " the step fails; put new ones there: sim.memory[name] = maximum(old, new)"
     )
     commands = env.action_mode.commands(_episode_actions(env))
@@ -375,7 +375,7 @@ def check_measuring(tested: TaskUnderTest) -> None:
     ):
         once, twice = leaves(ask()), leaves(ask())
         assert all(map(_equal, once, twice)), (
-            f"{name}() gives something else when it is called again; it must depend on"
+            f"{name}() returns another value when it is called again; it must depend on"
             " its arguments alone"
         )
 
@@ -414,7 +414,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
         one, many = small.expert(), large.expert()
         is_same = small.progress["episode"][0] == large.progress["episode"][0]
         assert not is_same or all(_equal(one[a][0], many[a][0]) for a in one), (
-            "the expert does something else in another batch; treat rows alike, and"
+            "the expert acts differently in another batch; treat rows alike, and"
             " keep nothing on the task"
         )
         small.step(small.idle() | {agent: one[agent] for agent in side})

@@ -167,7 +167,7 @@ def test_all_leaves_out_what_has_no_baseline(capsys, monkeypatch):
     monkeypatch.setattr(cg, "list_envs", lambda: ids)
     assert main(["evaluate", "--all", "--policy", "baseline", "--episodes", "1"]) == 0
     told = capsys.readouterr().out
-    assert told.startswith("left out, as they have no baseline: TugSawyers-v0")
+    assert told.startswith("left out because they have no baseline: TugSawyers-v0")
     assert "PokeTaskSawyers-v0" in told and told.count("TugSawyers") == 1
 
 
@@ -384,7 +384,7 @@ def test_benchmark_takes_a_tasks_name(capsys):
             "train Poke --mode colaborative",
             "no mode 'colaborative' (did you mean 'coll",
         ),
-        ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; folders"),
+        ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; missing"),
         ("view", "view needs ENV, environment id, or a task's name\n"),
         ("--frobnicate", "collaborative-gym does not take --frobnicate; coll"),
     ],
@@ -456,7 +456,7 @@ def test_the_help_of_train_is_short_and_names_all_options(capsys):
             main(["train", asked])
         told[asked] = capsys.readouterr().out
     assert told["--help"].count("\n") < 130
-    assert "penalty of torque" in told["--help-all"]
+    assert "penalty on torque" in told["--help-all"]
     options = {f"--{each.name.replace('_', '-')}" for each in fields(Hyperparameters)}
     for text in told.values():
         assert options <= {*re.findall(r"--[a-z-]+", text)}

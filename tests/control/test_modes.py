@@ -100,9 +100,12 @@ def test_arms_in_step_go_at_the_pace_of_the_slowest(env):
 @pytest.mark.parametrize(
     ("motions", "message"),
     [
-        (np.zeros((2, 8)), "robot_1 is to do is of type ndarray; return a Motion"),
-        ({"robot_1": np.zeros((2, 8))}, "robot_1 is to do is of type ndarray"),
-        ({"robot_1": Motion(np.zeros((2, 7)))}, "robot_2 is to do is of type NoneType"),
+        (np.zeros((2, 8)), "motion of robot_1 is of type ndarray; return a Motion"),
+        ({"robot_1": np.zeros((2, 8))}, "motion of robot_1 is of type ndarray"),
+        (
+            {"robot_1": Motion(np.zeros((2, 7)))},
+            "motion of robot_2 is of type NoneType",
+        ),
         ({"robot_1": Motion(np.zeros((2, 8)))}, r"\(2, 8\), not \(2, 7\)"),
     ],
 )

@@ -160,7 +160,7 @@ def test_nobody_wins_an_episode_that_diverged(make, monkeypatch, tmp_path):
         ({**DUEL, "score": lambda *_: 1}, r"score\(\) is of type int; a task of 2"),
         ({**DUEL, "score": lambda *_: (1, 2)}, r"score\(\) of side_1 is of type int"),
         ({"over": lambda self, facts: facts.height}, r"over\(\) is float64"),
-        ({"over": lambda self, facts: facts.height < 9}, "ends an episode at its very"),
+        ({"over": lambda self, facts: facts.height < 9}, "ends an episode at its"),
     ],
 )
 def test_wrong_sides_and_endings_are_refused(make, parts, message):

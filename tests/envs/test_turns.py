@@ -124,7 +124,7 @@ def test_a_watcher_may_draw_but_not_step(make_env):
     env.step(env.idle())
     for call in (lambda: env.step(env.idle()), env.reset):
         env.watch(call)
-        with pytest.raises(RuntimeError, match="in the middle of a step; what watches"):
+        with pytest.raises(RuntimeError, match="in the middle of a step; a watcher"):
             env.step(env.idle())
     env.watch(None)
     assert env.step(env.idle())[-1]["step"].tolist() == [2]

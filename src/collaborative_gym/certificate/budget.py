@@ -16,20 +16,20 @@ class Budget:
     Attributes:
       episodes: held-out starts on which the expert, the motion and the trained policy
         are judged.
-      fractions: moments at which the still arm froze, as shares of the time in which
-        the expert reaches the goal, each from 0.01 to 0.99.
-      motion_steps: control steps of a motion; it holds still then.
+      fractions: moments at which the still arm freezes, as shares of the expert's time
+        to the goal, each from 0.01 to 0.99.
+      motion_steps: control steps of a motion; after it the arms hold still.
       knots: points of a motion.
       candidates: motions tried in a round of the search.
       rounds: how often the search draws candidates anew, unless it converges sooner.
-      training_starts: starts on which the one motion for all is searched for.
-      searched_starts: held-out starts for each of which a motion of its own is searched
-        for, with the simulator at hand; 0 for none.
+      training_starts: starts on which the search finds the one motion for all.
+      searched_starts: held-out starts for each of which the search finds a motion on
+        that start itself; 0 for none.
       replays: recorded episodes, of the expert and of the baseline if one is shipped,
-        of which the best is played by a team that looks at nothing; 0 for no such team.
+        the best of which a blind team replays; 0 for no blind team.
       ppo_steps: environment steps of each training; 0 for none.
-      ppo_rows: number of still arms to train against: those where nobody reached the
-        goal, the nearest first.
+      ppo_rows: number of still arms beside which a policy is trained: those where
+        nobody reached the goal, the nearest first.
     """
 
     episodes: int = bounded(500, 1, _MOST)

@@ -64,11 +64,11 @@ class _Policy(Command):
     Attributes:
       policy: who commands the robots: expert (also in another style, such as
         expert:late), random, baseline (the trained policy that is shipped), the id of
-        another environment (its baseline), ego (a shipped one that works with partners
-        of many kinds), a policy file, an ONNX file, a training folder, or one of idle,
-        gripping and frozen, which hold still (with an open grip, a closed one, the grip
-        as it is). Or one for each robot, such as robot_1=baseline robot_2=idle, also
-        robot_2=limp, an arm without torque, and robot_2=absent, which touches nothing.
+        another environment (its baseline), ego (a shipped policy for ad hoc teamwork),
+        a policy file, an ONNX file, a training folder, or one of idle, gripping and
+        frozen, which hold still (with an open grip, a closed one, the grip as it is).
+        Or one for each robot, such as robot_1=baseline robot_2=idle, also robot_2=limp,
+        an arm without torque, and robot_2=absent, which touches nothing.
     """
 
     policy: Policies = ("expert",)
@@ -80,11 +80,11 @@ class Record(Watched, _Policy):
 
     Attributes:
       env: environment id, or a task's name.
-      output: the video, .mp4 or .gif; folders that it lacks are made.
+      output: the video, .mp4 or .gif; missing folders are made.
       beside: other policies to show beside it in the same episodes; each is named as
         for --policy.
-      seconds: how long the film lasts at least. A second after a success, or after the
-        end of an episode, it shows the next start; the last one is shown to its end.
+      seconds: least length of the film. A second after a success, or after the end of
+        an episode, it shows the next start; the last episode is shown to its end.
       only_episodes: episodes to show instead of the first ones, such as the worst ones
         that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
@@ -131,8 +131,8 @@ class Evaluate(Measured, _Policy):
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: evaluate every environment, or with the policy baseline or ego all that have
-        one; then name none.
+      all: evaluate every environment, or with the policy baseline or ego each that has
+        one; name none then.
       episodes: number of episodes in each environment.
       delay: number of control steps by which each action comes late.
       csv: file with one row per episode; - for standard output.
@@ -159,7 +159,7 @@ class Evaluate(Measured, _Policy):
             without = [each for each in names if named - {*shipped_kinds(each)}]
             tasks = [task for task in tasks if task.name not in without]
             show(
-                f"left out, as they have no {' or no '.join(sorted(named))}:"
+                f"left out because they have no {' or no '.join(sorted(named))}:"
                 f" {', '.join(without)}",
                 besides=(self.json, self.csv),
             )

@@ -28,7 +28,7 @@ from collaborative_gym.cli.terminal import (
 
 @dataclass(frozen=True, kw_only=True)
 class Tournament(Measured):
-    """Let every policy play in every seat with every other, and with itself.
+    """Measure cross-play: every policy in every seat with every other, and itself.
 
     A seat is a robot; if robots play against one another, it is a side. Players that
     work together are compared by completion, performance and return; opponents by wins,
@@ -45,8 +45,8 @@ class Tournament(Measured):
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:
         all, or the names of some, which saves games with three robots or more.
-      groups: players that are training runs of one kind, with the kind's name before
-        each, such as gentle=runs/one gentle=runs/two; else those in one folder.
+      groups: players that are training runs of one kind, each after the kind's name,
+        such as gentle=runs/one gentle=runs/two; by default those in one folder.
       output: folder for tournament.json, .csv and .png, and for a file of each pairing.
         You can stop at any time; the same command continues, also with more players.
     """
@@ -115,12 +115,12 @@ class Report(Measured):
     """Write report cards: how good policies are, on a page for each environment.
 
     A card has completion, performance and time to success with intervals; how gently
-    the arms act: clearance, speeds, torques, energy and changes of action; what each
-    disturbance alone, and all together, change; and who plays how well with whom.
+    the arms act: clearance, speeds, torques, energy and changes of action; the effect
+    of each disturbance alone, and of all together; and cross-play.
 
     Attributes:
       envs: environment ids, or tasks' names.
-      policies: who is reported on, each given as for evaluate.
+      policies: policies to report on, each given as for evaluate.
       episodes: number of episodes of each policy by itself.
       disturbed: number of episodes with each of the disturbances; 0 leaves them out.
       paired: number of episodes of each pairing of the policies and the expert; 0
@@ -185,7 +185,7 @@ class Compare:
 
     It finds the settings in which the runs differ. It prints interquartile means,
     medians and means of the last validations, the steps and core-seconds to 90 %
-    completion, and how likely a run of one kind beats a run of another kind.
+    completion, and the probability that a run of one kind beats one of another.
 
     Attributes:
       runs: folders of runs, or folders that have runs in them at any depth.

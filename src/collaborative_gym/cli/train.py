@@ -44,12 +44,12 @@ _MOST_SEEDS = 10_000
 
 _SUBJECTS = {
     "device": "The machine",
-    "total_steps": "How long, and how much at a time",
+    "total_steps": "Length, and sizes of batches",
     "discount": "Learning",
     "replay_size": "SAC alone",
-    "initial_std": "Noise of actions, and grips",
-    "assistance": "Help that fades, and penalties",
-    "imitation": "The expert's advice, and mishaps in training alone",
+    "initial_std": "Action noise, and grips",
+    "assistance": "Assistance, and penalties",
+    "imitation": "The expert's advice, and mishaps in training",
     "population": "Populations and leagues",
     "hidden_sizes": "Networks and validations",
 }
@@ -78,8 +78,8 @@ class Train(Command):
 
     The folder of a run holds policy.safetensors, the best policy so far, which
     evaluate, record and view play by the folder's name; progress.csv, curve.png,
-    TensorBoard's events, and checkpoints. It lasts --total-steps. Hyperparameters are
-    those of the environment's baseline, or else the defaults that --help-all shows.
+    TensorBoard's events, and checkpoints. A run lasts --total-steps. Hyperparameters
+    are those of the environment's recipe, or else the defaults that --help-all shows.
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.
@@ -87,14 +87,14 @@ class Train(Command):
       all: train the baselines of all environments, or of those named, each with
         several seeds, and write their cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
-      jobs: how many of several runs are trained at a time, each in a process of its
-        own with one physics thread (default: one per CPU). Ctrl-C ends all of them, and
-        the same command continues them.
-      mode: who learns what. collaborative (default): a policy for each robot and one
-        critic that sees all observations; independent: a policy and a critic each;
-        shared: one policy and critic for robots with equal spaces (default for such
-        robots against given policies and in a league); centralized: one policy for all
-        robots. For several modes see --modes.
+      jobs: how many runs train at a time, each in a process of its own with one physics
+        thread (default: one per CPU). Ctrl-C ends all of them, and the same command
+        continues them.
+      mode: who learns what. collaborative (MAPPO, default): a policy for each robot and
+        one critic that sees all observations; independent (IPPO): a policy and a critic
+        for each; shared: one policy and critic for robots with equal spaces (default
+        for such robots against given policies and in a league); centralized: one policy
+        for all robots. For several modes see --modes.
       seed: seed of the run (default: 0); for several seeds see --seeds.
       seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
         environment and mode; with --all for each baseline (default: 0 1 2).
@@ -104,20 +104,20 @@ class Train(Command):
       resume: folder of a run to continue, with the options that it was started with.
       robots: robots to use instead of the environment's own, one per agent, or one for
         all.
-      num_robots: how many robots of one kind, where a task has teams of any size.
+      num_robots: number of robots of one kind, for tasks with teams of any size.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
       action: what actions mean, by the name of an action mode.
       opponent: who plays against the learner, if a task has several sides. The default
-        is self: the latest policies play all sides. If you name policies, as in
-        evaluate, each episode draws one of them; side_2=POLICY plays only that side.
-        league trains exploiters too, and keeps former versions; policies may follow
-        the word.
-      partner: who plays with the learner, if a task has one side; by default nobody.
-        If you name policies, each episode draws one of them, and the learner plays the
-        other robots; robot_2=POLICY plays only that robot. With population, several
-        policies for each robot learn, and all pairs of them play.
+        is self, self-play: the latest policies play all sides. If you name policies, as
+        in evaluate, each episode draws one of them; side_2=POLICY plays only that side.
+        league trains exploiters too, and keeps former versions; policies may follow the
+        word.
+      partner: who plays with the learner, if a task has one side; by default the latest
+        policies (self-play). If you name policies, each episode draws one of them, and
+        the learner plays the other robots; robot_2=POLICY plays only that robot. With
+        population, several policies for each robot learn, and all pairs of them play.
       start_from: trained policy to begin with, named as in evaluate, instead of random
         networks. It may come from another environment with spaces of the same sizes.
       backend: skrl (default), or ray to collect in several processes, also on other

@@ -232,7 +232,7 @@ class Comparison:
             lines.append(f"They differ in {differing or 'nothing else'}.")
         if of_environments:
             lines.append(
-                f"From one environment to another alone differ {of_environments}."
+                f"Only between environments do these differ: {of_environments}."
             )
         if not self.contestants:
             lines.append("No environment has runs of all, so nothing more is compared.")
@@ -356,7 +356,7 @@ class Comparison:
 def compare(
     runs: str | Path | Sequence[str | Path], *, measure: str | None = None
 ) -> Comparison:
-    """Return how training runs did, grouped by the settings in which they differ.
+    """Return the results of training runs, grouped by the settings that differ.
 
     Runs with the same settings and different seeds are a group, and intervals are over
     their seeds. The differences are those of the settings with which the runs started.

@@ -39,12 +39,12 @@ class Impedance(TcpChanges):
     """A change of the pose, as in `tcp`, of a tool that is held by springs.
 
     In the operational space (Khatib, "A unified approach for motion and force control
-    of robot manipulators", 1987), springs K between the tool and its target turn the
-    joints as springs J^T K J would. Each servo becomes as stiff as the diagonal of that
-    says for the posture at the beginning of a control step, and is critically damped
-    for its joint's inertia. So the springs are in the drives, where the physics takes
-    them implicitly and holds them to the motors' limits. What the diagonal leaves out
-    makes the tool stiffer along the arm than across it.
+    of robot manipulators", 1987), a stiffness K between the tool and its target acts on
+    the joints as the stiffness J^T K J. Each servo takes its stiffness from the
+    diagonal of this matrix in the posture at the beginning of a control step, and is
+    critically damped for its joint's inertia. So the springs are in the drives, where
+    the physics integrates them implicitly, within the motors' limits. Leaving out the
+    rest of the matrix makes the tool stiffer along the arm than across it.
     """
 
     servo = _Springs
@@ -100,7 +100,7 @@ class _Stiffened(Command):
 
 
 class ImpedanceStiffness(Impedance):
-    """As `impedance`, with one number more, for the stiffness of the springs.
+    """As `impedance`, with one more number, for the stiffness of the springs.
 
     At -1 it is a fourth of the usual one, at 1 four times as much.
     """

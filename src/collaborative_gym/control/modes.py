@@ -38,7 +38,7 @@ class Motion:
     Attributes:
       change: of the joint angles, (num_envs, joints), in rad. Where it is more than the
         arm can do, all of it is scaled down, so that the motion keeps its direction.
-        Where actions move the tool, it goes the way on which this would bring it.
+        Where actions move the tool, it moves as this change would move it.
       grips: in which worlds to grip, (num_envs,) booleans, or one for all.
       in_step: whether this arm slows down with the slowest of all arms that are in
         step. Arms that hold one thing must do so.
@@ -134,7 +134,7 @@ class ActionMode:
         raise NotImplementedError
 
     def decode(self, moves: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Return the `Command.moves` that actions come to in the present state.
+        """Return the `Command.moves` of actions in the present state.
 
         Here these are the components themselves.
 
@@ -153,7 +153,7 @@ class ActionMode:
         raise NotImplementedError
 
     def moves(self, motions: Mapping[str, Motion]) -> Encoded:
-        """Return the components that make motions, and how much too much they ask for.
+        """Return the components that make motions, and the factor of what is too much.
 
         Returns:
           By agent, (num_envs, moves) components, and (num_envs,) by what to divide them
@@ -259,7 +259,7 @@ class ActionMode:
             motion = motions.get(agent) if isinstance(motions, Mapping) else motions
             if not isinstance(motion, Motion):
                 raise ValueError(
-                    f"what {agent} is to do is of type {type(motion).__name__}; return"
+                    f"the motion of {agent} is of type {type(motion).__name__}; return"
                     " a Motion (joint changes, grips) for each agent"
                 )
             given, shape = motion.change.shape, (self._sim.num_envs, arm.num_joints)

@@ -24,10 +24,10 @@ class TcpChanges(ServoMode):
     """A change of the pose of the tool centre point, in the frame of the arm's base.
 
     Three numbers are the translation, three the rotation vector, as shares of 0.05 m
-    and 0.15 rad; a longer vector is shortened to that. They become joint changes, which
-    keep the limits of joints, speeds and torques: where one joint would be too fast,
-    all are slower. So the tool slows down near singular poses. A redundant arm also
-    moves towards its posture in `Scene.postures`.
+    and 0.15 rad; a longer vector is shortened to that. They are converted to joint
+    changes within the limits of joints, speeds and torques: where one joint would be
+    too fast, all slow down. So the tool slows down near singular poses. A redundant arm
+    also moves towards its posture in `Scene.postures`.
     """
 
     axes = (0, 1, 2, 3, 4, 5)

@@ -48,11 +48,11 @@ class Torques(ActionMode):
     """A torque of each joint, as a share of its limit, held over the control step.
 
     Gravity of the arm's links and fingers is compensated, as in torque control of real
-    arms. So zeros let an arm float until its motors' friction stops it, and nothing
-    bears a tool or a load but what an action asks for. Real drives take a torque each 1
-    to 10 ms, but a policy that decides every 0.1 s has none to give in between; held
-    torques are what it can do. Near the speed limit the motor's voltage runs out, and
-    its torque falls to nothing on the line of a DC motor.
+    arms. So an action of zeros lets an arm float until its motors' friction stops it,
+    and only an action's torques bear a tool or a load. Real drives take a new torque
+    every 1 to 10 ms; a policy that acts every 0.1 s can only hold each of its torques.
+    Near the speed limit the motor's voltage runs out, and its torque falls to nothing
+    on the line of a DC motor.
     """
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):

@@ -176,8 +176,8 @@ class _Trial:
         self.check_masks("over", over)
         if self._sim.xp.any(over[self.rows]):
             raise ValueError(
-                f"{self._name}.over() ends an episode at its very start; let it begin"
-                " with a state that is not over"
+                f"{self._name}.over() ends an episode at its start; begin episodes in"
+                " a state that is not over"
             )
 
     def _sides(self) -> dict[str, tuple[str, ...]]:

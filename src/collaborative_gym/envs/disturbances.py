@@ -1,4 +1,4 @@
-"""What disturbs episodes beside their starts, as `Randomization` describes it.
+"""Disturbances of episodes beside their starts, as `Randomization` describes them.
 
 All of it is drawn from the seed and the index of an episode alone, before its first
 step. So a saved state needs only the actions that are on their way.
@@ -32,8 +32,8 @@ class Disturbances:
     that are on their way.
 
     Attributes:
-      changes_actions: whether other actions than the asked ones may arrive.
-      has_noise: whether robots may see or feel something else than what is there.
+      changes_actions: whether actions may arrive late or not at all.
+      has_noise: whether the robots' sensors may err.
     """
 
     def __init__(

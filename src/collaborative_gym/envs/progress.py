@@ -71,7 +71,7 @@ class Progress:
         return {name: self.rows[name] + 0 for name in ("seed", "episode", "step")}
 
     def begin(self, seed: int, episodes: np.ndarray, env_ids: np.ndarray) -> None:
-        """Let the next episodes of these worlds be these of a seed."""
+        """Make these episodes of a seed the next ones of these worlds."""
         for name, value in ("seed", seed), ("episode", episodes - self._num_envs):
             self.rows[name] = self.rows[name].copy()
             self.rows[name][env_ids] = value

@@ -103,7 +103,7 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         single = _global_registry.get(ENV_CREATOR, self.config.env)(context)
         if not isinstance(single, RLlibEnv):
             raise TypeError(
-                f"BatchedEnvRunner plays cg.list_envs(), not {self.config.env!r}"
+                f"BatchedEnvRunner plays ids of cg.list_envs(), not {self.config.env!r}"
             )
         self.num_envs = self.config.num_envs_per_env_runner
         seed = fresh_seed() if self._seed is None else self._seed

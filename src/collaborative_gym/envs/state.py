@@ -78,7 +78,7 @@ def check_state(
     from_another = check_flag("from_another", from_another)
     if not isinstance(state, EnvState):
         raise TypeError(
-            f"a state comes from get_state(), and is not a {type(state).__name__}"
+            f"state must come from get_state(), got a {type(state).__name__}"
         )
     check_kind("the state's identity", state.identity, Identity, "an Identity")
     differs = state.identity.differences(blank.identity, ignore=ON_STATE)

@@ -19,16 +19,16 @@ otherwise:
 - `speed_over_limit`: a joint's speed over its limit.
 - `energy`: the sum over joints and physics steps of abs(torque x turn), in J, by the
   torque that the step applies. A motor that brakes gives nothing back.
-- `energy_commanded`: the same by `actuator_force`, which the step does not all apply.
+- `energy_commanded`: the same by `actuator_force`, of which a step applies a part.
 - `clearance`: the least distance between two arms at the ends of control steps, in m,
   and at most 1 m; minus their greatest depth where they touched.
-- `internal_force`: what arms spend against each other on what they hold, in N.
+- `internal_force`: how hard arms push against each other on what they hold, in N.
 - `wrist_force`, `wrist_torque`: the greatest force and torque that an arm feels at its
   wrist, in N and N m, `compensated` as `envs.wrists` says.
 - `internal_force_mean`: its mean over the time in which two arms or more hold it.
 - `pad_force`: the greatest force with which each of a hand's two pads presses what it
-  holds, in N: the gripper's in `pinch`, in `friction` half of what all contacts of its
-  fingers press with along their normals, and 0 in other grasps.
+  holds, in N: the gripper's force in `pinch`, half of the normal forces of all contacts
+  of its fingers in `friction`, and 0 in other grasps.
 
 Tools are parts of their arms. Shapes that cannot collide have no clearance.
 

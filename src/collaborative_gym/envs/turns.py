@@ -44,8 +44,8 @@ class Turns:
             if keep is not None:
                 if outer:
                     raise RuntimeError(
-                        "the environment is in the middle of a step; what watches it"
-                        " may look and draw, but not step, reset or set the state"
+                        "the environment is in the middle of a step; a watcher may"
+                        " look and draw, but not step, reset or set the state"
                     )
                 put_back, self._is_changing = keep(), True
             yield

@@ -33,8 +33,8 @@ class World:
       scene: handles into it.
       model: the compiled world.
       refinement: how physics steps are refined.
-      mode: the class of what actions mean.
-      definition: spaces, names and sides, as the task's methods come to them.
+      mode: the class of the action mode.
+      definition: spaces, names and sides that follow from the task's methods.
       wrists: what reads the wrenches at the wrists; None if nobody observes them.
       feels: whether arms observe them, or the force of their pads.
       has_strain: whether the sensors that measure strain are in it.
@@ -65,7 +65,7 @@ class World:
 
     @classmethod
     def of(cls, task: Task, *, strain: bool = False) -> "World":
-        """Return the world of a task, compiled before if it was asked for before."""
+        """Return the world of a task, compiled at the first call and then shared."""
         check_kind("task", task, Task, "a task, as cg.task returns it")
         worlds = task.worlds
         if strain not in worlds:

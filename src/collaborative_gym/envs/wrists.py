@@ -4,9 +4,9 @@ A wrench is the force that hand, tool and what they hold or touch exert on the a
 N, and after it the torque, in N m: along the axes of the tcp, and about it. So a mass m
 that hangs at rest from the tcp gives a force of m g downwards and no torque.
 
-`raw` has the weight of hand and tool in it. `compensated` has not: it takes off what
-hand and tool of the model weigh as they are turned, as controllers of real sensors do.
-What their inertia exerts in motion stays in both.
+`raw` contains the weight of hand and tool. `compensated` subtracts the weight of the
+model's hand and tool in their present orientation, as controllers of real sensors do.
+Both contain inertial forces.
 """
 
 import mujoco

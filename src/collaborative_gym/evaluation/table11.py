@@ -109,7 +109,7 @@ class Table11:
 
     @property
     def verdict(self) -> str:
-        """Whether every cell is good enough, or else how many are not, in words."""
+        """The verdict in words: every cell is good enough, or how many are not."""
         verdicts = self._verdicts()
         if all(verdicts):
             return "PASS: every cell"

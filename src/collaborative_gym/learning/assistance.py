@@ -21,7 +21,7 @@ class Assistance:
     replace forces that a task sets in `disturb`.
 
     Penalties, late actions and lost grips begin at zero: a robot that pays for torque
-    before it was ever paid for a lift never tries one.
+    before it was ever rewarded for a lift never tries one.
 
     Attributes:
       share: of the weight, from 0 to 1.

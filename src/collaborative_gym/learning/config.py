@@ -59,17 +59,16 @@ class Hyperparameters:
     """Numbers of PPO or SAC, and of the worlds that they learn from.
 
     Attributes:
-      total_steps: environment steps in all, counted over all worlds; the last update
-        may go past it.
+      total_steps: environment steps over all worlds; the last update may go past it.
       num_envs: worlds that collect side by side.
       rollout_steps: control steps in each world between two updates.
       epochs: PPO: passes over a rollout in an update.
       minibatch_size: rows of a gradient step, or as many as an update has. A row is a
         control step of one robot; in the modes collaborative and centralized, of all
         robots.
-      discount: what a reward is worth one control step earlier.
+      discount: discount factor of rewards, per control step.
       gae_lambda: PPO: trace decay of generalized advantage estimation.
-      clip: PPO: how far an action's probability may move in an update, as a share.
+      clip: PPO: clip range of the ratio of an action's new to its old probability.
       entropy: PPO: weight of the policy's entropy in the loss.
       value_weight: PPO: weight of the critic's loss.
       max_grad_norm: largest norm of a gradient; 0 for no limit.
@@ -85,42 +84,42 @@ class Hyperparameters:
       warmup: SAC: rows before the first update (our choice).
       gradient_steps: SAC: gradient steps of an update (our choice, for speed; Haarnoja
         et al. do one after each step of one world).
-      polyak: SAC: how far the target critics follow the critics in a gradient step
-        (0.005 in Haarnoja et al.).
+      polyak: SAC: share by which the target critics follow the critics in a gradient
+        step (0.005 in Haarnoja et al.).
       target_std: SAC: the weight of the entropy is learned so that actions have the
         entropy of a Gaussian with this standard deviation in each component. (The -1 of
         Haarnoja et al. in each component is 0.09.)
-      initial_std: standard deviation of the first actions.
-      initial_grip_std: standard deviation of their grip component.
-      final_noise: PPO: share of this noise at the end. The noise shrinks after each
-        rollout after which penalties grow; with 1 it stays as it is learned.
+      initial_std: standard deviation of the action noise at first.
+      initial_grip_std: standard deviation of its grip component.
+      final_noise: PPO: share of the action noise at the end. The noise shrinks after
+        each rollout after which penalties grow; with 1 it stays as it is learned.
       quiet_share: PPO: share of the total steps, the last ones, over which the noise
         shrinks instead; 0 for none.
       grip_limit: greatest mean of a grip's command, 0 for no limit. With noise of half
         this size a robot that holds a thing still finds out what it gains by letting
         go.
-      grip_persistence: share of the grip's noise that stays for the next action, from 0
-        to below 1. Noise that opens a grip in single steps makes a robot drop what it
+      grip_persistence: share of the grip's noise that persists in the next action, from
+        0 to below 1. Noise that opens a grip in single steps makes a robot drop what it
         carries; noise that lasts tries long holds and long releases.
       assistance: share of the weight of loose things that the simulator carries at
         first. It falls by 0.01 after each rollout in which half of the episodes are
         completed. Validations have none.
-      torque_penalty: penalty of torque. In each control step a robot pays this times
+      torque_penalty: penalty on torque. In each control step a robot pays this times
         the mean square of the torque that its servos ask for, as a share of their
         limits; beyond a limit the penalty grows linearly. No reported return contains
-        penalties. The penalties of torque, contacts and missed goals, late actions and
+        penalties. The penalties on torque, contacts and missed goals, late actions and
         failing grips begin at zero. They grow by 2 % after each rollout in which half
         of the episodes are completed.
-      contact_penalty: penalty of contacts. In each control step all robots pay this for
+      contact_penalty: penalty on contacts. In each control step all robots pay this for
         every mm of the deepest contact, at most 10 mm: contacts of an arm with another
         arm or with fixed things, and of loose things above 1 mm. Measuring it makes
         collecting about a quarter slower.
-      miss_penalty: penalty of each control step in which the goal is not met, for tasks
-        whose reward is nearly the same beside the goal.
-      range_penalty: penalty of joints at the ends of their ranges, from the beginning.
+      miss_penalty: penalty on each control step in which the goal is not met, for tasks
+        whose reward hardly changes near the goal.
+      range_penalty: penalty on joints at the ends of their ranges, from the beginning.
         In each control step a robot pays this times the mean square of how far its
         joints are in the outer tenth of their ranges.
-      action_penalty: PPO: penalty of actions, from the beginning. The loss has this
+      action_penalty: PPO: penalty on actions, from the beginning. The loss has this
         times the mean square of the policy's mean actions, without grips. A joint at
         its torque limit moves no less if the policy asks for less, so rewards do not
         teach that it asks for too much.
@@ -129,20 +128,19 @@ class Hyperparameters:
         expert's in these worlds (as in Kickstarting, Schmitt et al. 2018, arXiv
         1803.03835). Beside a partner or opponent that does not learn, its own policy
         for the learner's place advises instead, if it has one.
-      refined: 1 to take physics steps in which arms crash as short ones, as validations
-        and all other worlds do, or 0 not to, which learns as well and is faster.
-      delayed: share of the worlds in which each action is done one control step late;
-        never in validations, and never an action of a guest, which may not have been
-        trained for that.
+      refined: 1 to split physics steps in which arms crash into short ones, as all
+        other worlds do; 0 not to, which learns as well and is faster.
+      delayed: share of the worlds in which each action comes one control step late;
+        never in validations, and never for a guest, perhaps not trained for it.
       mishaps: share of the episodes that begin after a mishap of the task (the
         randomization `lost`), from which robots then learn to come back; never in
         validations. A task without mishaps refuses it.
-      lost_grips: how likely a robot that holds something loses it in a control step,
-        whatever it asks for; 0.005 means about once in an episode. So it learns to grip
+      lost_grips: probability that a robot loses what it holds in a control step,
+        whatever its action; 0.005 means about once in an episode. So it learns to grip
         again. Never in validations, and never a guest's.
-      missed_grips: how likely a robot that holds nothing fails to grip in a control
-        step, whatever it asks for. So it learns to bring its hand well within reach and
-        to keep it there. Never in validations, and never a guest's.
+      missed_grips: probability that a robot that holds nothing fails to grip in a
+        control step, whatever its action. So it learns to bring its hand well within
+        reach and to keep it there. Never in validations, and never a guest's.
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
@@ -160,16 +158,16 @@ class Hyperparameters:
         copies (our choice; AlphaStar's is 2e9).
       league_most_steps: number of steps after which a member leaves a copy in any case
         (our choice; AlphaStar's is 4e9).
-      league_reset: how likely the league exploiter begins anew after a copy (0.25).
-      league_fresh: how likely a member that begins anew has the networks with which the
-        run began, and not main's (our choice).
+      league_reset: probability that the league exploiter restarts after a copy (0.25).
+      league_fresh: probability that a member that begins anew has the networks with
+        which the run began, and not main's (our choice).
       league_decay: factor by which a game counts less after each later game of the same
         two (0.99).
       network: flat for networks on all numbers of an observation; set for networks that
-        look at each mate of a robot alike and pool what they find, so that a policy
-        plays in teams of any size. With it, shared gives robots no index.
-      team_sizes: numbers of arms of further teams, which share the worlds evenly with
-        the task's own; for a policy for sets that is shared by arms of one kind.
+        treat each mate of a robot alike and pool their outputs, so that a policy plays
+        in teams of any size. With it, shared gives robots no index.
+      team_sizes: sizes of further teams, which share the worlds evenly with the task's
+        own; for network=set and the mode shared, with arms of one kind.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
       validation_interval: environment steps between two validations; 0 for only one, at
@@ -283,7 +281,7 @@ class Resources:
         may change the last bits of what is learned.
       num_collectors: processes that collect, with the backend ray; 0 for one per CPU.
       ray_address: a running Ray cluster to join, as HOST:PORT, with the backend ray;
-        none for a Ray of its own.
+        none to start one.
     """
 
     device: str = "cpu"
@@ -359,7 +357,7 @@ _LIFT: Mapping[str, Any] = {
 }
 """More noise drops the pot, less does not lift it, and with an assistance of 0.5 one of
 two seeds did not either. Arms that ask for far more torque than they have do not learn;
-hence the penalty of actions."""
+hence the penalty on actions."""
 
 RECIPES: Mapping[str, Mapping[str, Any]] = {
     "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},

@@ -95,9 +95,9 @@ class Guests:
     ) -> None:
         """Write the guests' actions into `actions`, and their advice into `advice`.
 
-        The expert's advice may be no answer to a guest. So it is replaced by what the
-        guest's own policy would do in the others' places, and by NaN where there are
-        several guests, or one whose policy does not know.
+        The expert's advice may be no best response to a guest. So the actions of the
+        guest's own policy for the others' places replace it, or NaN where there are
+        several guests, or one whose policy commands nobody else.
 
         Args:
           observations: of all worlds, by agent.

@@ -1,12 +1,12 @@
 """A league: a main policy, policies that look for its weaknesses, and their past.
 
 After AlphaStar (Vinyals et al. 2019, Nature 575; numbers from the published
-pseudocode). Three members learn. `main` plays itself, and its past and the exploiters'
-the more often, the less it wins (prioritised fictitious self-play). `main_exploiter`
-plays `main` as it is now, and `league_exploiter` plays everybody's past. A member that
-beats all of these, or has learned for long, leaves a frozen copy of itself as an
-opponent: `main-1` and so on. Then the main exploiter begins anew, and sometimes the
-league exploiter does.
+pseudocode). Three members learn. `main` plays itself, and former versions of itself and
+of the exploiters, the more often the less it wins against them (prioritised fictitious
+self-play). `main_exploiter` plays `main` as it is now, and `league_exploiter` plays
+everybody's former versions. A member that beats all of these, or has learned for long,
+leaves a frozen copy of itself as an opponent: `main-1` and so on. Then the main
+exploiter begins anew, and sometimes the league exploiter does.
 
 Two things differ from AlphaStar. A member that begins anew begins as a copy of `main`,
 or with the networks with which the run began, because there is no policy learned from
@@ -107,7 +107,7 @@ class League(Pool):
     def study(
         self, iteration: Iteration, steps: int, latest: Latest
     ) -> list[tuple[str, str | None]]:
-        """Count the games; let members leave copies when it is time for them."""
+        """Count the games; copy members for which it is time."""
         for names, row in zip(iteration.seated, iteration.episodes, strict=True):
             self._count(names, row)
         done, self._steps = steps - self._steps, steps
@@ -248,7 +248,7 @@ class League(Pool):
         self._inherit(name, member)
 
     def _inherit(self, name: str, like: str) -> None:
-        """Let a player that is like another have its results in place of its own."""
+        """Give a player that is a copy of another that one's results."""
         known = self._games.get(like, {}).items()
         self._games[name] = {a: list(each) for a, each in known if a != name}
         for home, others in self._games.items():

@@ -136,7 +136,7 @@ class SetNetwork(nn.Module):
     """A network on normalized rows, of which some columns are a set.
 
     Layers of one kind look at each element beside the other numbers. The mean and the
-    maximum of what they say take the set's place.
+    maximum of their outputs take the set's place.
 
     Args:
       inputs: width of the rows.
@@ -186,9 +186,9 @@ class SetNetwork(nn.Module):
 
 
 class TeamNetwork(nn.Module):
-    """A network on rows of several agents, each looked at by one for sets.
+    """A network on rows of several agents, with a network for sets on each part.
 
-    What is found is pooled, so that it does not grow with the square of the team.
+    The outputs are pooled, so that they do not grow with the square of the team.
 
     Args:
       seen: width and set of each agent's part of a row.

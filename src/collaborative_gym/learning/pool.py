@@ -115,7 +115,7 @@ class Pool:
     def study(
         self, iteration: Iteration, steps: int, latest: Latest
     ) -> list[tuple[str, str | None]]:
-        """Learn from an iteration who is to begin anew.
+        """Return the members that begin anew after an iteration.
 
         Args:
           iteration: its results.
@@ -123,7 +123,7 @@ class Pool:
           latest: members' policies.
 
         Returns:
-          Members, and like whom each begins, None for as it once began.
+          By member, the one whose copy it becomes, None for its first networks.
         """
         return []
 

@@ -267,9 +267,9 @@ def _check_answers(address: str) -> None:
             check=True,
         )
     except subprocess.TimeoutExpired:
-        cause = f"what listens there said nothing that Ray knows in {_HEALTH:.0f} s"
+        cause = f"the server there gave no answer of Ray in {_HEALTH:.0f} s"
     except subprocess.CalledProcessError as error:
-        cause = (error.stderr.strip().splitlines() or ["it is not a healthy Ray"])[-1]
+        cause = (error.stderr.strip().splitlines() or ["its Ray is not healthy"])[-1]
     except (OSError, OverflowError) as error:
         cause = str(error)
     else:

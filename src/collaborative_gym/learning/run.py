@@ -223,7 +223,7 @@ class Run:
         )
 
     def restart(self, member: str, like: str | None) -> None:
-        """Let a member go on as another one, or for None as itself in the beginning."""
+        """Replace a member's networks by another's, for None by its own first ones."""
         if like is None:
             states = [self._first[each.learner.name] for each in self._of(member)]
         else:

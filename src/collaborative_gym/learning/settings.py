@@ -57,7 +57,7 @@ class Options(TypedDict, total=False):
 
     Attributes:
       opponent: who plays against the learner, if there are several sides. "self", or
-        None: the latest policies play all sides. Names of policies, as `load_policy`
+        None: self-play of the latest policies. Names of policies, as `load_policy`
         knows them: each episode draws one, and the learner plays every side in turn; or
         only the other side, as with `{"side_2": "expert"}`. "league": a league; in a
         sequence, names of policies may follow, against which the league plays, too.
@@ -257,8 +257,8 @@ def make_settings(
     unused = [name for name in numbers if name in foreign(settings.algorithm)]
     if unused:
         raise ValueError(
-            f"{settings.algorithm} knows no {' or '.join(unused)}; leave out what"
-            " another algorithm alone uses"
+            f"{settings.algorithm} knows no {' or '.join(unused)}; leave out"
+            " what only another algorithm uses"
         )
     return settings
 

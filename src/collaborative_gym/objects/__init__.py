@@ -1,4 +1,4 @@
-"""The things in the worlds: functions that return a model of one."""
+"""The objects in the worlds: functions that each return the model of one."""
 
 from typing import Any
 

@@ -61,7 +61,7 @@ class Weights:
 
     Each layer has a weight (outputs, inputs) and a bias (outputs,). A network for sets
     has layers for each element too: they get the other inputs and the element, and
-    what they say is pooled, as mean and maximum, in the set's place.
+    their outputs are pooled, as mean and maximum, in the set's place.
     """
 
     mean: np.ndarray
@@ -157,7 +157,7 @@ class NetworkPolicy:
         return self._through(x, weights.layers)
 
     def _pooled(self, x: np.ndarray, weights: Weights, at: SetColumns) -> np.ndarray:
-        """Return normalized rows with a set's place taken by what its elements say."""
+        """Return normalized rows with its elements' pooled outputs in a set's place."""
         own = np.delete(x, np.s_[at.start : at.stop], axis=1)
         elements = x[:, at.start : at.stop].reshape(len(x), at.count, at.width)
         there = elements[:, :, :1] > 0.5
@@ -245,7 +245,7 @@ class NetworkPolicy:
             if not set(part.agents) <= set(agents):
                 raise ValueError(
                     f"one network of this policy commands {_and(part.agents)}"
-                    " together; let it play all of these or none"
+                    " together; give it all of these or none"
                 )
         served = copy(self)
         served._parts, served.agents = tuple(parts), tuple(agents)

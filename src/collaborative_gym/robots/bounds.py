@@ -76,7 +76,7 @@ def check_numbers(robot: RobotData, model: mujoco.MjModel) -> None:
 
 
 def check_places(robot: RobotData, model: mujoco.MjModel) -> None:
-    """Raise ValueError if a part is further from what carries it than in any arm."""
+    """Raise ValueError if a part is farther from its parent than in any real arm."""
     _check(robot, model, _PLACES)
 
 

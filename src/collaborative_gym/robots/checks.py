@@ -181,8 +181,8 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
     if places != list(range(places[0], places[0] + len(places))):
         raise robot_error(
             robot,
-            "other joints come between those of the arm; in the model file, put what"
-            " branches off the arm behind the link that carries on",
+            "other joints come between those of the arm; in the model file, put"
+            " branches of the arm after the link that continues it",
         )
 
 

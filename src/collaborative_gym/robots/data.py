@@ -51,8 +51,8 @@ class Gripper:
       open_gap: clear width between the fingers when open, in m.
       closed_gap: clear width between the fingers when closed, in m.
       force: limit of one finger's actuator, in N or N m.
-      holding_force: pull at which what it grips is torn from it, in N; 0 for the pull
-        of the arm's strongest joint at an eighth of the reach.
+      holding_force: pull at which a grip tears, in N; 0 for the pull of the arm's
+        strongest joint at an eighth of the reach.
 
     Raises:
       ValueError: if no gripper can have these numbers; says which to change.

@@ -123,7 +123,7 @@ def _take_torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> None:
 
 
 def _mirror_fingers(robot: RobotData, spec: mujoco.MjSpec) -> None:
-    """Turn the axes of fingers around that go where the others do, but for the sign.
+    """Reverse the axes of fingers whose positions have the other sign.
 
     So all fingers have the same joint position, whichever way their file counts it.
     """
@@ -144,7 +144,7 @@ def _mirror_fingers(robot: RobotData, spec: mujoco.MjSpec) -> None:
 
 
 def _leave_out(spec: mujoco.MjSpec) -> None:
-    """Remove what is the world's to decide: settings, lights, and other controllers."""
+    """Remove what the world decides: settings, lights, and other controllers."""
     for elements in (spec.keys, spec.sensors, spec.actuators, spec.lights):
         for element in list(elements):
             spec.delete(element)

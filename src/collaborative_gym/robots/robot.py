@@ -47,7 +47,7 @@ class Robot(RobotData):
       gripper: its fingers.
       title: maker and model; empty, the name.
       torque_limits: greatest joint torques, in N m; empty, those of the model file
-        (`effort` in URDF; `actuatorfrcrange` in MJCF, or else limits of actuators).
+        (`effort` in URDF; `actuatorfrcrange` in MJCF, or else its actuators' limits).
       armature: inertias of the rotors as the joints feel them, in kg m2; empty, those
         of the model file. If the file has none, the joint gets one with which it needs
         at least 20 ms to full speed, and 10 ms for its rotor alone.

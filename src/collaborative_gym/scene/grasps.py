@@ -1,4 +1,4 @@
-"""A ladder of grasps, from a magnet down to what fingers do by contacts alone.
+"""A ladder of grasps, from a magnet down to the contacts of fingers alone.
 
 `TaskConfig.grasp` chooses one for all hands of a world:
 
@@ -10,16 +10,16 @@
   t <= 0.5 (76 N - p). The formula, and 0.5 for wood, metal and glass, are Schmalz's
   ("Theoretical holding force of a suction cup").
 - `pinch`: two pads that each press with the gripper's force F. They bear 2 mu F in any
-  direction; mu = 1 is MuJoCo's default and about that of rubber on what is dry.
+  direction; mu = 1 is MuJoCo's default and about that of rubber on a dry surface.
 - `friction`: contacts alone. Fingers and things collide, the hand closes with all its
   force, and holds what two of its fingers touch. At 10 ms and with an `impratio` of 10
   a thing slips 0.01 mm/s at rest; in motion it creeps by about the acceleration along
   the pads times 10 ms, whatever the force, so that a hand must move calmly.
 
-Cup and pads hold a thing where and as they took it. What is beyond their bound slips:
-nothing holds it for the rest of the control step, and then they take it anew where it
-is, if it is still within reach. A thing turns in them by at most 3 degrees before it
-slips round. These two, and how much they yield, are our choice.
+Cup and pads keep an object in the pose in which they took it. Under a load beyond their
+bound it slips: nothing holds it for the rest of the control step; then they take it
+again where it is, if it is still within reach. An object turns in them by at most 3
+degrees before it slips round. These two, and how much they yield, are our choice.
 """
 
 from collaborative_gym.errors import look_up

@@ -1,4 +1,4 @@
-"""What holds things in hands: by a magnet, in a cup, or between pads.
+"""How hands hold objects: by a magnet, in a cup, or between pads.
 
 `grasps` says what each of them bears. What a hand holds is found by its `Hands`.
 """
@@ -25,7 +25,7 @@ _YIELDS = 0.05
 
 
 class Grasp:
-    """What holds a thing in a hand: here a magnet, from which the others differ.
+    """A way to hold an object in a hand: here a magnet, from which the others differ.
 
     Attributes:
       memory: how many numbers the state keeps of each grip while it holds.
@@ -76,7 +76,7 @@ class Grasp:
 
 
 class Patch(Grasp):
-    """What holds a thing where and as it took it, with a patch of this `size` in m.
+    """A grasp that keeps an object's pose in the hand, by a patch of this `size` in m.
 
     It remembers the place and quaternion of the thing's site in the frame of the hand.
     """
@@ -180,10 +180,10 @@ class Hands:
         raise NotImplementedError
 
     def renew(self, sim: Sim) -> None:
-        """Put what holds things to where the states of the worlds remember them."""
+        """Put the holding constraints to where the worlds' states remember them."""
 
     def pad_forces(self, sensordata: Array, eq_active: Array) -> Array:
-        """Return with what force each of two pads presses, (..., grips), in N.
+        """Return the force with which each of two pads presses, (..., grips), in N.
 
         Args:
           sensordata: of a world that had `Scene.add_pad_sensors`, (..., n).

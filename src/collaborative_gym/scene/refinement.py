@@ -1,4 +1,4 @@
-"""Which physics steps are too long for what happens in them, and what is done instead.
+"""Refinement: physics steps that are too long for a crash, taken again as short ones.
 
 A physics step is short enough for arms that do a task, but not for arms that crash: a
 hand that meets a table at full speed is deep in it after one step, and what it hits

@@ -1,15 +1,15 @@
 """Assemble: two arms put a peg into a block's hole, and a third locks it with a pin.
 
 Three arms stand around the place where they assemble, each with a table to its side.
-On robot_1's lies the block (0.15 kg), on robot_2's the peg, on robot_3's the pin. No
-arm can hold another part than its own. The block is to be held at the target, the peg
-pushed into its chamfered hole until the collar meets the block, and the pin through the
-hole that both then have. Holes are square, and 2 mm wider than what goes into them. So
-the pin only goes in while the peg is deep enough and turned right.
+On robot_1's lies the block (0.15 kg), on robot_2's the peg, on robot_3's the pin. Each
+arm can hold only its own part. The block is to be held at the target, the peg pushed
+into its chamfered hole until the collar meets the block, and the pin through the hole
+that both then have. Holes are square, and 2 mm wider than the parts that go into them.
+So the pin only goes in while the peg is deep enough and turned right.
 
-Grips hold parts as they took them, by `pinch` unless told otherwise: what is pushed
-harder than two pads bear slips. A magnet would let parts turn, so it is refused. Parts
-touch parts, arms and their fingers, but for the fingers that can hold them.
+By default grips are by `pinch` and keep parts in the pose in which they took them: a
+part that is pushed harder than two pads bear slips. A magnet would let parts turn, so
+it is refused. Parts touch parts and arms, but for the fingers that can hold them.
 
 Randomised: the joints of the arms; the parts' places on the tables (x and y) and their
 turns about the vertical; the target's place.
@@ -17,13 +17,13 @@ turns about the vertical; the target's place.
 All parts have one pose once they are assembled. A part's goal is that of the block;
 for the block it is the target. The pin's is 0.14 m before it while the peg is not in.
 
-Each arm observes, in the frame of its own base: its tool centre point; its part; how a
-hand must still move to hold that, and the part to be at its goal (`to_part`, `to_goal`:
-a way, and the axis of a turn times its angle, each x as log(1 + 100 |x|) with its sign,
-in which millimetres show); how far the block is from its own goal and turned from it;
-and how much of their way into the block peg and pin are in (0 to 1). The set `mates`
-has of each other arm: 1, how many seats away it is (as a share of 7), whether it grips,
-and from the own tool centre point to that arm's.
+Each arm observes, in the frame of its own base: its tool centre point; its part; the
+motion that its hand still needs to hold the part, and the part to be at its goal
+(`to_part`, `to_goal`: a translation and a rotation vector, each component x as log(1 +
+100 |x|) with its sign, in which millimetres show); how far the block is from its own
+goal and turned from it; and how much of their way into the block peg and pin are in (0
+to 1). The set `mates` has of each other arm: 1, how many seats away it is (as a share
+of 7), whether it grips, and the way from the own tool centre point to that arm's.
 
 Reward of each agent:
 

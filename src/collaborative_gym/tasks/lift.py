@@ -32,13 +32,13 @@ Coordination, until success: `stage` is the greatest share of arms that gripped,
 the mean share that waited, with nothing in hand and no joint faster than 2 % of its
 limit, `handle_spread` the greatest difference of the handles' heights, in m.
 
-The pot's mass follows from the arms, so that all but one cannot hold it. `lift_mass`
-and `team_mass` say how, and `benchmarks/lift_capacity.py` measures it in simulation for
-two. The distance alone is not enough for success: one of two arms can swing the pot
-past the target while the other arm only holds its handle. But then the pot is tilted or
-fast. The larger a team, the less it needs each arm. The pot weighs the geometric mean
-of what all carry level and what the best of all but one do, and at least 0.6 of the
-first:
+The pot's mass follows from the arms: it is too heavy for any team without one of them.
+`lift_mass` and `team_mass` say how, and `benchmarks/lift_capacity.py` measures it in
+simulation for two. The distance alone is not enough for success: one of two arms can
+swing the pot past the target while the other arm only holds its handle. But then the
+pot is tilted or fast. The larger a team, the less it needs each arm. The pot's mass is
+the geometric mean of the load that all carry level and the load of the best team
+without one arm, and at least 0.6 of the former:
 
 | Pandas | all carry | all but one | all / all but one | at best | pot |
 | --- | --- | --- | --- | --- | --- |

@@ -11,11 +11,11 @@ relay: the cube goes through all hands to its target on the last arm's table. Fr
 arms on a second cube follows, with a target of its own. Neighbours alone reach each
 other, at one place between them. Each arm sees in the frame of its own base: its own
 cube, which is the one in its hand, or the first that it has not passed on; the way to
-it, and the cube's to where it hands that over or puts it down; the share of cubes left.
-Of each mate it sees, in the block `mates`: whether there is one, how many seats away
-(over 7), whether it grips, from its own tool centre point to the mate's, and how far
-that is from its cube. Ways to cube and goal and that distance, x in m, are seen as
-log(1 + 100 |x|) with their sign. So seats and relays of any length observe alike.
+it, and the cube's way to the hand-over or the target; the share of cubes left. Of each
+mate it sees, in the block `mates`: whether there is one, how many seats away (over 7),
+whether it grips, from its own tool centre point to the mate's, and how far that is from
+its cube. Ways to cube and goal and that distance, x in m, are seen as log(1 + 100 |x|)
+with their sign. So all seats and relays observe alike.
 
 Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 
@@ -42,9 +42,9 @@ as near, at no distance.
 
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
 holds it. The thesis asks only for the distance. The second condition rules out that
-robot_1 throws the cube there, which a search found. It cannot carry it there by 0.27 m
-or more, nor robot_2 reach robot_1's table by 0.18 m, with every pair of Sawyer, Panda
-and Jaco.
+robot_1 throws the cube there, which a search found. In every pair of Sawyer, Panda and
+Jaco, robot_1 cannot carry the cube there, by 0.27 m or more, and robot_2 cannot reach
+robot_1's table, by 0.18 m.
 
 In a relay each cube lies still within 0.06 m of its target, in no hand, after every arm
 has had it in order: has held it together with the arm before, at the end of a control

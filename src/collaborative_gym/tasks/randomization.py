@@ -14,7 +14,7 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five are of the start; the others disturb it. No policy learns of them.
+    first five are of the start; the others disturb it. No policy observes them.
 
     Attributes:
       joint_noise: of every arm joint, in rad.
@@ -37,10 +37,10 @@ class Randomization:
       torque_noise: of every observed torque, likewise, in N m.
       force_bias: of every observed force, likewise, during a whole episode, in N.
       torque_bias: of its torque, likewise, in N m.
-      limp: agents whose arms have no torque and no compensation of gravity; what their
-        grip is told it does.
-      absent: agents whose arms touch nothing, as if they were not there; what is fixed
-        in their hands is.
+      limp: agents whose arms have no torque and no gravity compensation; their grips
+        still follow their actions.
+      absent: agents whose arms touch nothing, as if they were not there; tools fixed in
+        their hands still touch.
     """
 
     joint_noise: float = bounded(0.05, 0.0, math.pi)

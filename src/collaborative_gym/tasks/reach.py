@@ -29,7 +29,7 @@ is higher than the robot's own, else -1 (of equal arms the first one goes); the 
 its goals that is left; and the places of its tcp, its elbow and its goal. Places are in
 the frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
 
-Teamwork is what is hard. The expert lets one of two arms whose ways cross go first. If
+The difficulty is teamwork. Of two arms whose ways cross, the expert sends one first. If
 it looks at nobody, it touches another arm in most episodes. Each goal lies where
 another arm reaches, too, so no team can divide the cell (`python benchmarks/reach.py`,
 100 episodes of `default`):

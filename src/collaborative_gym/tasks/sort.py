@@ -12,11 +12,11 @@ their turns about the vertical; which of the two cubes in a lane comes first.
 
 Each arm observes, in the frame of its own base, three cubes: its `own cube`, the
 `mate's cube`, which it moves to the middle, and the `moved cube`, its second. Of each:
-its place, and 1 while it is still to be dealt with, else zeros. Its `next cube` is the
+its place, and 1 while the arm must still handle it, else zeros. Its `next cube` is the
 one that it deals with now: the way from its tool centre point, 1 if it is the mate's,
 and 1 if it is within reach. The block `mates` has of each other arm: 1, how many seats
-away it is (as a share of 7), whether it grips, and from the own tool centre point to
-that arm's. So teams of all sizes observe alike.
+away it is (as a share of 7), whether it grips, and the way from the own tool centre
+point to that arm's. So teams of all sizes observe alike.
 
 Reward of each agent: "its cube" is the one in its hand, or else the one that comes next
 of those that it reaches or will reach; distances count up to 1 m.

@@ -56,8 +56,8 @@ class TaskConfig:
       max_episode_steps: control steps of an episode.
       wrench: whether robots observe force and torque at their wrists, as `envs.wrists`
         describes: "off", "raw", or "compensated" for the weight of hand and tool.
-      pad_force: whether robots observe with what force each of two pads presses what
-        they hold, in N, where things are held by "pinch" or "friction"; else it is 0.
+      pad_force: whether robots observe the force in N with which each of two pads
+        presses a held object; it is 0 unless `grasp` is "pinch" or "friction".
       action: what actions mean, by the name of an action mode, such as "joints" or
         "tcp"; `list_modes` has them.
       grasp: how hands hold things, where a task has grips: "magnet", "suction",
@@ -148,7 +148,7 @@ class Task(Generic[ConfigT, FactsT]):
       agents: the agents' names, "robot_1" and so on.
       robots: the arm of each agent.
       config: the settings.
-      given: they, before the task filled in those that are None.
+      given: the settings before the task filled in those that are None.
       worlds: the compiled worlds of this task and its variations; see `World`.
     """
 
@@ -285,7 +285,7 @@ class Task(Generic[ConfigT, FactsT]):
         raise self._missing("reset")
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """Turn starts that `reset` wrote into ones after a mishap, not past mending.
+        """Turn starts that `reset` wrote into starts after a mishap that can be mended.
 
         Tasks without it have no such starts. The arguments are those of `reset`.
         """

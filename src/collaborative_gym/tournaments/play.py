@@ -107,7 +107,7 @@ def tournament(
     on_pairing: Callable[[Pairing], object] | None = None,
     on_progress: OnProgress = None,
 ) -> Tournament:
-    """Let every policy play in every seat with every other, and with itself.
+    """Play every policy in every seat with every other, and with itself (cross-play).
 
     A seat is a robot; if the task has several sides, it is a side with all of its
     robots. In a pairing one player has one seat, and another player, or the same one,
@@ -337,7 +337,7 @@ class _Kept:
             differs = list(self._differences(found, cast))
         except (LookupError, TypeError, ValueError) as error:
             raise ValueError(
-                f"{path} is no pairing: {error}; remove it, and it is played again"
+                f"{path} is not a pairing: {error}; remove it, and it is played again"
             ) from error
         if differs:
             raise ValueError(

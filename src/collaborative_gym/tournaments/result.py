@@ -18,7 +18,7 @@ _Z = 1.96
 """Standard errors on either side of a rating's 95 % interval."""
 
 SERVED = 0.9
-"""Least performance of an answer to one partner that serves another; our choice."""
+"""Least performance of a response to one partner that suits another; our choice."""
 
 
 @dataclass(frozen=True)
@@ -204,12 +204,12 @@ class Tournament:
 
     @cached_property
     def conventions(self) -> dict[str, list[list[str]]]:
-        """Partners that need the same answer, by the seat that answers.
+        """Partners that need the same response, by the seat that responds.
 
-        The answer to a partner is its own policy in that seat. Each list begins with a
-        player whose answer reaches a performance of `SERVED` with all that follow. So
-        the first players of the lists need answers of their own. One that is not served
-        by itself either is alone. Empty if the players are opponents.
+        The response to a partner is its own policy in that seat. Each list begins with
+        a player whose response reaches a performance of `SERVED` with all that follow.
+        So the first players of the lists need different responses. A player whose
+        response fails even with itself is alone. Empty if the players are opponents.
         """
         if self.is_divided:
             return {}

@@ -138,7 +138,7 @@ class Panel:
 
     def _add_controls(self) -> None:
         session, gui = self._session, self._gui
-        self._play = gui.add_button("Pause", hint="Let time stand still, or go on")
+        self._play = gui.add_button("Pause", hint="Stop time, or let it go on")
         moves = {
             "Step": session.step,
             "Reset": session.reset,
@@ -146,10 +146,10 @@ class Panel:
             "Next": session.next,
         }
         self._moves = gui.add_button_group(
-            "Episode", list(moves), hint="Back: to the end of what was played before it"
+            "Episode", list(moves), hint="Back: to the end of the episode before it"
         )
         self._time = gui.add_slider(
-            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
+            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
         )
         worlds = [f"world {i + 1}" for i in range(session.env.num_envs)]
         self._worlds = gui.add_dropdown(
