@@ -2,8 +2,9 @@
 
     python benchmarks/expert.py [--json FILE] [NAME ...]
 
-Names are environment ids or tasks; none means all. Environments play 100 episodes of
-seed 0 on the `default` randomisation, and as many with either arm idle; pairs play 50.
+Names are environment ids or tasks of two arms; none means all. Environments play 100
+episodes of seed 0 on the `default` randomisation, and as many with either arm idle;
+pairs play 50. `benchmarks/teams.py` measures larger teams.
 """
 
 import argparse
@@ -64,7 +65,8 @@ def main() -> None:
     """Measure what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     paired = [name for name in cg.list_tasks() if 2 in cg.task(name).robot_counts]
-    parser.add_argument("names", nargs="*", default=[*cg.list_envs(), *paired])
+    envs = [name for name in cg.list_envs() if len(get_env(name).robots) == 2]
+    parser.add_argument("names", nargs="*", default=[*envs, *paired])
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     jobs = []
