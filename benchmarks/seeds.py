@@ -4,7 +4,8 @@
 
 RUN is a training run's folder, or a policy file. Its row replaces that of the same
 environment and seed in docs/tables/seeds.md, which is written anew after each; the
-numbers are in seeds.json beside it. The files that are shipped have rows of their own.
+numbers are in seeds.json beside it. The files that are shipped have rows of their own,
+and so have seeds that learned with the expert's advice.
 All policies of an environment play the same starts of `default`, which no run was
 trained on or chosen by, and some of them with all actions one control step late.
 """
@@ -22,6 +23,9 @@ from kept import keep
 COMPLETION, PERFORMANCE = 0.98, 0.95
 """What a seed has to reach."""
 
+ADVISED = ", advised"
+"""What follows a seed that learned with the expert's advice."""
+
 SHIPPED = Path(cg.__file__).parent / "baselines"
 
 
@@ -35,9 +39,11 @@ def main() -> None:
     for run in options.runs:
         policy = cg.load_policy(run)
         env, seed = policy.identity.name, str(policy.metadata["seed"])
+        runs = list(runs_of(policy.metadata))
         if run.resolve().parent == SHIPPED:
             seed = "baseline"
-        runs = list(runs_of(policy.metadata))
+        elif any(run["hyperparameters"].get("imitation") for run in runs):
+            seed += ADVISED
         row = measured(env, policy, options.episodes, options.late_episodes)
         row["steps"] = [run["steps"] for run in runs[::-1]]
         keep("seeds", (env, seed), row, table)
@@ -78,7 +84,7 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
     """Yield the lines of the page, in the order of the environments."""
     table, counts = [], []
     for env in sorted(rows, key=cg.list_envs().index):
-        for seed in sorted(rows[env], key=lambda seed: (seed != "baseline", seed)):
+        for seed in sorted(rows[env], key=order):
             table.append(line(env, seed, rows[env][seed]))
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
@@ -91,6 +97,13 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
         f" more (Wilson, 95 %). Seeds that reach {100 * COMPLETION:.0f} % completion"
         f" and {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
     )
+
+
+def order(seed: str) -> tuple[int, int]:
+    """Return where a seed stands: after the baseline, and those with advice last."""
+    if seed == "baseline":
+        return 0, 0
+    return 1 + seed.endswith(ADVISED), int(seed.removesuffix(ADVISED))
 
 
 def is_enough(row: dict) -> bool:
