@@ -18,6 +18,7 @@ import collaborative_gym as cg
 from collaborative_gym.evaluation.intervals import wilson
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.policies.network import NetworkPolicy
+from collaborative_gym.policies.policy import SHIPPED
 from kept import keep
 
 COMPLETION, PERFORMANCE = 0.98, 0.95
@@ -25,8 +26,6 @@ COMPLETION, PERFORMANCE = 0.98, 0.95
 
 ADVISED = ", advised"
 """What follows a seed that learned with the expert's advice."""
-
-SHIPPED = Path(cg.__file__).parent / "baselines"
 
 
 def main() -> None:
@@ -40,7 +39,7 @@ def main() -> None:
         policy = cg.load_policy(run)
         env, seed = policy.identity.name, str(policy.metadata["seed"])
         runs = list(runs_of(policy.metadata))
-        if run.resolve().parent == SHIPPED:
+        if run.resolve().parent == SHIPPED["baseline"]:
             seed = "baseline"
         elif any(run["hyperparameters"].get("imitation") for run in runs):
             seed += ADVISED

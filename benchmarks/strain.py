@@ -10,10 +10,10 @@ With `--cards`, the tables of strain on baselines' cards are measured anew inste
 """
 
 import argparse
-from pathlib import Path
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.report import strain_table
+from collaborative_gym.policies.policy import SHIPPED
 
 HEAD = (
     "| environment | policy | depth arms, objects, furniture, mm |"
@@ -22,7 +22,6 @@ HEAD = (
     " internal force, N | its mean, N |"
 )
 KINDS = "arms", "objects", "furniture"
-CARDS = Path(cg.__file__).parent / "baselines"
 
 
 def main() -> None:
@@ -56,7 +55,7 @@ def rewrite(env_id: str, num_threads: int) -> None:
     """Write the strain of a baseline into its card, whose last table it is."""
     # The episodes that `write_baseline` measures.
     report = cg.evaluate(env_id, "baseline", episodes=1000, num_threads=num_threads)
-    path = CARDS / f"{env_id}.md"
+    path = SHIPPED["baseline"] / f"{env_id}.md"
     above = path.read_text().partition("| strain |")[0]
     path.write_text(f"{above}{strain_table(report)}\n")
     print(path)
