@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -133,6 +135,38 @@ def test_a_world_is_held_the_same_to_the_bit_alone_and_among_others(pair, tcp_po
         alone, _ = motion.hold(chains, own, near=[angles[rows] for angles in near])
         for angles, found in zip(together, alone, strict=True):
             np.testing.assert_array_equal(angles[rows], found)
+
+
+def test_patience_spares_steps_where_the_range_ends_and_changes_nothing_else(
+    pair, tcp_pose, monkeypatch
+):
+    model, arms = pair.compile(), list(pair.arms.values())
+    rng, near, goals = np.random.default_rng(6), [], []
+    for arm in arms:
+        home = np.array(arm.robot.home)
+        poses = [tcp_pose(model, arm, home + 0.2 * rng.uniform(-1, 1, len(home)))] * 4
+        goals.append(tuple(np.array(part) for part in zip(*poses, strict=True)))
+        near.append(np.tile(home, (4, 1)))
+    goals[1][0][3] = (5.0, 0.0, 1.0)
+    chains, rows = Chains(model, arms), []
+    of = chains.of
+
+    def counted(arm):
+        postures = of(arm)
+
+        def at(angles, which):
+            rows.append(len(which))
+            return postures.at(angles, which)
+
+        return replace(postures, at=at)
+
+    monkeypatch.setattr(chains, "of", counted)
+    found = [motion.hold(chains, goals, near=near, patience=p) for p in (20, 4)]
+    (usual, reached), (spared, same) = found
+    assert reached.tolist() == same.tolist() == [True, True, True, False]
+    for one, other in zip(usual, spared, strict=True):
+        np.testing.assert_array_equal(one[:3], other[:3])
+    assert rows.index(1) < 21 < len(rows) < 21 + 15
 
 
 @pytest.mark.parametrize("scene", ["sawyer"], indirect=True)

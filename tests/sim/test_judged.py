@@ -69,7 +69,10 @@ def test_all_worlds_together_are_as_one_at_a_time(grown, broken, rough, fast):
         for first in range(0, WORLDS, size):
             sim.set_state(start[first : first + size])
             records = {"qvel": np.zeros((size, STEPS, env.model.nv))}
+            end = sim.time + STEPS * env.model.opt.timestep
             sim.step(controls[first : first + size], records, breaks)
+            # No step is taken twice, and none left out.
+            np.testing.assert_allclose(sim.time, end)
             done += [
                 np.r_[row, seen.ravel(), now[kept]]
                 for row, seen, now in zip(

@@ -31,11 +31,7 @@ class Kinematics:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        arms: Sequence[Arm],
-        yaws: Sequence[float],
-        xp: Any,
+        self, model: mujoco.MjModel, arms: Sequence[Arm], yaws: Sequence[float], xp: Any
     ):
         count = max(arm.num_joints for arm in arms)
         links, first = np.zeros((count, 3, 4, len(arms))), np.zeros((3, 4, len(arms)))

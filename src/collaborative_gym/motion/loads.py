@@ -134,11 +134,7 @@ def greatest_loads(robot: Robot, positions: Positions) -> tuple[float, ...]:
 
 
 def strong_paths(
-    robot: Robot,
-    positions: Array,
-    *,
-    approaches: Array | None = None,
-    pull: Array = UP,
+    robot: Robot, positions: Array, *, approaches: Array | None = None, pull: Array = UP
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much an arm can hold along paths of its tcp, and in which postures.
 

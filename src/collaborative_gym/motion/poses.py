@@ -22,6 +22,8 @@ from collaborative_gym.motion.steering import shortened
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
 
+_Poses = Sequence[tuple[Array, Array]]
+
 _DRAWS = 24, 96  # from how many postures `central_pose` chooses, at first and then
 _LONG = 2.0  # s from a posture to another pose, with which it draws once more
 _WAY_TRIES = 10  # starts that `quickest_way` tries for each pose
@@ -70,11 +72,7 @@ def _around(arm: Arm, start: ArrayLike, tries: int) -> np.ndarray:
 
 
 def _search(
-    model: mujoco.MjModel,
-    arm: Arm,
-    *,
-    goal: tuple[ArrayLike, ArrayLike],
-    starts: np.ndarray,
+    model: mujoco.MjModel, arm: Arm, *, goal: tuple[ArrayLike, ArrayLike], starts: Array
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Return joint angles for a pose, None if there are none, and the error (6,)."""
     position, orientation = (np.asarray(part, float) for part in goal)
@@ -104,11 +102,7 @@ def _search(
 
 
 def _unreached(
-    model: mujoco.MjModel,
-    arm: Arm,
-    *,
-    goal: tuple[ArrayLike, ArrayLike],
-    missed: np.ndarray,
+    model: mujoco.MjModel, arm: Arm, *, goal: tuple[ArrayLike, ArrayLike], missed: Array
 ) -> ValueError:
     """Return the error of a pose that was not found; its remedy was tried."""
     low, high = arm.joint_range
@@ -135,8 +129,7 @@ def _unreached(
 
 def _in_tolerances(error: Array) -> np.ndarray:
     """Return errors as multiples of 1 mm and 0.01 rad, the greater of the two."""
-    sizes = math.norm(error[:, :3]) / 1e-3, math.norm(error[:, 3:]) / 1e-2
-    return np.maximum(*sizes)
+    return np.maximum(math.norm(error[:, :3]) / 1e-3, math.norm(error[:, 3:]) / 1e-2)
 
 
 def _within_sight(error: Array) -> np.ndarray:
@@ -146,7 +139,7 @@ def _within_sight(error: Array) -> np.ndarray:
 
 
 def hold(
-    chains: Chains, goals: Sequence[tuple[Array, Array]], *, near: Sequence[Array]
+    chains: Chains, goals: _Poses, *, near: Sequence[Array], patience: int = 20
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Return joint angles near others that put several tcps exactly at poses.
 
@@ -158,6 +151,7 @@ def hold(
       goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or directions
         (n, 3) of its approach in the goals of all arms, or one for all n.
       near: for each arm, angles (n, joints) to begin with, in rad.
+      patience: as in `descend`; by default, all rows take 20 steps.
 
     Returns:
       The angles for each arm, and whether all its arms are there, (n,).
@@ -179,6 +173,7 @@ def hold(
         steps=20,
         is_there=lambda error: greatest(error) < 1e-6,
         change=partial(joint_change, damping=0.01, longest=0.5, rounds=1),
+        patience=patience,
     )
     each = zip(angles.reshape(start.shape), near, strict=True)
     found = [own[:, : asked.shape[1]] for own, asked in each]
@@ -187,7 +182,7 @@ def hold(
 
 def hold_moved(
     chains: Chains,
-    grasps: Callable[[np.ndarray], Sequence[tuple[Array, Array]]],
+    grasps: Callable[[np.ndarray], _Poses],
     *,
     moved: np.ndarray,
     near: Sequence[Array],
@@ -205,7 +200,9 @@ def hold_moved(
     for share in 1.0, 0.5, 0.25, 0.0:
         there[left] = share * moved[left]
         starts = [angles[left] for angles in near]
-        found, reached = hold(chains, grasps(there[left]), near=starts)
+        # Where an arm's range ends, Newton's method crawls.
+        goals = grasps(there[left])
+        found, reached = hold(chains, goals, near=starts, patience=4)
         for angles, own in zip(held, found, strict=True):
             angles[left] = own
         left = left[~reached]

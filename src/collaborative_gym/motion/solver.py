@@ -142,6 +142,7 @@ def descend(
     bound: Callable[[Array], Array] = lambda error: error,
     nullspace: Callable[[int, Array, Array, Array], Array] | None = None,
     change: Callable[..., Array] = joint_change,
+    patience: int = 100,
 ) -> tuple[Array, Array]:
     """Return joint angles that bring tcps to their goals, and what they still miss.
 
@@ -157,6 +158,8 @@ def descend(
       nullspace: takes a step's number, and the angles (n, joints), indices and
         Jacobians of the rows that go on; returns changes beside.
       change: `joint_change`, or a partial of it with other options.
+      patience: steps in which a row's worst coordinate must fall by a tenth; otherwise
+        the row stops, because it makes no way.
     """
     angles = np.array(start)
     low, high = (np.full(angles.shape, x) for x in (postures.low, postures.high))
@@ -166,6 +169,7 @@ def descend(
     if orientation is not None:
         orientation = np.full((len(angles), orientation.shape[-1]), orientation)
     missed = np.zeros((len(angles), 3 if orientation is None else 6))
+    worst = np.full((patience + steps + 1, len(angles)), np.inf)
     rows = np.arange(len(missed))
     for step in range(steps + 1):
         here, rotation, jacobian = postures.at(angles[rows], rows)
@@ -174,7 +178,8 @@ def descend(
             turn = rotation_error(quat, orientation[rows])
             error = np.concatenate([error, turn], axis=1)
         missed[rows] = error
-        goes_on = ~is_there(error)
+        worst[patience + step, rows] = now = greatest(error)
+        goes_on = ~is_there(error) & (now < 0.9 * worst[step, rows])
         if step == steps or not goes_on.any():
             break
         rows, error, jacobian = rows[goes_on], bound(error[goes_on]), jacobian[goes_on]

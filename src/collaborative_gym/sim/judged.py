@@ -238,20 +238,27 @@ class Steps:
 
 
 class _ShortSteps(Steps):
-    """Short steps: one is wrong if it breaks a constraint or an arm gets too fast."""
+    """Short steps: one is wrong if it breaks a constraint or an arm gets too fast.
 
-    def _judge(self, left: Any) -> tuple[np.ndarray, np.ndarray]:
-        assert self._refinement is not None
-        fast = self._refinement.too_fast(self.records["qvel"][left])
-        return self._broken(left, self._ids(left)), fast
+    An arm that is too fast once mostly is so again. So the worlds in which a step is
+    wrong take all of them again, one after the other.
+    """
 
-    def _mend(self, left: np.ndarray, at: np.ndarray, broken: np.ndarray) -> None:
-        assert self._refinement is not None
-        worlds, rows = self._worlds, self._ids(left)
-        before = worlds.qpos[rows]
-        self._take_intact(left, at)
-        qpos, qvel = worlds.qpos[rows], worlds.qvel[rows]
-        self._refinement.stop(before, qpos, qvel)
-        worlds.qpos[rows], worlds.qvel[rows] = qpos, qvel
-        self.records["qpos"][left, at] = qpos
-        self.records["qvel"][left, at] = qvel
+    def take(self) -> None:
+        worlds, records, refinement = self._worlds, self.records, self._refinement
+        assert refinement is not None
+        before = worlds.state[self._ids(slice(None))].copy()
+        self.failed = worlds.roll(self._rows, self._controls, records)
+        wrong = self._broken(slice(None), self._ids(slice(None)))
+        wrong |= refinement.too_fast(records["qvel"])
+        left = np.flatnonzero(wrong.any(axis=1))
+        worlds.state[self._ids(left)] = before[left]
+        for step in range(self._controls.shape[1]) if len(left) else ():
+            rows = self._ids(left)
+            start, self.failed[left] = worlds.qpos[rows], False
+            self._take_intact(left, np.full(len(left), step))
+            qpos, qvel = worlds.qpos[rows], worlds.qvel[rows]
+            refinement.stop(start, qpos, qvel)
+            worlds.qpos[rows], worlds.qvel[rows] = qpos, qvel
+            records["qpos"][left, step], records["qvel"][left, step] = qpos, qvel
+            left = left[~self.failed[left]]
