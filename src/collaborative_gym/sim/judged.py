@@ -38,13 +38,13 @@ class Worlds:
     ) -> np.ndarray:
         """Advance worlds as `Steps` says; return which of them MuJoCo gave up."""
         every = slice(None) if rows is None else rows
-        before, out = self._warnings()[every], dict(records)
+        before, out = self._warnings(every), dict(records)
         failed, steps = np.zeros(len(self.state), bool), controls.shape[1]
         try:
             self._batch.rollout(steps, controls, record=tuple(out), ids=rows, out=out)
         except batch.SimulationError as error:
             failed[error.ids] = True
-        return failed[every] | (self._warnings()[every] > before)
+        return failed[every] | (self._warnings(every) > before)
 
     def sense(self, rows: np.ndarray | None) -> np.ndarray:
         """Make sensors current; return in which worlds MuJoCo gave up, (rows,)."""
@@ -55,9 +55,9 @@ class Worlds:
             failed[error.ids] = True
         return failed if rows is None else failed[rows]
 
-    def _warnings(self) -> np.ndarray:
-        """Return how often MuJoCo has warned of each world, where rollouts stop."""
-        return self._batch.warning[:, :, 1].sum(axis=1)
+    def _warnings(self, rows: Any) -> np.ndarray:
+        """Return how often MuJoCo has warned of worlds, where rollouts stop."""
+        return self._batch.warning[rows, :, 1].sum(axis=1)
 
 
 class Steps:
@@ -128,7 +128,8 @@ class Steps:
             if first == last:
                 continue
             group = left[(start == first) & (ends == last)]
-            found = {name: each[group, first:last] for name, each in records.items()}
+            size, given = (len(group), last - first), records.items()
+            found = {n: np.zeros((*size, *x.shape[2:]), x.dtype) for n, x in given}
             parts = self._ids(group), self._controls[group, first:last], found
             self.failed[group] |= self._worlds.roll(*parts)
             for name, array in found.items():
