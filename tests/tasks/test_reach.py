@@ -266,3 +266,18 @@ def test_a_world_at_rest_remembers_what_it_did(make):
         if infos["ended"].all():
             break
     assert len(last) == 8
+
+
+def test_a_goal_has_the_colour_of_its_arm_s_pedestal():
+    env = cg.make_vec("ReachPandas4-v0", 1, num_threads=1)
+    model = env.scene.compile_to_draw()
+
+    def colours(body):
+        own = np.flatnonzero(model.geom_bodyid == model.body(body).id)
+        return {tuple(rgba) for rgba in model.geom_rgba[own].tolist()}
+
+    agents = [f"robot_{i + 1}" for i in range(4)]
+    goals = [colours(f"{agent} goal") for agent in agents]
+    assert [len(own) for own in goals] == [1] * 4 and len(set.union(*goals)) == 4
+    for agent, own in zip(agents, goals, strict=True):
+        assert own < colours(f"{agent}_stand/pedestal")

@@ -369,10 +369,7 @@ class Collector:
         return actions
 
     def _step(
-        self,
-        chosen: Mapping[str, np.ndarray],
-        rng: np.random.Generator,
-        demand: float,
+        self, chosen: Mapping[str, np.ndarray], rng: np.random.Generator, demand: float
     ) -> tuple[Any, ...]:
         """Take a step, and charge the robots for it.
 

@@ -37,10 +37,7 @@ class Penalties:
         self._env, self._numbers = env, hyperparameters
 
     def charge(
-        self,
-        rewards: Mapping[str, np.ndarray],
-        success: Any,
-        share: float = 1.0,
+        self, rewards: Mapping[str, np.ndarray], success: Any, share: float = 1.0
     ) -> dict[str, np.ndarray]:
         """Return rewards less the costs of the control step that was just done.
 

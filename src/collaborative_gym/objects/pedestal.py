@@ -1,5 +1,6 @@
 """Sawyer's pedestal: a black column on a four-footed base, its controller behind."""
 
+from collections.abc import Sequence
 from itertools import product
 
 import mujoco
@@ -16,7 +17,7 @@ _CABINET = (0.12, 0.19, 0.27)  # m, half lengths
 _CABINET_X = -0.26  # m
 
 
-def pedestal(height: float) -> mujoco.MjSpec:
+def pedestal(height: float, *, rgba: Sequence[float] = _BLACK) -> mujoco.MjSpec:
     """Return a fixed pedestal that carries an arm at a given height.
 
     The body `pedestal` has its origin on the floor below the arm's mounting plate, z up
@@ -26,6 +27,7 @@ def pedestal(height: float) -> mujoco.MjSpec:
     Args:
       height: z of the mounting plate's top face, metres above the floor. Sawyer's own
         pedestal has 0.9149 (the mesh offset in sawyer_description).
+      rgba: colour of its column.
 
     Raises:
       TypeError: if `height` is not a number.
@@ -37,13 +39,13 @@ def pedestal(height: float) -> mujoco.MjSpec:
     _add_base(body)
     box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
     collar, plate = height - 0.05, height - 0.02
-    for radius, bottom, top, rgba in (
-        (_RADIUS, _BASE_TOP - 0.01, collar, _BLACK),
+    for radius, bottom, top, colour in (
+        (_RADIUS, _BASE_TOP - 0.01, collar, rgba),
         (_RADIUS - 0.01, collar, plate, _GREY),
         (_RADIUS + 0.015, plate, height, _BLACK),
     ):
         fromto = (0.0, 0.0, bottom, 0.0, 0.0, top)
-        add_visual(body, cylinder, size=(radius,), rgba=rgba, fromto=fromto)
+        add_visual(body, cylinder, size=(radius,), rgba=colour, fromto=fromto)
     depth, width, tall = _CABINET
     middle, door = _BASE_TOP + tall, (0.005, width - 0.025, tall - 0.025)
     add_visual(body, box, size=_CABINET, rgba=_BLACK, pos=(_CABINET_X, 0.0, middle))

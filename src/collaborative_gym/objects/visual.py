@@ -23,7 +23,7 @@ def add_visual(
     shape: mujoco.mjtGeom,
     *,
     size: tuple[float, ...],
-    rgba: tuple[float, float, float, float],
+    rgba: Sequence[float],
     pos: tuple[float, float, float] = (0.0, 0.0, 0.0),
     fromto: tuple[float, ...] | None = None,
 ) -> None:

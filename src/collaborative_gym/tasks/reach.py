@@ -1,11 +1,11 @@
 """Reach: arms around one cell come to goals of their own and never touch one another.
 
 Two to eight arms of any kinds stand in a ring and face its middle. Each has `goals`
-goals, one after the other. Once its tcp has come to rest within `radius` of a goal, the
-next one appears. Goals lie beyond the middle between two arms, in turn on either side,
-and neighbours turn to each other at the same time. So their ways cross, and one must
-wait or go round. An arm with no goal left must stay out of the way. Nothing is gripped.
-Arms that touch at the end of a control step end the episode.
+goals, of its pedestal's colour and one after the other. Once its tcp has come to rest
+within `radius` of a goal, the next one appears. Goals lie beyond the middle between two
+arms, in turn on either side, and neighbours turn to each other at the same time. So
+their ways cross, and one must wait or go round. An arm with no goal left must stay out
+of the way. Nothing is gripped. Arms that touch at a control step's end end the episode.
 
 Randomised: every goal (along every axis) and every joint angle.
 
@@ -76,6 +76,7 @@ from collaborative_gym.tasks.task import (
     presets,
 )
 from collaborative_gym.tasks.teams import (
+    COLOURS,
     Frames,
     add_team_camera,
     away,
@@ -177,17 +178,17 @@ class Reach(Task[ReachConfig, ReachFacts]):
 
     def build(self, scene: Scene) -> None:
         places = self.placements
-        for agent, place in places.items():
+        for (agent, place), colour in zip(places.items(), COLOURS, strict=False):
             robot = self.robots[agent]
             scene.add_robot(agent, robot, placement=place, stand=False, holds=0.02)
             x, y, height = place.position
-            stand = pedestal(height)
+            stand = pedestal(height, rgba=colour)
             scene.add(f"{agent}_stand", stand, position=(x, y, 0), quat=place.quat)
             middle = robot.joints[len(robot.joints) // 2]
             scene.spec.joint(f"{agent}/{middle}").parent.add_site(name=f"{agent}/elbow")
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
-            scene.add_target(f"{agent} goal", self.config.radius)
+            scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
         add_team_camera(scene, places)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:

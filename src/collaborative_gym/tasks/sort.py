@@ -71,6 +71,7 @@ from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Kept, Task, TaskConfig, Terms
 from collaborative_gym.tasks.teams import (
+    COLOURS,
     MOST_MATES,
     Frames,
     add_stand,
@@ -92,16 +93,6 @@ _HOVER = 0.16  # m above what an arm picks up or fills, where it begins
 _WIDE = 0.15  # m along the belt from an arm, where it surely picks up
 _TILTS = 0.0, 0.4, 0.8  # rad, of a hand that picks up far away
 _FARTHEST, _WAITING, _LOST = 1.0, 3.0, 4.0
-_COLOURS = (
-    (0.90, 0.45, 0.13, 1.0),
-    (0.16, 0.47, 0.82, 1.0),
-    (0.24, 0.62, 0.28, 1.0),
-    (0.93, 0.76, 0.14, 1.0),
-    (0.62, 0.28, 0.68, 1.0),
-    (0.85, 0.20, 0.24, 1.0),
-    (0.20, 0.70, 0.70, 1.0),
-    (0.55, 0.38, 0.25, 1.0),
-)
 
 
 @dataclass(frozen=True)
@@ -197,13 +188,13 @@ class Sort(Task[SortConfig, SortFacts]):
             scene.add_robot(agent, robot, placement=place, stand=own)
             spot = bases[i] + np.array([_ASIDE * robot.reach, 0.0, 0.0])
             self.totes[agent] = spot = np.array([*spot[:2], _TOTE_FLOOR])
-            scene.add(f"{agent}_tote", tote(_COLOURS[i]), position=spot)
+            scene.add(f"{agent}_tote", tote(COLOURS[i]), position=spot)
             stand = round_table(TOTE, height=_TOTE_FLOOR - 0.008)
             scene.add(f"{agent}_tote_stand", stand, position=(*spot[:2], 0.0))
             if not own:
                 add_stand(scene, agent, place)
         for j, each in enumerate(self.cubes):
-            scene.add(f"cube_{j + 1}", cube(SIZE, rgba=_COLOURS[each.owner]))
+            scene.add(f"cube_{j + 1}", cube(SIZE, rgba=COLOURS[each.owner]))
             for i in {each.owner, each.mover} - {-1}:
                 site, most = f"cube_{j + 1}/centre", config.picking_threshold
                 scene.add_grip(self.agents[i], site, threshold=most, width=0.05)

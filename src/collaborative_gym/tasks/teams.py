@@ -10,6 +10,18 @@ from collaborative_gym.objects.pot import handle_directions
 from collaborative_gym.objects.table import round_table
 from collaborative_gym.scene import Placement, Scene
 
+COLOURS = (
+    (0.90, 0.45, 0.13, 1.0),
+    (0.16, 0.47, 0.82, 1.0),
+    (0.24, 0.62, 0.28, 1.0),
+    (0.93, 0.76, 0.14, 1.0),
+    (0.62, 0.28, 0.68, 1.0),
+    (0.85, 0.20, 0.24, 1.0),
+    (0.20, 0.70, 0.70, 1.0),
+    (0.55, 0.38, 0.25, 1.0),
+)
+"""A colour for each robot of a team and what is its own, red, green, blue, alpha."""
+
 MOST_MATES = 7
 """Elements of a block of mates, so that robots of teams of two to eight see alike."""
 

@@ -59,10 +59,7 @@ def _behind(facts: "PokeFacts") -> np.ndarray:
 
 
 def _steer(
-    task: "Poke",
-    sim: Sim,
-    facts: "PokeFacts",
-    moving: dict[str, tuple[Array, Array]],
+    task: "Poke", sim: Sim, facts: "PokeFacts", moving: dict[str, tuple[Array, Array]]
 ) -> dict[str, Motion]:
     """Return motions to these poses, and for others to where both meet."""
     reaches = sum(robot.reach for robot in task.robots.values())
