@@ -4,7 +4,7 @@ PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
 .PHONY: demo test quick check format pages docs serve-docs clean
 
-# Draw, film and measure the baselines; the last line tells how to watch them.
+# Draw, film and measure the baselines; the last line shows how to watch them.
 demo: .venv/demo
 	$(BIN)/collaborative-gym demo
 

@@ -21,12 +21,12 @@ TOUR = {
     "LiftTaskSawyers-v0": ("Lift: too heavy for one", "baseline", (1.35, 0.42)),
     "PassTaskJacoSawyer-v0": ("Pass: hand to hand", "baseline", (1.0, 0.5)),
     "BalanceTaskJacoSawyer-v0": ("Balance: keep the ball", "baseline", (1.3, 0.36)),
-    "BalancePathPandas4-v0": ("BalancePath: an eight", "baseline", (1.1, 0.48)),
-    "ReachPandas4-v0": ("Reach: ways that cross", "baseline", (1.2, 0.4)),
+    "BalancePathPandas4-v0": ("BalancePath: roll along", "baseline", (1.1, 0.48)),
+    "ReachPandas4-v0": ("Reach: ways that cross", "baseline", (1.0, 0.5)),
     "SortPandas4-v0": ("Sort: by colour", "baseline", (1.2, 0.5)),
     "AssemblePandas3-v0": ("Assemble: three parts", "baseline", (1.15, 0.5)),
-    "HockeyPandas-v0": ("Hockey: one on one", "expert", (1.3, 0.4)),
-    "TugPandas-v0": ("Tug: who is stronger?", "expert", (1.3, 0.4)),
+    "HockeyPandas-v0": ("Hockey: one on one", "baseline", (1.3, 0.4)),
+    "TugPandas-v0": ("Tug: who is stronger?", "baseline", (1.3, 0.4)),
 }
 """What is played, by environment: the caption, who plays, and how much larger than the
 whole picture its part is drawn, whose middle is so far down."""

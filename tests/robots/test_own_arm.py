@@ -46,7 +46,7 @@ def test_the_arm_pulls_a_bar_and_is_too_short_for_hockey(own):
     )
     scores = [side.score.mean for side in report.sides.values()]
     assert sum(scores) == 1.0
-    with pytest.raises(ValueError, match=r"own cannot bring its tcp .* a longer reach"):
+    with pytest.raises(ValueError, match=r"own cannot bring its tcp .* folds farther"):
         cg.make("Hockey", robots=(own, own))
 
 

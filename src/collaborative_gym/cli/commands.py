@@ -51,8 +51,8 @@ class List(Command):
 
         show(environments_table(self.sizes))
         show(
-            f"\nAny robots ({', '.join(list_robots())})\ngo into any task"
-            f" ({', '.join(list_tasks())});\nin Lift, only about equally strong ones:\n"
+            f"\nMost robots ({', '.join(list_robots())})\ngo into most tasks"
+            f" ({', '.join(list_tasks())});\nan error says why others do not:\n"
             "  collaborative-gym record Lift --robots panda jaco --output lift.mp4"
         )
 

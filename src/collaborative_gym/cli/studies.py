@@ -181,7 +181,7 @@ class Report(Measured):
 
 @dataclass(frozen=True, kw_only=True)
 class Compare:
-    """Compare training runs, whatever they differ in, with intervals over seeds.
+    """Compare training runs grouped by settings, with intervals over seeds.
 
     It finds the settings in which the runs differ. It prints interquartile means,
     medians and means of the last validations, the steps and core-seconds to 90 %

@@ -71,7 +71,7 @@ class Chart:
             worst = np.round(goals[misses.argmax()], 2).tolist()
             raise ValueError(
                 f"{arm.robot.name} cannot bring its tcp to {worst} as it is mounted;"
-                " mount it nearer, or choose an arm with a longer reach"
+                " mount it elsewhere, or choose an arm that reaches or folds farther"
             )
         self._angles = angles.reshape(_PLACES, _PLACES, -1)
 

@@ -30,7 +30,7 @@ its goals that is left; and the places of its tcp, its elbow and its goal. Place
 the frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
 
 The difficulty is teamwork. Of two arms whose ways cross, the expert sends one first. If
-it looks at nobody, it touches another arm in most episodes. Each goal lies where
+it ignores others, it touches another arm in most episodes. Each goal lies where
 another arm reaches, too, so no team can divide the cell (`python benchmarks/reach.py`,
 100 episodes of `default`):
 
@@ -189,7 +189,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
-        add_team_camera(scene, places)
+        add_team_camera(scene, places, below=0.4)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

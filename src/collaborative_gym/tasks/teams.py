@@ -206,10 +206,13 @@ def seat_turns(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
     return turns
 
 
-def add_team_camera(scene: Scene, placements: Mapping[str, Placement]) -> None:
-    """Look at a team from above, through the widest gap between two of its arms."""
+def add_team_camera(
+    scene: Scene, placements: Mapping[str, Placement], below: float = 0.0
+) -> None:
+    """Look at arms, and so many m below, from above through the widest gap between."""
     bases = np.array([each.position for each in placements.values()])
-    tops = bases + np.array([0.0, 0.0, _TALL])
+    upright = np.array([0.0, 0.0, 1.0])
+    bases, tops = bases - below * upright, bases + _TALL * upright
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
     azimuths = np.sort(np.arctan2(*(bases - middle)[:, 1::-1].T))
     gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)
