@@ -370,6 +370,8 @@ def test_bad_input_says_what_is_allowed(carry, tmp_path):
         recording.record(carry(), tmp_path / "a.mp4", size=(63, 48))
     with pytest.raises(ValueError, match="height must be at most 1080, got 1082"):
         recording.record(carry(), tmp_path / "a.mp4", size=(64, 1082))
+    with pytest.raises(ValueError, match="width must be at least 32, got 4"):
+        recording.record(carry(), tmp_path / "a.mp4", size=(4, 48))
     with pytest.raises(TypeError, match=r"size must be a width and a height, got 64"):
         recording.picture(carry(), size=64)
     with pytest.raises(ValueError, match="seconds must be above 0, got 0"):
