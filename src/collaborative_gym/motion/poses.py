@@ -139,7 +139,7 @@ def _within_sight(error: Array) -> np.ndarray:
 
 
 def hold(
-    chains: Chains, goals: _Poses, *, near: Sequence[Array], patience: int = 20
+    chains: Chains, goals: _Poses, *, near: Sequence[Array], patience: int | None = None
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Return joint angles near others that put several tcps exactly at poses.
 
@@ -151,7 +151,7 @@ def hold(
       goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or directions
         (n, 3) of its approach in the goals of all arms, or one for all n.
       near: for each arm, angles (n, joints) to begin with, in rad.
-      patience: as in `descend`; by default, all rows take 20 steps.
+      patience: as in `descend`.
 
     Returns:
       The angles for each arm, and whether all its arms are there, (n,).
@@ -201,8 +201,7 @@ def hold_moved(
         there[left] = share * moved[left]
         starts = [angles[left] for angles in near]
         # Where an arm's range ends, Newton's method crawls.
-        goals = grasps(there[left])
-        found, reached = hold(chains, goals, near=starts, patience=4)
+        found, reached = hold(chains, grasps(there[left]), near=starts, patience=4)
         for angles, own in zip(held, found, strict=True):
             angles[left] = own
         left = left[~reached]

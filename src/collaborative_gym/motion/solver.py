@@ -142,7 +142,7 @@ def descend(
     bound: Callable[[Array], Array] = lambda error: error,
     nullspace: Callable[[int, Array, Array, Array], Array] | None = None,
     change: Callable[..., Array] = joint_change,
-    patience: int = 100,
+    patience: int | None = None,
 ) -> tuple[Array, Array]:
     """Return joint angles that bring tcps to their goals, and what they still miss.
 
@@ -158,8 +158,8 @@ def descend(
       nullspace: takes a step's number, and the angles (n, joints), indices and
         Jacobians of the rows that go on; returns changes beside.
       change: `joint_change`, or a partial of it with other options.
-      patience: steps in which a row's worst coordinate must fall by a tenth; otherwise
-        the row stops, because it makes no way.
+      patience: steps in which a row's worst coordinate must fall by a tenth, or the row
+        stops, because it makes no way; None for no such rule.
     """
     angles = np.array(start)
     low, high = (np.full(angles.shape, x) for x in (postures.low, postures.high))
@@ -169,6 +169,7 @@ def descend(
     if orientation is not None:
         orientation = np.full((len(angles), orientation.shape[-1]), orientation)
     missed = np.zeros((len(angles), 3 if orientation is None else 6))
+    patience = patience or steps + 1  # Without one, all are compared with infinity.
     worst = np.full((patience + steps + 1, len(angles)), np.inf)
     rows = np.arange(len(missed))
     for step in range(steps + 1):
