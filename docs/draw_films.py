@@ -13,10 +13,20 @@ from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
-SIZE = 480, 270
+SIZE = 400, 226
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
-WIDE = {"PassPandas3-v0": (720, 270), "PassPandas4-v0": (720, 270)}
+CLOSE_UPS = {
+    "Poke": "robot_1/stick/stick",
+    "Lift": "pot/pot",
+    "Balance": "ball/ball",
+    "BalancePath": "ball/ball",
+    "Pass": "cube/cube",
+    "Assemble": "pin/pin",
+    "Sort": "cube_5/cube",
+}
+"""What each task's films show from nearby."""
+WIDE = {"PassPandas3-v0": (600, 226), "PassPandas4-v0": (600, 226)}
 """Sizes of films of long rows, of whose height less is shown."""
 TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
@@ -40,8 +50,9 @@ def film(env_id: str) -> None:
         record(env_id, path, policy=policy, speed=0.25, size=SIZE)
     else:
         size = WIDE.get(env_id, SIZE)
-        more = {"size": size, "seconds": LEAST, "slow_motion": True}
-        record(env_id, path, policy=policy, **more)
+        near = CLOSE_UPS.get(type(cg.task(env_id)).__name__)
+        more = {"seconds": LEAST, "slow_motion": True, "close_up": near}
+        record(env_id, path, policy=policy, size=size, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 

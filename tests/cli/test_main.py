@@ -417,7 +417,8 @@ def test_version_is_that_of_the_package(capsys):
 def test_without_a_command_it_helps(capsys):
     with pytest.raises(SystemExit, match="0"):
         main([])
-    assert capsys.readouterr().out.startswith("usage: collaborative-gym")
+    usage = "usage: collaborative-gym [-h] COMMAND ...\n"
+    assert capsys.readouterr().out.startswith(usage)
 
 
 def test_environments_are_optional_where_help_says_so(capsys):

@@ -107,6 +107,28 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     assert times == slow
 
 
+def test_close_up_follows_its_body_beside_the_whole(tmp_path):
+    pot = {"close_up": "pot/pot", "seconds": 0.1, "size": SIZE, "policy": "baseline"}
+    path = recording.record("LiftTaskSawyers-v0", tmp_path / "a.gif", **pot)
+    with Image.open(path) as video:
+        frames = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
+    width, height = SIZE
+    assert frames[0].shape == (height, width + height, 3)
+    # The line between them; above it is the text.
+    assert (frames[0][height // 2 :, width : width + 2] > 240).all()
+    for frame in frames[0], frames[-1]:  # On the table, and raised.
+        reds = frame[..., 0].astype(float) - frame[..., 2] > 60  # Its handles.
+        assert reds[:, width:].sum() > 0.02 * height**2
+        column = np.flatnonzero(reds[:, width:].any(axis=0)).mean()
+        assert abs(column - height / 2) < 0.15 * height
+
+
+def test_close_up_of_no_body_is_refused(carry, tmp_path):
+    with pytest.raises(KeyError, match=r"no body 'pott'.* bodies: "):
+        recording.record(carry(), tmp_path / "a.gif", size=SIZE, close_up="pott")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.05, 3.0, float("nan"), "slow"])
 def test_a_speed_out_of_bounds_is_refused(carry, tmp_path, speed):
     with pytest.raises((ValueError, TypeError), match="speed must be"):

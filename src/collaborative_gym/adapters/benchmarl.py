@@ -35,11 +35,7 @@ class BenchMARLTask(TaskClass):
         self._is_evaluation = False
 
     def get_env_fun(
-        self,
-        num_envs: int,
-        continuous_actions: bool,
-        seed: int | None,
-        device: Any,
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
         """Return a function that makes the worlds, to evaluate and to train by turns.
 

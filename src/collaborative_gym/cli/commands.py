@@ -91,6 +91,7 @@ class Record(Watched, _Policy):
       speed: simulated seconds per second of the film, 0.1 to 2; below 1 it is slow
         motion.
       slow_motion: show the team's last progress, such as a hand-over, more slowly.
+      close_up: a body of the world, such as pot/pot, to show from nearby beside it.
     """
 
     env: Env
@@ -103,6 +104,7 @@ class Record(Watched, _Policy):
     size: Size = OWN_SIZE
     speed: float = 1.0
     slow_motion: bool = False
+    close_up: Annotated[str | None, option("BODY", "none")] = None
 
     def run(self) -> None:
         """Write the file."""
@@ -120,6 +122,7 @@ class Record(Watched, _Policy):
                 size=None if self.size == OWN_SIZE else self.size,
                 speed=self.speed,
                 slow_motion=self.slow_motion,
+                close_up=self.close_up,
                 on_progress=progress(self.env),
             )
         show(f"wrote {self.output}")

@@ -187,7 +187,8 @@ def _parse(kind: Any, prog: str, description: str | None, words: list[str]) -> A
         plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*words} else "$^"
         wide = shutil.get_terminal_size().columns
         fill = functools.partial(textwrap.fill, width=wide, break_on_hyphens=False)
-        fit = re.sub(plain, lambda line: fill(line[0]), page.getvalue(), flags=re.M)
+        brief = page.getvalue().replace(f"{{{','.join(_VERBS)}}}", "COMMAND ...")
+        fit = re.sub(plain, lambda line: fill(line[0]), brief, flags=re.M)
         sys.stdout.write(fit)
         raise SystemExit(status)
     raise _complaint(box.getvalue(), prog.split()[-1])

@@ -13,12 +13,7 @@ import tyro
 from rich import box
 from rich.console import Console
 from rich.measure import Measurement
-from rich.progress import (
-    BarColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
@@ -74,14 +69,7 @@ Action = Annotated[
     str | None,
     option("MODE", "its own, joints", help=f"what actions mean: {describe_modes()}"),
 ]
-Settings = Annotated[
-    tuple[str, ...],
-    option(
-        "NAME=VALUE ...",
-        "its own",
-        help="other settings of the task, as `cg.make` takes them, such as wrench=raw",
-    ),
-]
+Settings = Annotated[tuple[str, ...], option("NAME=VALUE ...", "its own")]
 Robots = Annotated[tuple[str, ...], option("ROBOT ...", "its own")]
 NumRobots = Annotated[int | None, option("INT", "its own")]
 File = Annotated[Path | None, option("FILE", "none")]
@@ -129,7 +117,7 @@ class Worlds(Command):
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
         hard for starts twice as far off and disturbances.
       action: what actions mean, by the name of an action mode.
-      settings: other settings of the task.
+      settings: other settings of the task, as `cg.make` takes them, such as wrench=raw.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 

@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from collaborative_gym.cli.terminal import (
-    Action,
-    Command,
-    Envs,
-    Folder,
-    NumRobots,
-    Robots,
-    Settings,
-    chosen_task,
-    show,
-)
+from collaborative_gym.cli.terminal import Envs, Folder, Worlds, show
 from collaborative_gym.errors import check_count
 from collaborative_gym.learning.config import (
     Algorithm,
@@ -73,7 +63,7 @@ def _not_given() -> Hyperparameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Train(Command):
+class Train(Worlds):
     """Train policies by PPO or SAC; stop at any time and continue with --resume.
 
     The folder of a run holds policy.safetensors, the best policy so far, which
@@ -102,13 +92,6 @@ class Train(Command):
         league, population or guests); the folder of all of several runs (default:
         runs), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
-      robots: robots to use instead of the environment's own, one per agent, or one for
-        all.
-      num_robots: number of robots of one kind, for tasks with teams of any size.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
-        hard for starts twice as far off and disturbances.
-      action: what actions mean, by the name of an action mode.
       opponent: who plays against the learner, if a task has several sides. The default
         is self, self-play: the latest policies play all sides. If you name policies, as
         in evaluate, each episode draws one of them; side_2=POLICY plays only that side.
@@ -140,11 +123,7 @@ class Train(Command):
     jobs: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
     output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
     resume: Folder = None
-    robots: Robots = ()
-    num_robots: NumRobots = None
     randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
-    action: Action = None
-    settings: Settings = ()
     opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
     start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
@@ -206,10 +185,8 @@ class Train(Command):
 
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""
-        how = self.num_robots, self.randomization, self.action, self.settings
-        chosen = self.robots, *how
-        is_given = any(each not in (None, ()) for each in chosen)
-        return chosen_task(env, *chosen) if is_given else env
+        chosen = self.robots, *self._how
+        return env if all(each in (None, ()) for each in chosen) else self.task(env)
 
     def _given(self) -> dict[str, Any]:
         """Return the hyperparameters that the command line has, by name."""

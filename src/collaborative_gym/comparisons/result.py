@@ -30,12 +30,7 @@ from collaborative_gym.evaluation.intervals import (
     share_of,
 )
 from collaborative_gym.evaluation.report import format_interval, is_share
-from collaborative_gym.evaluation.table import (
-    escaped,
-    markdown_table,
-    to_csv,
-    to_json,
-)
+from collaborative_gym.evaluation.table import escaped, markdown_table, to_csv, to_json
 
 _GOAL = 0.9
 """Completion that counts as learned."""

@@ -8,12 +8,7 @@ from typing import Any
 import numpy as np
 
 from collaborative_gym.evaluation.intervals import iqm, mean_of, wilson
-from collaborative_gym.evaluation.table import (
-    escaped,
-    markdown_table,
-    to_csv,
-    to_json,
-)
+from collaborative_gym.evaluation.table import escaped, markdown_table, to_csv, to_json
 from collaborative_gym.tasks.identity import Identity
 
 SHARES = ("completion", "performance", "at_goal", "points")

@@ -27,11 +27,7 @@ from collaborative_gym.learning.networks import (
     perceptron,
 )
 from collaborative_gym.learning.team import Learner
-from collaborative_gym.policies.network import (
-    OBSERVATION_LIMIT,
-    NetworkPolicy,
-    Weights,
-)
+from collaborative_gym.policies.network import OBSERVATION_LIMIT, NetworkPolicy, Weights
 
 
 class SkrlLearner(ABC):

@@ -35,12 +35,7 @@ except ImportError as error:
 
 from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.learning.assistance import Assistance
-from collaborative_gym.learning.collector import (
-    ActorState,
-    Collected,
-    Collector,
-    Job,
-)
+from collaborative_gym.learning.collector import ActorState, Collected, Collector, Job
 from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.plugins import loaded_files
 

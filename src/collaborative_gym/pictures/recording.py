@@ -76,6 +76,7 @@ def record(
     size: tuple[int, int] | None = None,
     speed: float = 1.0,
     slow_motion: bool = False,
+    close_up: str | None = None,
     on_progress: OnProgress = None,
 ) -> Path:
     """Write a video of a seed's episodes and return its path.
@@ -103,6 +104,8 @@ def record(
       slow_motion: whether 0.7 s about the first policy's last progress are shown at a
         fifth of the speed, or at 0.1. Progress is the first measure in the task's
         `coordination` that is kept at its greatest, or else where success begins.
+      close_up: a body of the world, such as `pot/pot`, that a square picture on the
+        right shows from nearby.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -153,8 +156,12 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            screen = _Screen(world, act, players, shots, (width, height), speed)
-            stack.callback(screen.camera.close)
+            views: list[tuple[Any, ...]] = [(width, height)]
+            if close_up is not None:
+                views.append((height, height, close_up))
+            model = world.world.drawn_model
+            eyes = [stack.enter_context(closing(Camera(model, *v))) for v in views]
+            screen = _Screen(world, act, players, shots, eyes, speed)
             cast.append(screen)
         frames = _film(cast, seconds, seed, only_episodes, slow_motion, on_progress)
         write(output, frames, cast[0].rate)
@@ -267,10 +274,10 @@ def _is_success(step: _Step) -> bool:
 
 
 class _Screen:
-    """A policy that plays one world, and its camera.
+    """A policy that plays one world, and its cameras.
 
-    The camera draws only when something has moved far enough to be seen: experts hold
-    still at the goal, and without a graphics card drawing takes most of the time.
+    They draw only when something has moved far enough to be seen: experts hold still at
+    the goal, and without a graphics card drawing takes most of the time.
     """
 
     def __init__(
@@ -279,12 +286,12 @@ class _Screen:
         policy: Policy,
         players: Mapping[str, str],
         shots: int,
-        size: tuple[int, int],
+        cameras: Sequence[Camera],
         speed: float,
     ):
-        self.camera = Camera(env.world.drawn_model, *size)
         self.speed, self.rate = speed, shots * speed / CONTROL_DT
         self._env, self._policy, self._players = env, policy, players
+        self._cameras = cameras
         self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
@@ -337,7 +344,10 @@ class _Screen:
     def _draw(self, qpos: np.ndarray, mocap_pos: np.ndarray) -> np.ndarray:
         places = np.concatenate([qpos, mocap_pos.ravel()])
         if np.abs(places - self._drawn).max() > _VISIBLE:
-            self._frame = self.camera.picture(qpos, mocap_pos)
+            views = [each.picture(qpos, mocap_pos) for each in self._cameras]
+            for near in views[1:]:
+                near[:, :2] = 255
+            self._frame = np.concatenate(views, axis=1)
             self._drawn = places
         return self._frame
 

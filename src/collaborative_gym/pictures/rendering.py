@@ -13,10 +13,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from collaborative_gym.errors import check_count
+from collaborative_gym.errors import check_count, look_up
 from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
+
+_NEAR, _DOWN = 0.65, -15.0
+"""Distance to a body in a close-up, in m, and the view's elevation, in degrees."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
@@ -33,16 +36,22 @@ class Camera:
 
     Any thread may use it. A graphics context belongs to one thread, so that all of a
     process's pictures are drawn in the same one, one after the other. The model is that
-    of `World.drawn_model`; sides are in pixels.
+    of `World.drawn_model`; sides are in pixels. With the name of a `body` it shows a
+    close-up of that from the same side.
 
     Raises:
+      KeyError: if there is no such body.
       TypeError: if a side is not an integer.
       ValueError: if a side is below 1, or above that of the model's off-screen buffer.
       RuntimeError: if no renderer can start, as in a process forked off from one that
         has drawn.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+    def __init__(
+        self, model: mujoco.MjModel, width: int, height: int, body: str | None = None
+    ):
+        names = {model.body(i).name: i for i in range(1, model.nbody)}
+        self._body = None if body is None else look_up("body", body, names)
         visual = model.vis.global_
         self.size = (
             check_count("width", width, 1, visual.offwidth),
@@ -77,11 +86,20 @@ class Camera:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        self._renderer.update_scene(self._data, CAMERA, self._options)
+        camera = CAMERA if self._body is None else self._near(self._body)
+        self._renderer.update_scene(self._data, camera, self._options)
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
             eye.frustum_top *= self._share
         return self._renderer.render()
+
+    def _near(self, body: int) -> mujoco.MjvCamera:
+        far, middle = overview(self._model, self._data)
+        away = middle - far
+        near = mujoco.MjvCamera()
+        near.lookat, near.distance = self._data.xpos[body], _NEAR
+        near.azimuth, near.elevation = np.degrees(np.arctan2(away[1], away[0])), _DOWN
+        return near
 
 
 def overview(

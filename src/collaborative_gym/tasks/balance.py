@@ -193,7 +193,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         if len(others) > 1:
             add_team_camera(scene, self.placements)
         else:
-            scene.add_camera((2.9, 0, 1.85), (0, 1, 0, -0.34, 0, 1))
+            scene.add_camera((3.2, 0, 1.95), (0, 1, 0, -0.34, 0, 1))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
