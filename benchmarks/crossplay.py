@@ -8,7 +8,10 @@ beside it. With an output the tournament can be stopped and goes on.
 """
 
 import argparse
+from contextlib import closing
 from pathlib import Path
+
+import numpy as np
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.intervals import wilson
@@ -44,6 +47,34 @@ def numbers(result: cg.Tournament) -> dict:
     }
 
 
+def met(env: str, policies: dict[str, str]) -> dict[str, list[str]]:
+    """Return the partners that each policy learned with, for those that had some."""
+    with closing(cg.make_vec(env, 1, num_threads=1)) as world:
+        loaded = {n: cg.load_policy(policy, world) for n, policy in policies.items()}
+    known = {n: getattr(each, "metadata", {}) for n, each in loaded.items()}
+    return {n: own["partners"] for n, own in known.items() if own.get("partners")}
+
+
+def strangers(found: dict, name: str, partners: list[str]) -> str:
+    """Return which players a policy learned with, and its completion with all kinds."""
+    names, rows = found["players"], found["means"]["completion"]
+    own, parts = names.index(name), []
+    known = [each for each in names if each in partners]
+    others = [each for each in names if each not in partners and each != name]
+    for group in known, others:
+        both = [(rows[own][i], rows[i][own]) for i in map(names.index, group)]
+        share = format_measure("completion", float(np.mean(both))) if group else "-"
+        parts += [", ".join(f"`{each}`" for each in group), share]
+    more = len(set(partners) - {*known})
+    besides = f" (and {more} others)" if more else ""
+    with_known = f"- `{name}` learned with {parts[0]}{besides}: completion {parts[1]}"
+    return (
+        f"{with_known}; with strangers, {parts[2]}: {parts[3]}"
+        if others
+        else with_known
+    )
+
+
 def told(means: dict[str, float]) -> str:
     """Return a cell: completion and performance in %, and the return."""
     cells = [format_measure(m, mean).removesuffix(" %") for m, mean in means.items()]
@@ -69,6 +100,8 @@ def section(env: str, found: dict) -> list[str]:
     for seat, lists in found["conventions"].items():
         listed = "; ".join(", ".join(f"`{name}`" for name in own) for own in lists)
         lines.append(f"- groups of partners that the same {seat} suits: {listed}")
+    for name, partners in found.get("met", {}).items():
+        lines.append(strangers(found, name, partners))
     return [*lines, ""]
 
 
@@ -84,14 +117,16 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     words = (word.rpartition("=") for word in options.policies)
+    policies = {name or policy: policy for name, _, policy in words}
     result = cg.tournament(
         options.env,
-        {name or policy: policy for name, _, policy in words},
+        policies,
         episodes=options.episodes,
         num_threads=1,
         output=options.output,
     )
-    keep(options.table, [options.env], numbers(result), page)
+    found = {**numbers(result), "met": met(options.env, policies)}
+    keep(options.table, [options.env], found, page)
 
 
 def page(kept: dict[str, dict]) -> str:

@@ -13,7 +13,8 @@ from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
-SIZE = 400, 226
+SIZE, ALONE = (400, 226), (480, 270)
+"""Size beside a close-up, and without one."""
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
@@ -47,10 +48,10 @@ def film(env_id: str) -> None:
         whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": (400, 226)}
         record(env_id, path, policy=policy, **whole)
     elif len(sides) > 1:  # Tug is over within a second.
-        record(env_id, path, policy=policy, speed=0.25, size=SIZE)
+        record(env_id, path, policy=policy, speed=0.25, size=ALONE)
     else:
-        size = WIDE.get(env_id, SIZE)
         near = CLOSE_UPS.get(type(cg.task(env_id)).__name__)
+        size = WIDE.get(env_id, SIZE if near else ALONE)
         more = {"seconds": LEAST, "slow_motion": True, "close_up": near}
         record(env_id, path, policy=policy, size=size, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
