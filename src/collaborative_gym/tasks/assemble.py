@@ -1,29 +1,30 @@
 """Assemble: two arms put a peg into a block's hole, and a third locks it with a pin.
 
 Three arms stand around the place where they assemble, each with a table to its side.
-On robot_1's lies the block (0.15 kg), on robot_2's the peg, on robot_3's the pin. Each
-arm can hold only its own part. The block is to be held at the target, the peg pushed
-into its chamfered hole until the collar meets the block, and the pin through the hole
-that both then have. Holes are square, and 2 mm wider than the parts that go into them.
-So the pin only goes in while the peg is deep enough and turned right.
+The block (0.15 kg) lies on robot_1's table, the peg on robot_2's, the pin on robot_3's.
+Each arm can hold only its own part. robot_1 must hold the block at the target. The peg
+goes into the block's chamfered hole until the collar meets the block, and the pin
+through the hole that both then have. Holes are square, and 2 mm wider than their parts.
+The pin fits only while the peg is deep enough and turned right.
 
-By default grips are by `pinch` and keep parts in the pose in which they took them: a
-part that is pushed harder than two pads bear slips. A magnet would let parts turn, so
-it is refused. Parts touch parts and arms, but for the fingers that can hold them.
+By default, hands `pinch` parts and keep them in the pose in which they took them. A
+part that is pushed harder than two pads can bear slips. A magnet is refused, as it
+would let parts turn. Parts touch parts and arms, except for fingers that can hold them.
 
-Randomised: the joints of the arms; the parts' places on the tables (x and y) and their
-turns about the vertical; the target's place.
+Randomised: the joints of the arms; the parts' positions on the tables (x and y) and
+their turns about the vertical; the target's position.
 
-All parts have one pose once they are assembled. A part's goal is that of the block;
-for the block it is the target. The pin's is 0.14 m before it while the peg is not in.
+All parts have the same pose once they are assembled. The block's goal is the target.
+The others' goal is the block's pose; the pin's is 0.14 m before it while the peg is not
+in.
 
 Each arm observes, in the frame of its own base: its tool centre point; its part; the
-motion that its hand still needs to hold the part, and the part to be at its goal
-(`to_part`, `to_goal`: a translation and a rotation vector, each component x as log(1 +
-100 |x|) with its sign, in which millimetres show); how far the block is from its own
-goal and turned from it; and how much of their way into the block peg and pin are in (0
-to 1). The set `mates` has of each other arm: 1, how many seats away it is (as a share
-of 7), whether it grips, and the way from the own tool centre point to that arm's.
+motion that its hand still needs to hold the part (`to_part`) and the part to be at its
+goal (`to_goal`); how far the block is from its own goal and turned from it; and how far
+in the block peg and pin are (0 to 1). A motion is a translation and a rotation vector;
+each component x is seen as log(1 + 100 |x|) with its sign, which shows millimetres. For
+each other arm, the set `mates` has: 1, how many seats away it is (as a share of 7),
+whether it grips, and the vector from the robot's own tool centre point to that arm's.
 
 Reward of each agent:
 
@@ -31,19 +32,18 @@ Reward of each agent:
 - `bring`: minus the distance of its part from its goal, in m, at most 1, and 0.2 times
   the angle between them, in rad.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of the knob.
-- `insert`: how much of their way peg and pin are in, 0 to 1 for each.
+- `insert`: how far in peg and pin are, 0 to 1 for each.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
-  another action mode, of what the action asks of the joints.
+  other action modes, of what the action asks of the joints.
 - `success`: 1 while the goal is reached, else 0.
 
-Success: for 0.5 s peg and pin are in the block, to 4 mm of all the way, and the block
-is within `success_radius` (0.05 m) of the target. A part is in the block by as far as
-it is past the mouth of its hole, with its axis within 3 mm and 0.1 rad of the hole's:
-what is beside the hole, or turned, does not count. Parts lie far from the target, so an
-arm that is still keeps its part from it.
+Success: for 0.5 s, peg and pin are in the block, to 4 mm of their full depth, and the
+block is within `success_radius` (0.05 m) of the target. A part's depth is measured from
+the mouth of its hole, and counts only while its axis is within 3 mm and 0.1 rad of the
+hole's. Parts lie far from the target, so an arm that is still keeps its part from it.
 
-Coordination: `stage` is the greatest mean share that peg and pin were in, `idle` the
-mean share of the arms that waited, as in Lift.
+Coordination: `stage` is the greatest mean share that peg and pin were in; `idle` is the
+mean share of arms that waited, as in Lift.
 """
 
 from collections.abc import Mapping

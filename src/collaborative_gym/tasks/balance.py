@@ -1,22 +1,22 @@
 """Balance: two to eight arms hold a board and keep a ball on its middle.
 
-The board (1 kg, with two arms 0.8 x 1.5 m) is fixed in robot_1's hand and welded to
-the tcps of the others, so all arms move with every tilt. One arm can tilt it alone,
-against the servos of the others. So the task measures how well arms cooperate, not
-whether they must. The ball rolls without slipping. On slopes below 0.075 it rests. In
-the two-Sawyer environment a vertical force acts on a random point of the board; it is a
-new one at every step, up to 10 N up or down.
+The board (1 kg, with two arms 0.8 x 1.5 m) is fixed in robot_1's hand and welded to the
+tcps of the others, so all arms move with every tilt. One arm alone can tilt it, against
+the servos of the others. The task therefore measures how well arms cooperate, not
+whether they must. The ball rolls without slipping, and rests on slopes below 0.075. In
+the two-Sawyer environment, a vertical force acts on a random point of the board. It
+changes at every step and is up to 10 N up or down.
 
-Agents: of two, `robot_1` holds the board at -y and `robot_2` at +y; both observe
-everything but the other's joints. Three arms and more stand evenly around a round board
-(1.2 m), `robot_1` at -y and the others counterclockwise. Each observes its joints, ball
-and board in the frame of its own base, the board turned as if its handle were the
-first, and of each mate, in the block `mates`, whether there is one and the way from its
-own handle to the mate's, in m.
+Agents: with two arms, `robot_1` holds the board at -y and `robot_2` at +y; both observe
+everything except the other's joints. Three or more arms stand evenly around a round
+board (1.2 m), `robot_1` at -y and the others counterclockwise. Each observes its
+joints, ball and board in the frame of its own base, with the board turned as if its
+handle were the first. For each mate, the block `mates` has whether there is one and the
+vector from the robot's own handle to the mate's, in m.
 
 Randomised: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm
-holds it. The start angles come from the nominal ones plus noise, by inverse kinematics.
+holds it. Inverse kinematics finds the start angles from the nominal ones plus noise.
 
 Reward of each agent:
 
@@ -24,15 +24,15 @@ Reward of each agent:
 - `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
   counts as back.
 
-Success: for 2 s, that distance is below 0.09 m while the ball is on the board. A ball
-that rolls across the middle by chance is gone sooner. The centres are
-0.06 m apart when the ball lies in the middle, so the ball must be within 0.067 m of the
-middle along the board.
+Success: for 2 s, this distance is below 0.09 m and the ball is on the board. A ball
+that rolls across the middle by chance leaves sooner. The centres are 0.06 m apart when
+the ball lies in the middle, so the ball must be within 0.067 m of the middle along the
+board.
 
-The thesis starts the board 0.7 or 0.6 m above the floor. At 0.7 m, a Sawyer that is
-mounted as in the thesis has its handle at the end of its reach, where it cannot make
-two in five of the moves and tilts that the task needs. At 0.6 m the handle is out of
-reach. So the board starts at 0.95 m.
+The thesis starts the board 0.7 or 0.6 m above the floor. At 0.7 m, a Sawyer mounted as
+in the thesis has its handle at the end of its reach. There it cannot make two in five
+of the moves and tilts that the task needs. At 0.6 m the handle is out of reach. Here
+the board starts at 0.95 m.
 """
 
 from collections.abc import Mapping

@@ -1,17 +1,16 @@
 """BalancePath: arms lead a ball along a path in space, on a board that they hold.
 
-This is Balance with a target that moves. Seen from above, the target runs along a
-figure of eight: in a lap it goes to and fro twice across the board and once along it.
-Meanwhile it rises and sinks once. The ball must be where the target is, so the whole
-board must rise and sink with it. An arm that holds still keeps its end of the board
-where it is. The other arm can tilt the board, but it cannot lift the far end: the board
-is a lever of 1.6 m, and an arm's wrist is weak. Teams of three to eight hold a round
-board, as in Balance. Of three Pandas none may idle or be limp, while four carry one
-that is limp, and six one that idles (`benchmarks/teams.py --tasks BalancePath
---faults idle limp`).
+This is Balance with a moving target. Seen from above, the target follows a figure of
+eight: in each lap it goes to and fro twice across the board and once along it.
+Meanwhile it rises and sinks once. The ball must stay at the target, so the whole board
+must rise and sink with it. An arm that holds still keeps its end of the board where it
+is. The other arm can tilt the board but cannot lift the far end, because the board is a
+lever of 1.6 m and an arm's wrist is weak. Teams of three to eight hold a round board,
+as in Balance. Of three Pandas none may idle or be limp; four carry a limp one, and six
+an idle one (`benchmarks/teams.py --tasks BalancePath --faults idle limp`).
 
-Randomised: what Balance randomises; where the path lies (along every axis), its size
-(0.9 to 1), where on it the target starts, and which way round it runs.
+Randomised: what Balance randomises; the path's position (along every axis) and size
+(0.9 to 1); where on the path the target starts, and in which direction it runs.
 
 Reward of each agent:
 
@@ -19,9 +18,9 @@ Reward of each agent:
 - `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
   counts as back.
 
-Success: that distance has been below 0.06 m for a whole lap of 12 s, without a break,
-and the ball is on the board. Performance counts how long it is below that distance from
-then on.
+Success: this distance has stayed below 0.06 m for a whole lap of 12 s, without a break,
+and the ball is on the board. From then on, performance counts how long it is below that
+distance.
 """
 
 from collections.abc import Mapping

@@ -1,22 +1,22 @@
 """Hockey: air hockey between two arms, or between two pairs.
 
-Each side stands behind its goal and has mallets. The puck glides without friction. The
-field is 1.1 m long and 0.64 m wide, and a goal is 0.4 m wide. A goal counts once all of
-the puck has crossed the goal's line, whoever hit it last. Then the puck is served from
-the centre line towards the side that conceded the goal. If the puck stays on one half
-for 15 s, this is a foul, even if nobody can reach the puck. Then the puck is served to
-the other side. It is served where no mallet is in its way.
+Each side stands behind its goal and plays with mallets. The puck glides without
+friction. The field is 1.1 m long and 0.64 m wide, and a goal is 0.4 m wide. A goal
+counts once the whole puck has crossed the goal line, whoever hit it last. Then the puck
+is served from the centre line towards the side that conceded the goal. If the puck
+stays on one half for 15 s, this is a foul, even if nobody can reach the puck. Then the
+puck is served to the other side. Serves start where no mallet is in the way.
 
-Agents: one or two arms for each side; `side_1` is at negative x. With two arms for each
-side, the table is twice as wide, and each arm reaches its half of it.
+Agents: one or two arms per side; `side_1` is at negative x. With two arms per side, the
+table is twice as wide, and each arm reaches its half of it.
 
-Randomised: the side that is served to first; the place of every serve on the centre
-line, and its speed (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across); where each
-mallet starts along x and y, and the posture in which its arm holds it. The start angles
-come from the nominal ones plus noise, by inverse kinematics.
+Randomised: the side that gets the first serve; the position of every serve on the
+centre line, and its speed (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across);
+where each mallet starts along x and y, and the posture in which its arm holds it.
+Inverse kinematics finds the start angles from the nominal ones plus noise.
 
-Each side observes the world in its own frame, in which it plays towards +x. The frame
-of the other side is turned by half a turn. So both seats are alike, and one policy
+Each side observes the world in its own frame, in which it plays towards +x. The other
+side's frame is rotated by half a turn. The seats are therefore alike, and one policy
 plays in both.
 
 Reward of each agent:
@@ -26,25 +26,25 @@ Reward of each agent:
 - `drive`: 0.2 times the puck's speed towards the other goal, at most 2 m/s either way.
   Shaping.
 - `near`: -0.3 times the distance between puck and mallet in m, while the puck is on the
-  own half, else 0. Shaping.
-- `height`: -2 times the distance of the mallet from the height at which it hovers, at
-  most 0.3 m. Shaping.
+  agent's half, else 0. Shaping.
+- `height`: -2 times the distance of the mallet from its hovering height, at most 0.3 m.
+  Shaping.
 - `upright`: -0.3 (1 - cos a), where a is the tilt of the mallet. Shaping.
-- `effort`: -0.01 times the length of the action; in another action mode, of what
-  it asks of the joints. Shaping.
+- `effort`: -0.01 times the length of the action; in other action modes, of what it asks
+  of the joints. Shaping.
 
-Success of a side: it scores. So its completion says whether it scored in the episode,
-and its performance says for which share of the episode it was in the lead. The metric
-`score` counts its goals. The side with more goals at the end has won.
+Success of a side: it scores. Its completion says whether it scored in the episode; its
+performance is the share of the episode in which it led. The metric `score` counts its
+goals. The side with more goals at the end wins.
 
-An episode lasts 40 s. By then most matches of the scripted player against itself are
+An episode lasts 40 s. By then, most matches of the scripted player against itself are
 decided (of 1,696 with Pandas, side_1 won 528 and side_2 491, so 49 to 55 % of the
 decided ones), and two fouls fit in.
 
-A thing that bounces turns round within one physics step, and keeps 0.8 of its speed.
-Until then it may be as deep in the other thing as it moves in 0.01 s. Air drag takes
-some of the speed, and at a mallet the arm behind it takes some more. The table has the
-speed after a bounce over the speed before, and the depth (`python benchmarks/hockey.py
+A thing that bounces reverses within one physics step, and keeps 0.8 of its speed. Until
+then, it may be as deep in the other thing as it moves in 0.01 s. Air drag takes some of
+the speed, and at a mallet the arm behind it takes some more. The table has the speed
+after a bounce divided by the speed before, and the depth (`python benchmarks/hockey.py
 --worlds 8 --steps 60`):
 
 | m/s | off a cushion | off a mallet that is held | deepest, mm |
@@ -54,12 +54,11 @@ speed after a bounce over the speed before, and the depth (`python benchmarks/ho
 | 3 | 0.78 | 0.74 | 28 |
 | 5 | 0.79 | 0.74 | 47 |
 
-Above 5 m/s MuJoCo foresees contacts (its speculative contacts), so that nothing passes
-through anything. Arms that chase the puck at full speed, whatever is in their way, give
-it 5 m/s. None of 144 shots at 3 to 7 m/s left the table. Hockey needs MuJoCo's
-integrator `implicitfast` for this, unlike the other tasks. The puck collides as a
-sphere that is taller than the disc in the picture, so a mallet that is lifted by less
-than 0.1 m still touches it.
+Above 5 m/s, MuJoCo's speculative contacts keep things from passing through one another.
+Arms that chase the puck at full speed, whatever is in their way, give it 5 m/s. None of
+144 shots at 3 to 7 m/s left the table. Unlike the other tasks, Hockey needs MuJoCo's
+integrator `implicitfast` for this. The puck collides as a sphere that is taller than
+the disc in the picture, so a mallet lifted by less than 0.1 m still touches it.
 """
 
 from collections.abc import Mapping

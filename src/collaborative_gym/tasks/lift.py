@@ -3,16 +3,16 @@
 The pot stands on a table between the robots. Each robot grips its handle. Together they
 lift the pot to a target above the table and keep it level.
 
-Agents: of two, `robot_1` stands at -y and takes the handle at -y, `robot_2` stands at
-+y and takes the other. Both observe everything. Larger teams stand evenly around a
-round pot, `robot_1` at -y and the others counterclockwise. Each of them observes its
-own arm, its handle, turned as if it were the first, and the way from the pot to the
-target, in the frame of its own base. Of each mate it observes, in the block `mates`:
-whether there is one, whether it grips, the distance from its tool centre point to its
-handle, and how far its handle is above the robot's own. Nothing of this depends on the
-size of the team, so all seats, and teams of any size, observe alike.
+Agents: with two arms, `robot_1` stands at -y and takes the handle at -y, and `robot_2`
+stands at +y and takes the other. Both observe everything. Larger teams stand evenly
+around a round pot, `robot_1` at -y and the others counterclockwise. Each of their
+robots observes its own arm, its handle (turned as if it were the first) and the vector
+from the pot to the target, in the frame of its own base. For each mate, the block
+`mates` has: whether there is one, whether it grips, the distance from its tool centre
+point to its handle, and how far its handle is above the robot's own. None of this
+depends on the team's size, so all seats and teams observe alike.
 
-Randomised: the arms' start, the pot's place and turn on the table, the target.
+Randomised: the arms' start, the pot's position and turn on the table, the target.
 
 Reward of each agent:
 
@@ -20,25 +20,25 @@ Reward of each agent:
 - `lift`: -2 times the distance from the pot's middle to the target, in m.
 - `tilt`: -0.2 (|roll| + |pitch|) of the pot, in rad.
 - `effort`: minus 0.01 times the Euclidean norm of its joints' part of the action; in
-  another action mode, of what the action asks of the joints.
+  other action modes, of what the action asks of the joints.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its
   handle, else 0.
 
 Success: the pot's middle is within 0.15 m of the target, level within 15 degrees and
-slower than 0.3 m/s, while both arms grip it; with three arms and more, within 0.08 m
-and 4 degrees, while all arms grip it.
+slower than 0.3 m/s, while both arms grip it. With three or more arms: within 0.08 m and
+4 degrees, while all arms grip it.
 
-Coordination, until success: `stage` is the greatest share of arms that gripped, `idle`
-the mean share that waited, with nothing in hand and no joint faster than 2 % of its
-limit, `handle_spread` the greatest difference of the handles' heights, in m.
+Coordination, until success: `stage` is the greatest share of arms that gripped. `idle`
+is the mean share of arms that waited, with an empty hand and no joint faster than 2 %
+of its limit. `handle_spread` is the greatest difference of the handles' heights, in m.
 
-The pot's mass follows from the arms: it is too heavy for any team without one of them.
+The pot's mass depends on the arms: it is too heavy for any team without one of them.
 `lift_mass` and `team_mass` say how, and `benchmarks/lift_capacity.py` measures it in
-simulation for two. The distance alone is not enough for success: one of two arms can
-swing the pot past the target while the other arm only holds its handle. But then the
+simulation for two arms. The distance alone is not enough for success: one of two arms
+can swing the pot past the target while the other only holds its handle. But then the
 pot is tilted or fast. The larger a team, the less it needs each arm. The pot's mass is
-the geometric mean of the load that all carry level and the load of the best team
-without one arm, and at least 0.6 of the former:
+the geometric mean of what all arms carry level and what the best team without one arm
+carries, and at least 0.6 of the former:
 
 | Pandas | all carry | all but one | all / all but one | at best | pot |
 | --- | --- | --- | --- | --- | --- |
@@ -47,8 +47,8 @@ without one arm, and at least 0.6 of the former:
 | 6 | 103 kg | 80 kg | 1.29 | 1.50 | 91 kg |
 | 8 | 137 kg | 119 kg | 1.15 | 1.33 | 128 kg |
 
-"At best" is the ratio of arms that carry the same everywhere. With one arm that idles,
-grips and idles, is limp, or stops once it holds, the expert never succeeds
+"At best" is the ratio for arms that carry the same everywhere. The expert never
+succeeds if one arm idles, grips and idles, is limp, or stops once it holds
 (`benchmarks/teams.py --faults`).
 """
 

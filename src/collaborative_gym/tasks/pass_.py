@@ -1,31 +1,31 @@
 """Pass: arms hand a cube on, from one to the next, and the last brings it to a target.
 
-Two to eight arms stand side by side. Each has a table: an arm that stands on a pedestal
-has the table in front of it, any other arm stands on its near end. The cube (0.04 m,
+Two to eight arms stand side by side, each with a table. An arm on a pedestal has the
+table in front of it; any other arm stands on the table's near end. The cube (0.04 m,
 0.05 kg) lies on robot_1's table. A grip holds the cube's centre at the tool centre
-point and lets it turn. For a moment both robots may hold it. Then the one that gives
-must let go: if the other tears the cube out of its hand, both lose it.
+point and lets the cube turn. For a moment, both robots may hold it. Then the giver must
+let go: if the receiver tears the cube out of its hand, both lose it.
 
-With two arms the target hangs in the air in front of robot_2. Three arms and more are a
-relay: the cube goes through all hands to its target on the last arm's table. From four
-arms on a second cube follows, with a target of its own. Neighbours alone reach each
-other, at one place between them. Each arm sees in the frame of its own base: its own
-cube, which is the one in its hand, or the first that it has not passed on; the way to
-it, and the cube's way to the hand-over or the target; the share of cubes left. Of each
-mate it sees, in the block `mates`: whether there is one, how many seats away (over 7),
-whether it grips, from its own tool centre point to the mate's, and how far that is from
-its cube. Ways to cube and goal and that distance, x in m, are seen as log(1 + 100 |x|)
-with their sign. So all seats and relays observe alike.
+With two arms, the target hangs in the air in front of robot_2. Three or more arms form
+a relay: the cube goes through all hands to its target on the last table. From four arms
+on, a second cube follows, with its own target. Only neighbours reach each other, at one
+place between them. Each arm observes, in the frame of its own base: its own cube, which
+is the one in its hand or else the first that it has not passed on; the vectors to this
+cube, and from it to the hand-over or the target; the share of cubes left. For each
+mate, the block `mates` has: whether there is one, how many seats away it is (over 7),
+whether it grips, the vector from the arm's own tool centre point to the mate's, and the
+mate's distance from the arm's cube. Vectors to cube and goal and this distance, x in m,
+are seen as log(1 + 100 |x|) with their sign. All seats and relays observe alike.
 
 Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 
-Randomised: the joints of the arms, the cubes' places on the table (x and y) and their
-turns about the vertical, the targets' places (in a relay, x and y).
+Randomised: the joints of the arms, the cubes' positions on the table (x and y) and
+turns about the vertical, the targets' positions (in a relay, x and y).
 
 Reward of each agent: the next arm is "near" while its tool centre point is within
-`handover_threshold` (0.05 m) of the cube's centre. In a relay "the cube" is the agent's
-own, distances count up to 1 m, and a cube that is farther than in the next hand counts
-as near, at no distance.
+`handover_threshold` (0.05 m) of the cube's centre. In a relay, "the cube" is the
+agent's own, distances count up to 1 m, and a cube that has gone farther than the next
+hand counts as near, at no distance.
 
 - `reach`: minus the distance from its tool centre point to the cube, in m; 0.2 while
   the next arm is near.
@@ -36,22 +36,22 @@ as near, at no distance.
   `picking_threshold`, 0.03 m); while the next arm is near, -0.1 if it asks for a grip;
   else 0.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
-  another action mode, of what the action asks of the joints.
+  other action modes, of what the action asks of the joints.
 - `success`: 1 while the goal is reached, else 0.
-- `waiting`, where there are two cubes: -3 for each that waits behind the own one.
+- `waiting`, where there are two cubes: -3 for each that waits behind the agent's own.
 
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
-holds it. The thesis asks only for the distance. The second condition rules out that
-robot_1 throws the cube there, which a search found. In every pair of Sawyer, Panda and
+holds it. The thesis requires only the distance. The second condition rules out that
+robot_1 throws the cube there, as a search found. In every pair of Sawyer, Panda and
 Jaco, robot_1 cannot carry the cube there, by 0.27 m or more, and robot_2 cannot reach
 robot_1's table, by 0.18 m.
 
-In a relay each cube lies still within 0.06 m of its target, in no hand, after every arm
-has had it in order: has held it together with the arm before, at the end of a control
-step. So a cube that is thrown, or left on a table for the next arm, does not count.
+In a relay, each cube must lie still within 0.06 m of its target, in no hand, after
+every arm has had it in order, and held it together with the arm before at the end of a
+control step. A cube thrown, or left on a table for the next arm, does not count.
 
-Coordination: `stage` is the share of hands that the cubes have been through, `idle` the
-mean share of the arms that waited, as in Lift.
+Coordination: `stage` is the share of hands that the cubes have been through; `idle` is
+the mean share of arms that waited, as in Lift.
 """
 
 from collections.abc import Mapping

@@ -2,29 +2,28 @@
 
 robot_1 holds the stick (0.2 m long). robot_2 holds the ring, called donut (outer side
 0.24 m, hole 0.16 m). Both objects are fixed in the grippers, so nothing is gripped or
-released. The arms start turned aside, and each object is out of the other arm's reach.
-So the arms must meet half-way: robot_2 presents the ring, and robot_1 lines up the
-stick with its hole.
+released. The arms start turned aside, with each object out of the other arm's reach.
+They must meet half-way: robot_2 presents the ring, and robot_1 aligns the stick with
+its hole.
 
-Randomised: where each object starts (its position along every axis, its turn about the
+Randomised: where each object starts (position along every axis, turn about the
 vertical) and every joint angle.
 
 Reward of each agent:
 
 - `distance`: minus the distance from the stick's middle to the ring's centre, in m.
 - `angle`: -0.8 |cos a|, where a is the angle between the stick and the ring's plane.
-- `effort`: minus 0.01 times the Euclidean norm of the agent's own action; in another
-  action mode, of what the action asks of the joints.
-- `inside`: 1 while the stick is inside: the distance is below 0.065 m and |cos a| is
-  below 0.2; else 0.
+- `effort`: minus 0.01 times the Euclidean norm of the agent's own action; in other
+  action modes, of what the action asks of the joints.
+- `inside`: 1 while the stick is inside (the distance is below 0.065 m and |cos a| is
+  below 0.2), else 0.
 
-Success: for 0.5 s, the distance is below 0.09 m while the stick's axis crosses the
-ring's plane within the hole. Arms that look at nothing may pass there by chance, but
-hardly stay. The distance alone is not enough, because a stick that lies flat on the
-ring is as near. The term `inside` need not ask for the crossing, because it implies it:
-within its bounds the axis crosses the plane at most 0.067 m from the ring's centre, and
-so from the stick's middle. The hole's sides are 0.08 m away, and the stick's ends 0.1
-m.
+Success: for 0.5 s, the distance is below 0.09 m and the stick's axis crosses the ring's
+plane within the hole. Arms that observe nothing may pass there by chance, but hardly
+stay. The distance alone is not enough, because a stick that lies flat on the ring is as
+near. The term `inside` need not test the crossing, because its bounds imply it: the
+axis then crosses the plane at most 0.067 m from the ring's centre, and at most as far
+from the stick's middle. The hole's sides are 0.08 m away, the stick's ends 0.1 m.
 """
 
 from collections.abc import Mapping

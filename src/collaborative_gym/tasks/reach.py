@@ -1,11 +1,11 @@
-"""Reach: arms around one cell come to goals of their own and never touch one another.
+"""Reach: arms in one cell go to goals of their own and never touch one another.
 
-Two to eight arms of any kinds stand in a ring and face its middle. Each has `goals`
-goals, of its pedestal's colour and one after the other. Once its tcp has come to rest
-within `radius` of a goal, the next one appears. Goals lie beyond the middle between two
-arms, in turn on either side, and neighbours turn to each other at the same time. So
-their ways cross, and one must wait or go round. An arm with no goal left must stay out
-of the way. Nothing is gripped. Arms that touch at a control step's end end the episode.
+Two to eight arms of any kind stand in a ring and face its middle. Each has `goals`
+goals in its pedestal's colour. The next one appears once its tcp has come to rest
+within `radius` of the current one. Goals lie beyond the middle between two arms, on
+alternating sides, and neighbours turn to each other at the same time. Their paths
+cross, so one must wait or go round. An arm with no goal left must stay out of the way.
+Nothing is gripped. The episode ends if arms touch after a control step.
 
 Randomised: every goal (along every axis) and every joint angle.
 
@@ -14,25 +14,25 @@ Reward of each agent:
 - `distance`: 10 times the distance, in m, by which its tcp came nearer to its goal.
 - `goal`: 5 for a goal that is reached, else 0.
 - `touch`: -20 if the arm touches another one, else 0.
-- `effort`: -0.01 times the Euclidean norm of the agent's own action; in another action
-  mode, of what the action asks of the joints.
+- `effort`: -0.01 times the Euclidean norm of the agent's own action; in other action
+  modes, of what the action asks of the joints.
 
-Success: every arm has reached all its goals, and none has touched another. The episode
-ends then.
+Success: every arm has reached its goals and touched no other. The episode then ends.
 
-Coordination: `stage` is the share of all goals that were reached, `idle` the mean share
-of the arms that waited, as in Lift.
+Coordination: `stage` is the share of all goals that were reached; `idle` is the mean
+share of arms that waited, as in Lift.
 
-The observation is the same for teams of all sizes. `mates` is a set of seven elements,
-one for each mate in the order of the ring and zeros for the others: 1; 1 if its number
-is higher than the robot's own, else -1 (of equal arms the first one goes); the share of
-its goals that is left; and the places of its tcp, its elbow and its goal. Places are in
-the frame of the robot's own base, and `goal` and `mates` begin at its own tcp.
+The observation has the same form for teams of all sizes. `mates` is a set of seven
+elements, one for each mate in the order of the ring, the others zeros. Each has: 1; 1
+if the mate's number is higher than the robot's own, else -1 (of equal arms the first
+goes); the share of the mate's goals that is left; and where its tcp, elbow and goal
+are. Positions are in the frame of the robot's own base; `goal` and `mates` are relative
+to its tcp.
 
-The difficulty is teamwork. Of two arms whose ways cross, the expert sends one first. If
-it ignores others, it touches another arm in most episodes. Each goal lies where
-another arm reaches, too, so no team can divide the cell (`python benchmarks/reach.py`,
-100 episodes of `default`):
+The difficulty is teamwork. When two paths cross, the expert sends one arm first. If it
+ignores others, it touches another arm in most episodes. Each goal is within reach of
+another arm, too, so no team can divide the cell (`python benchmarks/reach.py`, 100
+episodes of `default`):
 
 | environment | gives way | looks at nobody | goals that others reach |
 | --- | ---: | ---: | ---: |

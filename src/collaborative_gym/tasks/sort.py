@@ -1,40 +1,40 @@
 """Sort: a belt brings cubes past two to eight arms, each of which has a tote to fill.
 
-The arms stand along the belt, in turn on either side, `robot_1` first. Each has a tote
-beside it, which no other arm needs to reach, and a colour. One or two cubes of each
-colour lie on the belt: one comes in the lane at the arm's own side. A second one, which
-all arms but `robot_1` have, comes in the lane at the other side, where the arm does not
-reach. The arm before, which stands there, must move it to the middle of the belt, where
-both reach. The belt does not wait: what has gone past its arm is lost.
+The arms stand along the belt on alternating sides, `robot_1` first. Each has a colour,
+and a tote beside it that no other arm needs to reach. One or two cubes of each colour
+lie on the belt. The first comes in the lane on the arm's own side. All arms except
+`robot_1` have a second one, in the lane on the other side, where they do not reach. The
+arm before, which stands there, must move it to the middle of the belt, where both
+reach. The belt does not wait: a cube that has passed its arm is lost.
 
-Randomised: the joints of the arms; the cubes' places along and across the belt, and
+Randomised: the joints of the arms; the cubes' positions along and across the belt, and
 their turns about the vertical; which of the two cubes in a lane comes first.
 
-Each arm observes, in the frame of its own base, three cubes: its `own cube`, the
-`mate's cube`, which it moves to the middle, and the `moved cube`, its second. Of each:
-its place, and 1 while the arm must still handle it, else zeros. Its `next cube` is the
-one that it deals with now: the way from its tool centre point, 1 if it is the mate's,
-and 1 if it is within reach. The block `mates` has of each other arm: 1, how many seats
-away it is (as a share of 7), whether it grips, and the way from the own tool centre
-point to that arm's. So teams of all sizes observe alike.
+Each arm observes three cubes in the frame of its own base: its `own cube`; the `mate's
+cube`, which it moves to the middle; and the `moved cube`, its second. For each it sees
+the position, and 1 while it must still handle the cube, else zeros. `next cube` is the
+one that it handles now: the vector from its tool centre point, 1 if it is the mate's,
+and 1 if it is within reach. For each other arm, the block `mates` has: 1, how many
+seats away it is (as a share of 7), whether it grips, and the vector from the robot's
+own tool centre point to that arm's. Teams of all sizes have the same observation.
 
-Reward of each agent: "its cube" is the one in its hand, or else the one that comes next
-of those that it reaches or will reach; distances count up to 1 m.
+Reward of each agent: "its cube" is the one in its hand, or else the next one that it
+reaches or will reach; distances count up to 1 m.
 
 - `reach`: minus the distance from its tool centre point to its cube, in m.
-- `bring`: minus the distance from its cube to the agent's tote, or of the mate's cube
+- `bring`: minus the distance from its cube to the agent's tote, or from the mate's cube
   to the middle of the belt, in m.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of its cube.
-- `waiting`: -3 for each of its cubes that it has not dealt with; -4 once it is lost.
+- `waiting`: -3 for each of its cubes that it has not handled; -4 once the cube is lost.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
-  another action mode, of what the action asks of the joints.
+  other action modes, of what the action asks of the joints.
 
-Success: every cube lies in the tote of its colour, in no hand. A tote can be filled by
-its own arm alone, so without an arm its cubes, and the one that it should move for the
-next arm, are lost.
+Success: every cube lies in the tote of its colour, in no hand. Only its own arm can
+fill a tote. Without an arm, its cubes are lost, and so is the one that it should move
+for the next arm.
 
-Coordination: `sorted` is the greatest share of the cubes that lay so, `idle` the mean
-share of the arms that waited, as in Lift.
+Coordination: `sorted` is the greatest share of cubes in their totes; `idle` is the mean
+share of arms that waited, as in Lift.
 """
 
 from collections.abc import Mapping

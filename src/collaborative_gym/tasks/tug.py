@@ -1,17 +1,17 @@
 """Tug: two arms hold a bar by its ends, and each pulls it over a line of its own.
 
-Agents: `robot_1` at -y with the line at -y, `robot_2` at +y with the other. They are
-opponents. Each observes the world from where it stands, so that equal arms in either
-seat observe the same. Each feels the torques of its own joints, but not those of the
-other.
+Agents: `robot_1` at -y with the line at -y, and its opponent `robot_2` at +y with the
+other line. Each observes the world from where it stands, so equal arms observe the same
+in either seat. Each feels the torques of its own joints, but not those of the other
+arm.
 
 A knob at each end of the bar turns freely in the hand, so an arm chooses its posture
-while it pulls. How hard it can pull depends on its posture: a joint pulls with its
-torque limit over its lever about the line of pull. An arm that is asked to move lets go
-of a part of its load in every step, so it must keep pulling. An arm that is not asked
-to move keeps its torques, up to the limits of its motors. The hands never lose the bar.
-The bar pulls at both hands with the same force, so the weaker gripper would always tear
-first, and a jerk would win.
+while it pulls. The posture decides how hard it can pull: a joint pulls with its torque
+limit over its lever about the line of pull. An arm that is commanded to move loses a
+part of its load in every step, so it must keep pulling. An arm that is not commanded to
+move keeps its torques, up to the limits of its motors. The hands never lose the bar,
+because it pulls both with the same force: the weaker gripper would always tear first,
+and a jerk would win.
 
 Randomised: where the bar starts (along every axis, and its turn about the vertical)
 and the posture in which each arm holds it.
@@ -20,29 +20,29 @@ Reward of each agent:
 
 - `win`: 10 for the winner and -10 for the loser, once, else 0.
 - `way`: twice the speed of the bar towards the agent's line, in m/s. Shaping.
-- `effort`: -0.01 times the length of the action; in another action mode, of what
-  it asks of the joints. Shaping.
+- `effort`: -0.01 times the length of the action; in other action modes, of what it asks
+  of the joints. Shaping.
 
-Success of a side: the bar's middle is past its line. The episode ends then. When time
-is up it is a draw. Performance counts how long the bar is on its half.
+Success of a side: the bar's middle is past its line. The episode then ends. If time
+runs out, it is a draw. Performance counts how long the bar is on the side's half.
 
 Each line is 0.14 of the arms' mean reach away from the start of the bar. Unequal arms
-get a handicap by their strengths. The strength of an arm is the pull that its torque
-limits can hold all along the way of its hand, in the strongest postures found. The
+get a handicap by their strengths. An arm's strength is the pull that its torque limits
+can hold along the whole path of its hand, in the strongest postures found. The
 distances of the two lines have the ratio of the strengths and keep their mean. This
 alone is not enough, because an arm that is pulled out of its posture gets weaker: a
-Panda's expert then won all episodes against a Sawyer's. So a constant force, as of a
-weight on a rope, also pulls the bar to the weaker side. It is about twice the
-difference of the strengths, 2.057 times for even chances of Panda and Sawyer.
+Panda's expert then won all episodes against a Sawyer's. A constant force, like a weight
+on a rope, therefore also pulls the bar to the weaker side. It is about twice the
+difference of the strengths, and 2.057 times for even chances of Panda and Sawyer.
 
-Other unequal pairs are not fair. By the same rule the expert of a Panda wins about 172
-of 200 episodes against that of a Jaco, and a Sawyer's about 136. For even chances the
-force must be right to less than 1 %, because who is ahead has the stronger posture.
-Torque limits do not foretell it that well, and no one factor is right for all pairs. So
-take equal arms, or a Panda and a Sawyer, where chances must be even.
+Other unequal pairs are not fair. With the same rule, a Panda's expert wins about 172 of
+200 episodes against a Jaco's, and a Sawyer's about 136. For even chances, the force
+must be right to less than 1 %, because the arm that is ahead has the stronger posture.
+Torque limits do not predict it that well, and no single factor is right for all pairs.
+If chances must be even, use equal arms, or a Panda and a Sawyer.
 
-The expert against itself decides all of 1,000 episodes of two Pandas and 948 of two
-Sawyers, in 2 s (median). From the first seat it wins 49.6 % of them. Of a Panda and a
+Against itself, the expert decides all of 1,000 episodes of two Pandas and 948 of two
+Sawyers, in 2 s (median). It wins 49.6 % of them from the first seat. Of a Panda and a
 Sawyer, the Panda's wins 49.9 % from the first seat and 47.3 % from the second.
 """
 
