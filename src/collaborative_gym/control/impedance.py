@@ -36,15 +36,15 @@ class _Springs(Servo):
 
 
 class Impedance(TcpChanges):
-    """A change of the pose, as in `tcp`, of a tool that is held by springs.
+    """A change of the pose, as in `tcp`, of a tool held by springs.
 
     In the operational space (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987), a stiffness K between the tool and its target acts on
     the joints as the stiffness J^T K J. Each servo takes its stiffness from the
     diagonal of this matrix in the posture at the beginning of a control step, and is
-    critically damped for its joint's inertia. So the springs are in the drives, where
-    the physics integrates them implicitly, within the motors' limits. Leaving out the
-    rest of the matrix makes the tool stiffer along the arm than across it.
+    critically damped for its joint's inertia. The springs are thus in the drives, and
+    the physics integrates them implicitly, within the motors' limits. Without the rest
+    of the matrix, the tool is stiffer along the arm than across it.
     """
 
     servo = _Springs
@@ -100,9 +100,9 @@ class _Stiffened(Command):
 
 
 class ImpedanceStiffness(Impedance):
-    """As `impedance`, with one more number, for the stiffness of the springs.
+    """As `impedance`, with one more number for the stiffness of the springs.
 
-    At -1 it is a fourth of the usual one, at 1 four times as much.
+    At -1 the stiffness is a fourth of the usual one, at 1 four times as much.
     """
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):

@@ -23,11 +23,11 @@ _TO_POSTURE, _FULLY = 0.2, 0.2
 class TcpChanges(ServoMode):
     """A change of the pose of the tool centre point, in the frame of the arm's base.
 
-    Three numbers are the translation, three the rotation vector, as shares of 0.05 m
-    and 0.15 rad; a longer vector is shortened to that. They are converted to joint
-    changes within the limits of joints, speeds and torques: where one joint would be
-    too fast, all slow down. So the tool slows down near singular poses. A redundant arm
-    also moves towards its posture in `Scene.postures`.
+    Three numbers give the translation, three the rotation vector, as shares of 0.05 m
+    and 0.15 rad; longer vectors are shortened to that. They become joint changes within
+    the limits of joints, speeds and torques. Where one joint would be too fast, all
+    slow down, so the tool slows down near singular poses. A redundant arm also moves
+    towards its posture in `Scene.postures`.
     """
 
     axes = (0, 1, 2, 3, 4, 5)
@@ -137,8 +137,8 @@ class TcpChanges(ServoMode):
 class TcpPositionChanges(TcpChanges):
     """A change of the tool's position and yaw, its turn about the vertical.
 
-    The tool keeps its tilt. Three numbers are the translation and one is the turn; all
-    else is as in `tcp`.
+    The tool keeps its tilt. Three numbers give the translation and one the turn; the
+    rest is as in `tcp`.
     """
 
     axes = (0, 1, 2, 5)

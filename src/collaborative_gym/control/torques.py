@@ -47,12 +47,12 @@ _FEEDFORWARD = 4  # MuJoCo's bit for a motor's only input, a torque
 class Torques(ActionMode):
     """A torque of each joint, as a share of its limit, held over the control step.
 
-    Gravity of the arm's links and fingers is compensated, as in torque control of real
-    arms. So an action of zeros lets an arm float until its motors' friction stops it,
-    and only an action's torques bear a tool or a load. Real drives take a new torque
-    every 1 to 10 ms; a policy that acts every 0.1 s can only hold each of its torques.
-    Near the speed limit the motor's voltage runs out, and its torque falls to nothing
-    on the line of a DC motor.
+    The mode compensates gravity of the arm's links and fingers, as torque control of
+    real arms does. With an action of zeros, an arm floats until its motors' friction
+    stops it. Only an action's torques bear a tool or a load. Real drives take a new
+    torque every 1 to 10 ms; a policy that acts every 0.1 s can only hold each torque.
+    Near the speed limit, the motor's voltage runs out, and its torque falls to zero on
+    the line of a DC motor.
     """
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):
