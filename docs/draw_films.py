@@ -24,7 +24,7 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "Assemble": "pin/pin",
-    "Sort": "cube_5/cube",
+    "Sort": "robot_3/hand",
 }
 """What each task's films show from nearby."""
 WIDE = {"PassPandas3-v0": (600, 226), "PassPandas4-v0": (600, 226)}

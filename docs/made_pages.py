@@ -442,7 +442,11 @@ def _name(name: str) -> str:
     if callable(thing) and not inspect.isclass(thing):
         empty = inspect.Parameter.empty
         taken = inspect.signature(thing).parameters.values()
-        bare = [each.replace(annotation=empty, default=empty) for each in taken]
+        bare = []
+        for each in taken:
+            is_plain = isinstance(each.default, (bool, int, float, str, type(None)))
+            default = each.default if is_plain else empty
+            bare.append(each.replace(annotation=empty, default=default))
         takes = str(inspect.Signature(bare))
     if callable(thing) or inspect.ismodule(thing):
         says = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())

@@ -141,6 +141,13 @@ def test_settings_of_the_task_are_options(carry_id, capsys):
     assert "Means over 1 episode;" in printed.err
 
 
+def test_settings_with_an_option_of_their_own_are_refused(carry_id, capsys):
+    for name, flag in (("robots", "--robots"), ("num_robots", "--num-robots")):
+        assert main(["evaluate", carry_id, "--settings", f"{name}=panda"]) == 2
+        error = f"error: give {name} by {flag}, not by --settings\n"
+        assert capsys.readouterr().err == error
+
+
 def test_thesis_and_we_count_200_episodes(carry_id):
     commands = Evaluate(), Reproduce(table="table11")
     assert [command.episodes for command in commands] == [200, 200]

@@ -403,6 +403,16 @@ def test_a_grip_that_tears_between_two_actions_has_strained(carry):
     assert (mean <= greatest).all() and (greatest <= 100.0).all()
 
 
+def test_the_mean_force_counts_only_steps_in_which_two_arms_hold():
+    env = made(cg.task("SortPandas2-v0"))
+    env.reset(seed=0)
+    for _ in range(60):  # One arm after the other takes cubes off the belt.
+        *_, infos = env.step(env.expert())
+    told = infos["metrics"]["strain"]
+    assert (told["internal_force"] > 0.0).any()  # Contacts of a hand, to rounding.
+    assert (told["internal_force_mean"] == 0.0).all()
+
+
 def test_things_without_a_name_are_measured(carry):
     class Crowded(type(carry())):
         def build(self, scene):

@@ -96,6 +96,9 @@ def chosen_task(
                 "--settings takes each name with its value, such as wrench=raw, got"
                 f" {word!r}"
             )
+        if name in ("robots", "num_robots", "randomization", "action"):
+            option = f"--{name.replace('_', '-')}"
+            raise ValueError(f"give {name} by {option}, not by --settings")
         try:
             own[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):  # A word, such as raw or true.

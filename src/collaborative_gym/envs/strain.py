@@ -274,7 +274,8 @@ class Strain:
             arms = records["eq_active"][:, :, bonds].sum(axis=2)
             is_held.append(arms + (held.tool is not None) >= 2)
         force, held_steps = np.max(forces, axis=0), np.any(is_held, axis=0)
-        found = {"internal_force": force, "internal_force_mean": force.copy()}
+        mean = np.where(held_steps, force, 0.0)
+        found = {"internal_force": force, "internal_force_mean": mean}
         return found | {_HELD_STEPS: held_steps}
 
     def _internal_force(

@@ -201,7 +201,7 @@ def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) 
     """Raise ValueError if words do not fit the task or do not go together."""
     if opponents and len(task.sides) == 1:
         raise ValueError(
-            f"{task.name} has one side, so that nobody can be an opponent; leave out"
+            f"{task.name} has one side, so there is no opponent; leave out"
             " opponent, or give a partner"
         )
     if partners and len(task.sides) > 1:

@@ -65,13 +65,13 @@ class Weighing:
         ratio = _LEAST_RATIOS.get(count, _LEAST_RATIO)
         if self.together < ratio * most:
             missing = f"robot_{self.fewer.index(most) + 1}"
-            alike = min(self.fewer) > _ALIKE * most
+            who = "all" if min(self.fewer) > _ALIKE * most else f"all but {missing}"
             raise ValueError(
                 f"{count - 1} of these {count} arms carry too much of Lift's pot:"
-                f" {most:.1f} kg without {missing}, and {self.together:.1f} kg"
-                f" together, which must be {ratio:.2f} times as much; mount"
-                f" {'all' if alike else f'all but {missing}'} farther from the pot,"
-                " or take other arms, or pass pot_mass"
+                f" {most:.1f} kg without {missing}, while all carry"
+                f" {self.together:.1f} kg and must carry {ratio:.2f} times as much;"
+                f" mount {who} farther from the pot, or take other arms, or pass"
+                " pot_mass"
             )
         mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)
         return float(mass)
