@@ -250,7 +250,7 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
 @pytest.mark.parametrize(
     ("sided", "options", "message"),
     [
-        (False, {"opponent": "self"}, "Carry has one side, so that nobody can be an"),
+        (False, {"opponent": "self"}, "Carry has one side, so there is no opponent"),
         (
             True,
             {"partner": "idle"},

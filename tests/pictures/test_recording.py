@@ -11,6 +11,7 @@ from PIL import Image, ImageSequence
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
 from collaborative_gym.pictures import recording
+from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.testing import play
 
 imageio = pytest.importorskip("imageio.v2")
@@ -160,7 +161,8 @@ def test_what_comes_late_into_a_gif_has_its_colour(tmp_path):
 def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
-    draw = recording._Screen(env, env.expert, {}, 1, SIZE, 1.0)._draw
+    camera = Camera(env.world.drawn_model, *SIZE)
+    draw = recording._Screen(env, env.expert, {}, 1, [camera], 1.0)._draw
     sim = env.sim
     first, again = (draw(sim.qpos[0], sim.mocap_pos[0]) for _ in range(2))
     sim.qpos[0, 3] += 0.1
@@ -168,6 +170,7 @@ def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     assert first is again
     assert not np.array_equal(first, moved)
     assert np.array_equal(moved, env.render(width=SIZE[0], height=SIZE[1]))
+    camera.close()
 
 
 def test_video_shows_the_episode_that_evaluate_plays(carry, tmp_path):
