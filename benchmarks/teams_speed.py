@@ -5,7 +5,7 @@
 
 Each team of Pandas is measured in a process of its own, on one thread. Times are the
 processor's, which other work on the machine does not add to. `bare` takes the same
-physics steps with `mujoco.batch` alone, from the same states with the same controls;
+physics steps alone, in the same worlds, from the same states with the same controls;
 both take turns, and ratios are medians of pairs. `growth` is how much more an arm's
 step costs than one of the smallest team, beyond what it does in bare physics. Calls are
 those of our own functions in a control step. The first `make` of a process searches for
@@ -25,6 +25,7 @@ from collaborative_gym.evaluation.speed import compare_rates, resident_kb
 from collaborative_gym.evaluation.table import markdown_table
 
 OURS = str(Path(cg.__file__).parent)
+TASKS = ["Lift", "Reach", "Pass", "Sort", "Assemble"]
 COLUMNS = (
     "task",
     "arms",
@@ -46,7 +47,7 @@ ROUNDS, STEPS, MEMORY_ENVS = 9, 4, 256
 def main() -> None:
     """Measure each team, and print or write the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--tasks", nargs="+", default=["Lift", "Reach", "Pass", "Sort"])
+    parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--sizes", type=int, nargs="+", default=[2, 3, 4, 6, 8])
     parser.add_argument("--num-envs", type=int, default=32)
     parser.add_argument("--output", type=Path, help="file for the table")
@@ -59,7 +60,7 @@ def main() -> None:
     lines = []
     for task in options.tasks:
         first = None
-        for size in options.sizes:
+        for size in options.sizes if task != "Assemble" else [3]:
             found = in_fresh_process(task, size, options.num_envs)
             first = first or found
             lines.append(line(task, size, found, first))
@@ -115,7 +116,7 @@ def measure(task: str, size: int, num_envs: int) -> dict:
     many.step(many.idle())
     grown = resident_kb() - before
     env = made(task, size, num_envs)
-    rates = compare_rates(env, 1, lambda _: env.expert(), time.process_time)
+    rates = compare_rates(env, lambda _: env.expert(), time.process_time)
     return {
         "env": rates.env,
         "bare": rates.bare,

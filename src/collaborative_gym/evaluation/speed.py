@@ -11,7 +11,6 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from mujoco import batch
 
 from collaborative_gym.envs.pettingzoo import PettingZooEnv
 from collaborative_gym.envs.vector_env import VectorEnv
@@ -109,8 +108,8 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
     usual = env.expert if has_expert else env.idle
     return Speed(
         environment=env_id,
-        expert=compare_rates(env, num_threads, lambda _: usual()),
-        random=compare_rates(env, num_threads, lambda rng: _random(env, rng, num_envs)),
+        expert=compare_rates(env, lambda _: usual()),
+        random=compare_rates(env, lambda rng: _random(env, rng, num_envs)),
         single_rate=_single_rate(single),
         reset_ms=1e3 * median(_time(single.reset) for _ in range(50)),
         make_s=_in_fresh_process(_times_to_make, env_id),
@@ -120,7 +119,6 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
 
 def compare_rates(
     env: VectorEnv,
-    num_threads: int,
     act: Callable[[np.random.Generator], Actions],
     clock: Callable[[], float] = time.perf_counter,
 ) -> Rates:
@@ -133,7 +131,6 @@ def compare_rates(
     env.reset(seed=0, stagger=True)
     for _ in range(_STEPS):
         env.step(act(rng))
-    bare = batch.Batch(env.model, env.num_envs, num_threads)
     bare_times, env_times = [], []
     for _ in range(_ROUNDS):
         start, actions, rounds = env.get_state(), [], []
@@ -150,7 +147,10 @@ def compare_rates(
         for each in actions:
             env.step(each)
         env_times.append(clock() - started)
-        bare_times.append(sum(_roll(bare, *each, clock=clock) for each in rounds))
+        # In its own worlds, because where hands took things differs among them.
+        after = env.get_state()
+        bare_times.append(sum(_roll(env, *each, clock=clock) for each in rounds))
+        env.set_state(after)
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
     return Rates(
@@ -168,15 +168,16 @@ def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions
 
 
 def _roll(
-    bare: batch.Batch,
+    env: VectorEnv,
     state: np.ndarray,
     controls: np.ndarray,
     *,
     clock: Callable[[], float],
 ) -> float:
     """Return the time of the physics steps of a control step, in s."""
-    bare.state[:], started = state, clock()
-    bare.rollout(controls.shape[1], controls, record=())
+    env.sim.set_state(state)
+    started = clock()
+    env.sim.roll(controls)
     return clock() - started
 
 

@@ -98,6 +98,15 @@ class CpuSim:
             raise SimulationDiverged(ids if rows is None else rows[ids])
 
     @quiet()
+    def roll(self, controls: Array) -> None:
+        """Take physics steps and nothing else, which leaves sensors stale.
+
+        Args:
+          controls: as in `step`, of all worlds.
+        """
+        self._batch.rollout(controls.shape[1], controls, record=())
+
+    @quiet()
     def forward(self, env_ids: EnvIds = None) -> None:
         self._batch.forward(env_ids, stage=CURRENT)
 
