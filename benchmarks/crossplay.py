@@ -58,21 +58,24 @@ def met(env: str, policies: dict[str, str]) -> dict[str, list[str]]:
 def strangers(found: dict, name: str, partners: list[str]) -> str:
     """Return which players a policy learned with, and its completion with all kinds."""
     names, rows = found["players"], found["means"]["completion"]
-    own, parts = names.index(name), []
+
+    def together(group: list[str]) -> str:
+        pairs = [(names.index(name), names.index(each)) for each in group]
+        both = [(rows[i][j], rows[j][i]) for i, j in pairs]
+        return format_measure("completion", float(np.mean(both))) if both else "-"
+
+    def listed(group: list[str]) -> str:
+        return ", ".join(f"`{each}`" for each in group)
+
     known = [each for each in names if each in partners]
-    others = [each for each in names if each not in partners and each != name]
-    for group in known, others:
-        both = [(rows[own][i], rows[i][own]) for i in map(names.index, group)]
-        share = format_measure("completion", float(np.mean(both))) if group else "-"
-        parts += [", ".join(f"`{each}`" for each in group), share]
-    more = len(set(partners) - {*known})
-    besides = f" (and {more} others)" if more else ""
-    with_known = f"- `{name}` learned with {parts[0]}{besides}: completion {parts[1]}"
-    return (
-        f"{with_known}; with strangers, {parts[2]}: {parts[3]}"
-        if others
-        else with_known
-    )
+    others = [each for each in names if each not in [*partners, name]]
+    more = len({*partners} - {*known})
+    line = f"- `{name}` learned with {listed(known)}"
+    line += f" (and {more} others)" if more else ""
+    line += f": completion {together(known)}"
+    if others:
+        line += f"; with strangers, {listed(others)}: {together(others)}"
+    return line
 
 
 def told(means: dict[str, float]) -> str:

@@ -60,7 +60,7 @@ def main() -> None:
     lines = []
     for task in options.tasks:
         first = None
-        for size in options.sizes if task != "Assemble" else [3]:
+        for size in sorted({*options.sizes} & {*cg.task(task).robot_counts}):
             found = in_fresh_process(task, size, options.num_envs)
             first = first or found
             lines.append(line(task, size, found, first))

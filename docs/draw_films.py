@@ -45,7 +45,7 @@ def film(env_id: str) -> None:
     sides = cg.make_vec(env_id, 1, num_threads=1).sides
     policy = player if len(sides) == 1 else AGAINST
     if env_id == GAME:
-        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": (400, 226)}
+        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZE}
         record(env_id, path, policy=policy, **whole)
     elif len(sides) > 1:  # Tug is over within a second.
         record(env_id, path, policy=policy, speed=0.25, size=ALONE)
@@ -69,7 +69,7 @@ if __name__ == "__main__":
                 "PassTaskSawyers-v0",
                 MEDIA / "ego.gif",
                 policy=[nearer, higher],
-                size=(400, 226),
+                size=SIZE,
             )
         else:
             film(name)

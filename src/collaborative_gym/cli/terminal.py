@@ -97,8 +97,8 @@ def chosen_task(
                 f" {word!r}"
             )
         if name in ("robots", "num_robots", "randomization", "action"):
-            option = f"--{name.replace('_', '-')}"
-            raise ValueError(f"give {name} by {option}, not by --settings")
+            flag = f"--{name.replace('_', '-')}"
+            raise ValueError(f"give {name} by {flag}, not by --settings")
         try:
             own[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):  # A word, such as raw or true.

@@ -142,15 +142,13 @@ def compare_rates(
             rounds.append((env.sim.get_state(), controls))
             env.sim.set_state(before)
             env.step(actions[-1])
+        # In its own worlds, because where hands took things differs among them.
+        bare_times.append(sum(_roll(env, *each, clock=clock) for each in rounds))
         env.set_state(start)
         started = clock()
         for each in actions:
             env.step(each)
         env_times.append(clock() - started)
-        # In its own worlds, because where hands took things differs among them.
-        after = env.get_state()
-        bare_times.append(sum(_roll(env, *each, clock=clock) for each in rounds))
-        env.set_state(after)
     steps = env.num_envs * _STEPS
     ratios = [alone / full for alone, full in zip(bare_times, env_times, strict=True)]
     return Rates(

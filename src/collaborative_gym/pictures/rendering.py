@@ -50,8 +50,10 @@ class Camera:
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, body: str | None = None
     ):
-        names = {model.body(i).name: i for i in range(1, model.nbody)}
-        self._body = None if body is None else look_up("body", body, names)
+        self._body = None
+        if body is not None:
+            names = {model.body(i).name: i for i in range(1, model.nbody)}
+            self._body = look_up("body", body, names)
         visual = model.vis.global_
         self.size = (
             check_count("width", width, 1, visual.offwidth),
