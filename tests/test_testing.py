@@ -112,9 +112,21 @@ def test_a_start_inside_a_thing(faults):
     found = faults(reset=at(0.0295))
     assert any("0.5 mm deep in one another at the start" in each for each in found)
     with pytest.raises(
-        ValueError, match=r"20.0 mm deep in one another at an episode's"
+        ValueError,
+        match=r"20.0 mm deep in one another at the start of episode \d of seed 0",
     ):
         faults(reset=at(0.01))
+
+
+def test_starts_most_of_which_are_refused(faults):
+    def reset(self, own, sim, env_ids, *, rng):
+        own(self, sim, env_ids, rng=rng)
+        place = np.zeros((len(env_ids), 3))
+        place[:, 2] = rng.uniform(-0.2, 0.05)
+        self.scene.place(sim, env_ids, name="cube", position=place)
+
+    found = faults(reset=reset)
+    assert any("starts that reset() draws are refused" in each for each in found)
 
 
 def test_a_memory_that_is_kept_elsewhere(faults):

@@ -78,13 +78,14 @@ class EpisodeRandom:
       seeds: one per episode.
       episodes: their indices.
       stream: use of the numbers.
+
+    Attributes:
+      keys: the seed and the index of each episode.
     """
 
     def __init__(self, seeds: Array, episodes: Array, stream: Stream = Stream.WORLD):
-        self._generators = [
-            episode_generator(seed, episode, stream)
-            for seed, episode in zip(seeds, episodes, strict=True)
-        ]
+        self.keys = [*zip(map(int, seeds), map(int, episodes), strict=True)]
+        self._generators = [episode_generator(*key, stream) for key in self.keys]
 
     def __len__(self) -> int:
         return len(self._generators)
@@ -92,6 +93,7 @@ class EpisodeRandom:
     def rows(self, which: np.ndarray) -> "EpisodeRandom":
         """Return the generators of these rows, which go on from where they are."""
         chosen = copy(self)
+        chosen.keys = [self.keys[i] for i in which]
         chosen._generators = [self._generators[i] for i in which]
         return chosen
 

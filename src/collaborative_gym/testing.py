@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from collaborative_gym.envs.starts import DEEPEST, deepest
+from collaborative_gym.envs.starts import DEEPEST, deepest, draw_starts
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
 from collaborative_gym.motion.solver import DAMPING
@@ -285,6 +285,13 @@ def check_starts(tested: TaskUnderTest) -> None:
     assert len(np.unique(rows, axis=0)) == env.num_envs, (
         "episodes start alike under the randomization 'default'; draw places and joint"
         " angles in reset() from rng, within self.config.randomization"
+    )
+    env, own = tested.worlds(tested.episodes), np.arange(tested.episodes)
+    rng = EpisodeRandom(0 * own, own)
+    refused = draw_starts(env.task, env.sim, env.action_mode, own, rng) - len(own)
+    assert refused <= len(own), (
+        f"{refused} of {refused + len(own)} starts that reset() draws are refused, as"
+        " one thing is inside another; draw things apart"
     )
 
 

@@ -164,16 +164,6 @@ def test_no_foreign_page_may_frame_it(page):
         web.close()
 
 
-@pytest.mark.parametrize("accepts", [{}, {"Accept-Encoding": "gzip"}])
-def test_the_tab_is_named_after_the_package(page, accepts):
-    with closing(HTTPConnection("127.0.0.1", port_of(page), timeout=10)) as web:
-        web.request("GET", "/", headers=accepts)
-        answer = web.getresponse()
-        body = answer.read()
-    assert b"<title>Collaborative Gym</title>" in body and b"</html>" in body
-    assert answer.headers.get_all("Content-Length") == [str(len(body))]
-
-
 def test_a_page_of_another_version_is_told_to_reload(page, capfd):
     for protocols in ([], ["viser-v0.0.1"], ["viser-v0.0.1", PROTOCOL]):
         with pytest.raises(InvalidStatus) as refused:

@@ -22,7 +22,7 @@ _DRAWS = 100
 
 def draw_starts(
     task: Task, sim: Sim, mode: ActionMode, env_ids: np.ndarray, rng: EpisodeRandom
-) -> None:
+) -> int:
     """Write starts into these worlds in which nothing is deep in anything else.
 
     A start is drawn again, by the same generator, if shapes that can collide are more
@@ -36,12 +36,17 @@ def draw_starts(
       env_ids: which of them start an episode.
       rng: their generators, in the same order.
 
+    Returns:
+      How many starts were drawn.
+
     Raises:
       ValueError: if every draw of a start is so; names what is deep in what.
     """
+    drawn = 0
     sensors = np.concatenate([*depth_sensors(sim.model, KINDS).values()])
     depths = sim.model.sensor_adr[sensors]
     for _ in range(_DRAWS):
+        drawn += len(env_ids)
         sim.reset(env_ids)
         for name, array in task.remember(len(env_ids)).items():
             sim.memory[name][env_ids] = array
@@ -51,15 +56,16 @@ def draw_starts(
         is_deep = sim.xp.any(sim.sensordata[:, depths] < -DEEPEST, axis=1)
         left = np.array([i for i, own in enumerate(env_ids) if is_deep[int(own)]], int)
         if not len(left):
-            return
+            return drawn
         env_ids, rng = env_ids[left], rng.rows(left)
-    worst = max(env_ids, key=lambda env_id: deepest(sim, env_id)[0])
-    if deepest(sim, worst)[0] < _REFUSED:
-        return
+    found = [deepest(sim, env_id) for env_id in env_ids]
+    (depth, told), (seed, episode) = max(zip(found, rng.keys, strict=True))
+    if depth < _REFUSED:
+        return drawn
     raise ValueError(
-        f"{type(task).__name__}: {deepest(sim, worst)[1]} at an episode's start,"
-        f" in each of {_DRAWS} draws; place them apart in mounts(), build() or reset(),"
-        " or correct the home or the shapes of an arm"
+        f"{type(task).__name__}: {told} at the start of episode {episode} of seed"
+        f" {seed}, in each of {_DRAWS} draws; place them apart in mounts(), build() or"
+        " reset(), or correct the home or the shapes of an arm"
     )
 
 

@@ -1,12 +1,7 @@
 """How arms move: the angles of poses, steps towards them, what arms can carry."""
 
 from collaborative_gym.motion.chart import Chart
-from collaborative_gym.motion.loads import (
-    alone,
-    greatest_load,
-    strength,
-    strongest_way,
-)
+from collaborative_gym.motion.loads import alone, greatest_load, strength, strongest_way
 from collaborative_gym.motion.poses import (
     central_pose,
     hold,

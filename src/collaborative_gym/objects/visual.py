@@ -29,11 +29,7 @@ def add_visual(
 ) -> None:
     """Add a massless shape without contact, placed by `pos` or from end to end."""
     geom = body.add_geom(
-        type=shape,
-        size=(*size, 0.0, 0.0)[:3],
-        pos=pos,
-        rgba=rgba,
-        **_SEEN,
+        type=shape, size=(*size, 0.0, 0.0)[:3], pos=pos, rgba=rgba, **_SEEN
     )
     if fromto is not None:
         geom.fromto = fromto

@@ -7,12 +7,7 @@ import numpy as np
 
 from collaborative_gym.errors import naming, told_by_mujoco, unknown
 from collaborative_gym.quiet import quiet
-from collaborative_gym.robots.data import (
-    SLACK,
-    RobotData,
-    compile_error,
-    robot_error,
-)
+from collaborative_gym.robots.data import SLACK, RobotData, compile_error, robot_error
 from collaborative_gym.robots.urdf import read_urdf
 
 _FINGER_INERTIA = 0.002

@@ -51,12 +51,7 @@ from collaborative_gym.blocks import POSE
 from collaborative_gym.control import ActionMode, Commands
 from collaborative_gym.math import Array, array_namespace
 from collaborative_gym.motion import alone, quickest_way
-from collaborative_gym.motion.loads import (
-    Positions,
-    from_base,
-    greatest_loads,
-    rounded,
-)
+from collaborative_gym.motion.loads import Positions, from_base, greatest_loads, rounded
 from collaborative_gym.objects.belt import TOTE, WALL, belt, tote
 from collaborative_gym.objects.cube import cube
 from collaborative_gym.objects.table import round_table

@@ -12,11 +12,7 @@ from collaborative_gym.evaluation.figure import (
     save_figure,
 )
 from collaborative_gym.evaluation.report import Statistic, is_share
-from collaborative_gym.tournaments.result import (
-    Tournament,
-    format_measure,
-    short_names,
-)
+from collaborative_gym.tournaments.result import Tournament, format_measure, short_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

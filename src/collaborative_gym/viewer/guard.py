@@ -24,9 +24,6 @@ PULL = "cmd/ctrl"
 _PROTOCOL = f"viser-v{viser.__version__}"
 """The WebSocket protocol by which viser's own page talks to it."""
 
-_TITLE = b"<title>Collaborative Gym<"
-"""Begins the name of a browser's tab, which viser's page does not let us choose."""
-
 _LARGEST = 2**14
 """Size of the largest message that is read, in bytes; a tab's have some hundred."""
 
@@ -122,16 +119,11 @@ class _Guard:
             refusal = self._refuse(connection, request)
             if refusal is None and request.path.startswith(self._links):
                 refusal = self._follow(connection, request)
-            request.headers.pop("Accept-Encoding", None)  # To name what is plain.
             try:
                 response = refusal or process_request(connection, request)
             except (OSError, ValueError):  # No file can have such a name.
                 response = connection.respond(HTTPStatus.NOT_FOUND, "NOT FOUND\n")
             if response is not None:
-                body = response.body.replace(b"<title>Viser<", _TITLE)
-                response.body = body
-                response.headers.pop("Content-Length", None)
-                response.headers["Content-Length"] = str(len(body))
                 # Nor may a foreign page show ours, and lead its reader's clicks to it.
                 response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
             return response
