@@ -16,6 +16,7 @@ _TITLES = {
     "populations": "What partners taught",
     "robustness": "Each disturbance alone",
     "seeds": "Many seeds",
+    "strain": "Strain",
 }
 
 _TABLES = Path(__file__).parents[1] / "docs" / "tables"

@@ -1,54 +1,68 @@
-"""A table of what arms do to one another, to things and to themselves.
+"""What arms do to one another, to things and to themselves, as a table.
 
-    python benchmarks/strain.py
-    python benchmarks/strain.py --envs LiftTaskSawyers-v0 --policies baseline
-    python benchmarks/strain.py --envs LiftTaskSawyers-v0 --cards
+    python benchmarks/strain.py [--episodes N] [ENV_ID ...]
+    python benchmarks/strain.py --cards LiftTaskSawyers-v0
 
-Each cell has the mean over episodes and the worst of them, of the measures that
-`docs/concepts.md` explains. The torque limits' share and the energy have means alone.
-With `--cards`, the tables of strain on baselines' cards are measured anew instead.
+Each environment's rows replace those of docs/tables/strain.md, which is written anew
+after each; the numbers are in strain.json beside it. Each cell has the mean over
+episodes and the worst of them, of the measures that `docs/concepts.md` explains. With
+`--cards`, the tables of strain on baselines' cards are measured anew instead.
 """
 
 import argparse
 
 import collaborative_gym as cg
 from collaborative_gym.evaluation.report import strain_table
-from collaborative_gym.policies.policy import SHIPPED
+from collaborative_gym.evaluation.table import markdown_table
+from collaborative_gym.policies.policy import SHIPPED, is_shipped
+from kept import keep
 
-HEAD = (
-    "| environment | policy | depth arms, objects, furniture, mm |"
-    " force arms, objects, furniture, N | clearance, mm | torque limits, % |"
-    " torque / limit | speed / limit | energy, applied, commanded, J |"
-    " internal force, N | its mean, N |"
-)
-KINDS = "arms", "objects", "furniture"
+ENVS = [each for each in cg.list_envs() if is_shipped("baseline", each)]
+MEASURES = {
+    "depth of things, mm": ("contact_depth_objects", 1e3, 1),
+    "force on things, N": ("contact_force_objects", 1.0, 0),
+    "clearance, mm": ("clearance", 1e3, 1),
+    "internal force, N": ("internal_force", 1.0, 0),
+    "torque / limit": ("torque_over_limit", 1.0, 2),
+    "speed / limit": ("speed_over_limit", 1.0, 2),
+}
+"""Columns: a measure, what it is multiplied by, and its number of digits."""
+
+MEANS = {
+    "torque limits, %": ("torque_limit_share", 100.0, 1),
+    "energy, J": ("energy", 1.0, 0),
+    "commanded, J": ("energy_commanded", 1.0, 0),
+}
+"""Columns of means alone."""
+
+TOUCHES = {"another arm": "contact_force_arms", "furniture": "contact_force_furniture"}
+"""What is touched seldom, and the measure of how hard, in N."""
 
 
 def main() -> None:
-    """Print the table as Markdown."""
+    """Measure, and bring the table or the cards up to that."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--envs", nargs="*", default=cg.list_envs())
-    parser.add_argument("--policies", nargs="*", default=["expert", "baseline"])
+    parser.add_argument("envs", nargs="*", metavar="ENV_ID")
     parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--cards", action="store_true")
     options = parser.parse_args()
-    if options.cards:
-        for env_id in options.envs:
+    for env_id in options.envs or ENVS:
+        if options.cards:
             rewrite(env_id, options.threads)
-        return
-    print(f"{HEAD}\n{'|---' * 11}|")
-    for env_id in options.envs:
-        for policy in options.policies:
+            continue
+        for policy in ("expert", "baseline"):
             report = cg.evaluate(
                 env_id,
                 policy,
                 episodes=options.episodes,
-                seed=options.seed,
                 num_threads=options.threads,
             )
-            print(row(report, policy), flush=True)
+            row = {"episodes": options.episodes}
+            names = [name for name, *_ in [*MEASURES.values(), *MEANS.values()]]
+            for name in [*names, *TOUCHES.values()]:
+                row[name] = [report.strain[name].mean, report.strain[name].worst]
+            keep("strain", (env_id, policy), row, table)
 
 
 def rewrite(env_id: str, num_threads: int) -> None:
@@ -61,26 +75,70 @@ def rewrite(env_id: str, num_threads: int) -> None:
     print(path)
 
 
-def row(report: cg.Report, policy: str) -> str:
-    """Return the line of a report."""
-    strain = report.strain
-
-    def both(name: str, factor: float = 1.0, digits: int = 0) -> str:
-        mean, worst = factor * strain[name].mean, factor * strain[name].worst
-        return f"{mean:.{digits}f} / {worst:.{digits}f}"
-
-    cells = [
-        ", ".join(both(f"contact_depth_{kind}", 1e3, 1) for kind in KINDS),
-        ", ".join(both(f"contact_force_{kind}") for kind in KINDS),
-        both("clearance", 1e3, 1),
-        f"{100 * strain['torque_limit_share'].mean:.1f}",
-        both("torque_over_limit", 1.0, 2),
-        both("speed_over_limit", 1.0, 2),
-        f"{strain['energy'].mean:.0f}, {strain['energy_commanded'].mean:.0f}",
-        both("internal_force"),
-        f"{strain['internal_force_mean'].mean:.1f}",
+def table(numbers: dict[str, dict[str, dict]]) -> str:
+    """Return the page of all rows."""
+    rows = [
+        ([env_id, policy], row)
+        for env_id in ENVS
+        for policy, row in numbers.get(env_id, {}).items()
     ]
-    return f"| {report.environment} | {policy} | {' | '.join(cells)} |"
+    lengths = sorted({row["episodes"] for _, row in rows})
+    both = list(MEASURES.items())
+    share, *energies = MEANS.items()
+    torque, speed = (
+        max(row[name][1] for _, row in rows)
+        for name in ("torque_over_limit", "speed_over_limit")
+    )
+    played = " or ".join(map(str, lengths))
+    return f"""{played} episodes of seed 0 on `default`: the mean of the episodes,
+and after the stroke the worst (`python benchmarks/strain.py`).
+
+{columns(rows, dict(both[:4]), dict([share]))}
+
+{touches(rows)}
+
+What motors do: the worst torque that a physics step applied and the worst speed, over
+the limit; the mean energy by the torque that steps apply, and by that at their
+beginning. The greatest torque is {torque:.2f} times a limit, the greatest speed
+{speed:.2f} times.
+
+{columns(rows, dict(both[4:]), dict(energies))}
+"""
+
+
+def touches(rows: list) -> str:
+    """Return which rows touch what is not to be touched, and how hard at worst."""
+    told = []
+    for what, name in TOUCHES.items():
+        hard = [
+            f"{env_id}'s {policy} ({row[name][1]:.0f} N)"
+            for (env_id, policy), row in rows
+            if row[name][1] > 0.0
+        ]
+        told.append(
+            f"An arm, or what it holds, touches {what} in:"
+            f" {', '.join(hard) or 'no row'}."
+        )
+    return " ".join(told)
+
+
+def columns(rows: list, both: dict, means: dict) -> str:
+    """Return a table of measures of which the worst counts, too, and of means."""
+    lines = [
+        [
+            *key,
+            *(
+                " / ".join(f"{factor * value:.{digits}f}" for value in row[name])
+                for name, factor, digits in both.values()
+            ),
+            *(
+                f"{factor * row[name][0]:.{digits}f}"
+                for name, factor, digits in means.values()
+            ),
+        ]
+        for key, row in rows
+    ]
+    return markdown_table(["environment", "policy", *both, *means], lines, 2)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,9 @@ def test_an_unknown_id_is_refused_with_the_nearest(carry_id):
     message = str(caught.value)
     hint = f"no environment 'CarryPanda-v0' (did you mean '{carry_id}'?); environments:"
     assert message.startswith(hint)
-    assert message.endswith("for one of your own, import its file (--module FILE)")
+    assert message.endswith(
+        "for one of your own, load its file (--module FILE, cg.load_module)"
+    )
     with pytest.raises(KeyError, match="did you mean 'Carry'"):
         cg.make("Carri")
 

@@ -149,7 +149,8 @@ def look_up_registered(kind: str, given: object, table: Mapping[str, T]) -> T:
         # Whoever resumes the training of an own task easily forgets its file.
         how = " (`collaborative-gym list` shows all)" if len(table) > _LISTED else ""
         raise UnknownName(
-            f"{error}{how}; for one of your own, import its file (--module FILE)"
+            f"{error}{how}; for one of your own, load its file (--module FILE,"
+            " cg.load_module)"
         ) from None
 
 

@@ -99,9 +99,8 @@ def check_robot(
     robot, episodes = get_robot(robot), check_count("episodes", episodes, 1)
     tried = (try_robot(robot, t, episodes)[1] for t in tasks or list_tasks())
     faults = [fault for fault in tried if fault]
-    faults += unusual(robot) if faults else []
     if faults:
-        listed = "\n".join(f"- {fault}" for fault in faults)
+        listed = "\n".join(f"- {fault}" for fault in [*faults, *unusual(robot)])
         raise AssertionError(f"{robot.name} does not do every task:\n{listed}")
 
 
@@ -220,7 +219,7 @@ def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
             rows = [infos["final_observation"][agent][i] for agent in env.agents]
             rows += [rewards[agent][i] for agent in env.agents]
             rows += [mask[i] for mask in _met(infos)]
-            rows += [points[i] for points in _score(infos)]
+            rows += [points[i] for points in infos["metrics"].get("score", {}).values()]
             key = int(played["seed"][i]), int(played["episode"][i])
             given = b"".join(np.asarray(row).tobytes() for row in rows)
             seen[key] = seen.get(key, b"") + given
@@ -254,7 +253,7 @@ def check_values(tested: TaskUnderTest) -> None:
                 what = f"reward term {name!r} of {agent}"
                 _check_finite(what, term, step, "reward()")
         observations, *_, infos = env.step(actions)
-        for points in _score(infos):
+        for points in infos["metrics"].get("score", {}).values():
             _check_finite("the score", points, step + 1, "score()")
         for agent, own in observations.items():
             what, where = f"the observation of {agent}", "observe() and measure()"
@@ -325,8 +324,8 @@ def check_isolation(tested: TaskUnderTest) -> None:
     memory = {name: array[others] for name, array in memory.items()}
     begun = np.array([1, 3])
     other.task.reset(sim, begun, rng=EpisodeRandom(0 * begun, begun))
-    assert _equal(sim.get_state(others), state) and all(
-        _equal(sim.memory[name][others], rows) for name, rows in memory.items()
+    assert np.array_equal(sim.get_state(others), state) and all(
+        np.array_equal(sim.memory[name][others], rows) for name, rows in memory.items()
     ), "write only the rows env_ids in reset(), of sim and of sim.memory"
 
 
@@ -360,8 +359,10 @@ def check_measuring(tested: TaskUnderTest) -> None:
     memory = {name: array.copy() for name, array in env.sim.memory.items()}
     first = [np.array(leaf) for leaf in leaves(env.facts)]
     second = leaves(task.measure(env.sim))
-    same = len(first) == len(second) and all(map(_equal, first, second))
-    kept = all(_equal(array, env.sim.memory[name]) for name, array in memory.items())
+    same = len(first) == len(second) and all(map(np.array_equal, first, second))
+    kept = all(
+        np.array_equal(array, env.sim.memory[name]) for name, array in memory.items()
+    )
     assert same and kept, (
         "measure() returns other facts when it is called again in the same state;"
         " update sim.memory so that a second time changes nothing, as"
@@ -369,7 +370,7 @@ def check_measuring(tested: TaskUnderTest) -> None:
     )
     held = dict(env.sim.memory)
     play(env, 5)
-    assert all(_equal(array, held[name]) for name, array in memory.items()), (
+    assert all(np.array_equal(array, held[name]) for name, array in memory.items()), (
         "measure() writes into the arrays of sim.memory, which are kept in case"
         " the step fails; put new ones there: sim.memory[name] = maximum(old, new)"
     )
@@ -381,7 +382,7 @@ def check_measuring(tested: TaskUnderTest) -> None:
         ("score", lambda: task.score(env.facts)),
     ):
         once, twice = leaves(ask()), leaves(ask())
-        assert all(map(_equal, once, twice)), (
+        assert all(map(np.array_equal, once, twice)), (
             f"{name}() returns another value when it is called again; it must depend on"
             " its arguments alone"
         )
@@ -420,7 +421,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     for _ in range(tested.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = small.progress["episode"][0] == large.progress["episode"][0]
-        assert not is_same or all(_equal(one[a][0], many[a][0]) for a in one), (
+        assert not is_same or all(np.array_equal(one[a][0], many[a][0]) for a in one), (
             "the expert acts differently in another batch; treat rows alike, and"
             " keep nothing on the task"
         )
@@ -496,12 +497,3 @@ def _met(infos: Mapping[str, Any]) -> list[np.ndarray]:
     """Return in which worlds each side meets its goal."""
     success = infos["success"]
     return list(success.values()) if isinstance(success, Mapping) else [success]
-
-
-def _score(infos: Mapping[str, Any]) -> list[np.ndarray]:
-    """Return each side's points so far; an only side has none."""
-    return list(infos["metrics"].get("score", {}).values())
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return np.array_equal(np.asarray(one), np.asarray(other))

@@ -561,3 +561,17 @@ def test_it_ends_quietly_where_nobody_reads_on(command):
 def test_evaluate_says_what_it_has_in_place_of_an_output(carry_id, capsys):
     assert main(["evaluate", carry_id, "--output", "a.json"]) == 2
     assert "--json FILE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("train Poke --learning-rate -1", "--learning-rate must be 0 to 1, got -1.0"),
+        ("evaluate Poke --episodes=0", "--episodes must be at least 1, got 0"),
+        ("certify Poke --fractions 2", "each of --fractions must be 0.01 to 0.99"),
+        ("train Poke --opponent league", "leave out --opponent, or give a partner"),
+    ],
+)
+def test_an_error_names_options_as_they_were_typed(command, told, capsys):
+    assert main(command.split()) == 2
+    assert told in capsys.readouterr().err

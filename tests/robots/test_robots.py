@@ -261,8 +261,8 @@ def test_an_unknown_arm_is_refused_with_the_nearest():
         cg.get_robot("sawer")
     assert str(caught.value) == (
         "no robot 'sawer' (did you mean 'sawyer'?); robots: fr3, gen3, iiwa14, jaco,"
-        " panda, sawyer, ur10e, ur5e, xarm7; for one of your own, import its file"
-        " (--module FILE)"
+        " panda, sawyer, ur10e, ur5e, xarm7; for one of your own, load its file"
+        " (--module FILE, cg.load_module)"
     )
 
 

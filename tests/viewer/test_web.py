@@ -142,7 +142,7 @@ def test_worlds_beside_one_another_are_read_one_at_a_time(
     places = page._stage._places
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     assert apart[~np.eye(6, dtype=bool)].min() > 1.0
-    tab = SimpleNamespace(camera=SimpleNamespace(aspect=1.5))
+    tab = SimpleNamespace(camera=SimpleNamespace(aspect=1.5, image_height=600))
     for view in "one world", "above":
         eyes = []
         for world in 0, 4:

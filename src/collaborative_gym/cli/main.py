@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _drop_output()
         return _UNREAD
     except Exception as error:
-        return _fail(error)
+        return _fail(error, sys.argv[1:] if argv is None else [*argv])
     return 0
 
 
@@ -234,7 +234,17 @@ def _any_command() -> Any:
     return functools.reduce(operator.or_, kinds)
 
 
-def _fail(error: Exception) -> int:
+def _in_options(words: str, arguments: list[str]) -> str:
+    """Return an error's words with options as they were typed."""
+    for option in {word.partition("=")[0] for word in arguments if word[:2] == "--"}:
+        name = option[2:].replace("-", "_")
+        where = r"(?<![\w.-])" if "_" in name else "^|each of |leave out |without "
+        pattern = rf"({where}){re.escape(name)}(?!\w)"
+        words = re.sub(pattern, lambda found, own=option: found[1] + own, words)
+    return words
+
+
+def _fail(error: Exception, arguments: list[str]) -> int:
     """Print what is wrong, and where in a user's file; raise if it is our own bug."""
     cannot = isinstance(error, _CANNOT_BE_DONE) and not isinstance(error, _BAD)
     location, words = location_of(error), str(error)
@@ -250,6 +260,7 @@ def _fail(error: Exception) -> int:
         words = f"{words} ({location})"
     elif not (cannot or isinstance(error, _BAD)):
         raise error
+    words = _in_options(words, arguments)
     return _end(f"error: {words}", _CANNOT if cannot else _BAD_INPUT)
 
 

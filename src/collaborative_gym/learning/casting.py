@@ -71,8 +71,8 @@ class Casting:
         """Raise ValueError if a cast would get none of so many worlds."""
         if set(self.spread(num_worlds)) < set(self.casts):
             raise ValueError(
-                f"{num_worlds} worlds are too few for {len(self.casts)} casts of"
-                f" {' and '.join(self.seats)}; give more num_envs, a smaller"
+                f"{num_worlds} worlds are too few for {len(self.casts)} teams of"
+                f" players; give more num_envs, a smaller"
                 " population or fewer num_collectors"
             )
 

@@ -41,7 +41,7 @@ POLICY_FILE = "policy.safetensors"
 """Policy in the folder of a training run."""
 
 _FIRST = (
-    "after its first validation: there is one every --validation-interval steps, and"
+    "after its first validation: there is one every `validation_interval` steps, and"
     " one at the end"
 )
 """Moment from which on a training run has a policy, for errors."""

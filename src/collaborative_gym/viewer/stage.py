@@ -39,6 +39,9 @@ _TALL, _LOWER = 0.75, 0.4
 """A picture that is narrower than this share of its height is that of a phone. It looks
 so much lower, as a share of half its height: the panel covers its lower part."""
 
+_LOW = 480
+"""Height in pixels below which even a wide picture is that of a phone, without keys."""
+
 _WIDE = 1.6
 """Width of all worlds together as a share of their depth."""
 
@@ -166,13 +169,14 @@ class Stage:
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         aspect = client.camera.aspect
-        self._has_keys = aspect >= _TALL
+        is_tall = aspect < _TALL
+        self._has_keys = not is_tall and client.camera.image_height >= _LOW
         eye, target = self._place(view, aspect)
         if view != CAMERA:
             # Of several worlds, all other views are of the one that is read.
             place = self._places[self._session.world]
             eye, target = eye + place, target + place
-        if not self._has_keys:
+        if is_tall:
             slope = np.tan(np.radians(self._model.camera(CAMERA).fovy[0]) / 2)
             down = _LOWER * slope * np.linalg.norm(eye - target)
             target = target - np.array([0.0, 0.0, down])
