@@ -69,7 +69,7 @@ def test_casts_share_the_worlds_and_neighbours_differ():
     assert spread[:4] == spread[4:]
     assert casting.members == ("x",)
     assert list(casting.guests()) == [("x", "b"), ("x", "a")]
-    with pytest.raises(ValueError, match="2 worlds are too few for 3 casts of a and b"):
+    with pytest.raises(ValueError, match="2 worlds are too few for 3 teams of players"):
         casting.check(2)
 
 
@@ -270,7 +270,7 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
         ),
         (False, {"partner": "idle", "mode": "centralized"}, "no seat for a partner"),
         (False, {"partner": "population", "mode": "centralized"}, "no seat for a part"),
-        (False, {"partner": "population"}, "4 worlds are too few for 9 casts"),
+        (False, {"partner": "population"}, "4 worlds are too few for 9 teams"),
     ],
 )
 def test_what_has_no_place_is_refused(

@@ -263,7 +263,7 @@ def test_guests_sit_in_collectors_elsewhere(train_tiny, duel, tiny):
     options |= {"hyperparameters": numbers}
     result = train_tiny(**options, resources=Resources(num_collectors=2))
     assert (result.folder / "players" / "main-1.safetensors").exists()
-    with pytest.raises(ValueError, match="4 worlds are too few for 7 casts"):
+    with pytest.raises(ValueError, match="4 worlds are too few for 7 teams"):
         train_tiny(
             **options,
             resources=Resources(num_collectors=3),
