@@ -145,8 +145,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f"- network: {layers}, {numbers.activation}; actions are means, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
-        f" chosen by {numbers.validation_episodes} validation episodes{among}; they are"
-        " not those below",
+        f" chosen by {numbers.validation_episodes} validation episodes{among}; those"
+        " below are others",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} core"
         f"{'s' * (machine['cores'] != 1)}, MuJoCo {machine['mujoco']}",
@@ -161,7 +161,7 @@ def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str
     """Return the line of a card's table about a run and some starts."""
     return [
         f"{result.settings.seed}" + " (shipped)" * is_best,
-        f"{result.steps / 1e6:.1f} M",
+        f"{result.steps / 1e6:.2f} M",
         f"{result.seconds / 60:.0f} min",
         starts,
         format_statistic(report.mean_reward),
