@@ -59,6 +59,11 @@ Arms that chase the puck at full speed, whatever is in their way, give it 5 m/s.
 144 shots at 3 to 7 m/s left the table. Unlike the other tasks, Hockey needs MuJoCo's
 integrator `implicitfast` for this. The puck collides as a sphere that is taller than
 the disc in the picture, so a mallet lifted by less than 0.1 m still touches it.
+
+No term asks a player to be gentle. The shipped baseline, from a league, drives mallets
+into cushions and the table: its hardest contact of an episode has 12 kN in the mean and
+21 kN at worst, and a physics step applies up to 14 times a motor's limit (`python
+benchmarks/strain.py HockeyPandas-v0`). The scripted player stays below 0.5 kN and 2.
 """
 
 from collections.abc import Mapping
