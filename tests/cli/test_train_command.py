@@ -223,9 +223,9 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ("Carry --num-robots 3", "needs 2 robots, got 3"),
         ("Carry --randomization none", "default, hard, lost, paper, wide"),
         ("Carry --seed -1", "seed must be at least 0"),
-        ("Carry --total-steps 0", "total_steps must be at least 1"),
+        ("Carry --total-steps 0", "--total-steps must be at least 1"),
         ("Carry --discount 2", "discount must be 0 to 1, got 2.0"),
-        ("Carry --num-threads -1", "num_threads must be at least 0"),
+        ("Carry --num-threads -1", "--num-threads must be at least 0"),
         ("Carry --output a --resume run", "either output, for a new run, or resume"),
         ("Poke --resume run", "environment is Poke, not Carry; task is"),
         ("--resume run --discount 0.5", "discount is 0.5, not"),
@@ -244,7 +244,7 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
         ),
         (
             "Carry --league-decay 0.9",
-            "league_decay would mean nothing without --opponent league",
+            "--league-decay would mean nothing without --opponent league",
         ),
     ],
 )

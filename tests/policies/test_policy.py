@@ -230,7 +230,7 @@ def test_the_baseline_is_the_shipped_policy(saved, carry_id, make_env, monkeypat
 
 def test_what_is_missing_is_named(make_env, tmp_path):
     with pytest.raises(
-        FileNotFoundError, match=r"has no policy\.safetensors; .*validation-interval"
+        FileNotFoundError, match=r"has no policy\.safetensors; .*validation_interval"
     ):
         load_policy(tmp_path)
     with pytest.raises(
