@@ -18,22 +18,28 @@ from collaborative_gym.policies.policy import SHIPPED, is_shipped
 from kept import keep
 
 ENVS = [each for each in cg.list_envs() if is_shipped("baseline", each)]
-MEASURES = {
+TOUCH = {
     "depth of things, mm": ("contact_depth_objects", 1e3, 1),
     "force on things, N": ("contact_force_objects", 1.0, 0),
     "clearance, mm": ("clearance", 1e3, 1),
     "internal force, N": ("internal_force", 1.0, 0),
-    "torque / limit": ("torque_over_limit", 1.0, 2),
-    "speed / limit": ("speed_over_limit", 1.0, 2),
 }
 """Columns: a measure, what it is multiplied by, and its number of digits."""
 
-MEANS = {
-    "torque limits, %": ("torque_limit_share", 100.0, 1),
+MOTORS = {
+    "torque / limit": ("torque_over_limit", 1.0, 2),
+    "speed / limit": ("speed_over_limit", 1.0, 2),
+}
+"""Columns of the second table."""
+
+SHARE = {"torque limits, %": ("torque_limit_share", 100.0, 1)}
+"""The first table's column of means alone."""
+
+ENERGIES = {
     "energy, J": ("energy", 1.0, 0),
     "commanded, J": ("energy_commanded", 1.0, 0),
 }
-"""Columns of means alone."""
+"""The second table's columns of means alone."""
 
 TOUCHES = {"another arm": "contact_force_arms", "furniture": "contact_force_furniture"}
 """What is touched seldom, and the measure of how hard, in N."""
@@ -59,7 +65,8 @@ def main() -> None:
                 num_threads=options.threads,
             )
             row = {"episodes": options.episodes}
-            names = [name for name, *_ in [*MEASURES.values(), *MEANS.values()]]
+            every = TOUCH | MOTORS | SHARE | ENERGIES
+            names = [name for name, *_ in every.values()]
             for name in [*names, *TOUCHES.values()]:
                 row[name] = [report.strain[name].mean, report.strain[name].worst]
             keep("strain", (env_id, policy), row, table)
@@ -83,8 +90,6 @@ def table(numbers: dict[str, dict[str, dict]]) -> str:
         for policy, row in numbers.get(env_id, {}).items()
     ]
     lengths = sorted({row["episodes"] for _, row in rows})
-    both = list(MEASURES.items())
-    share, *energies = MEANS.items()
     torque, speed = (
         max(row[name][1] for _, row in rows)
         for name in ("torque_over_limit", "speed_over_limit")
@@ -93,7 +98,7 @@ def table(numbers: dict[str, dict[str, dict]]) -> str:
     return f"""{played} episodes of seed 0 on `default`: the mean of the episodes,
 and after the stroke the worst (`python benchmarks/strain.py`).
 
-{columns(rows, dict(both[:4]), dict([share]))}
+{columns(rows, TOUCH, SHARE)}
 
 {touches(rows)}
 
@@ -102,7 +107,7 @@ the limit; the mean energy by the torque that steps apply, and by that at their
 beginning. The greatest torque is {torque:.2f} times a limit, the greatest speed
 {speed:.2f} times.
 
-{columns(rows, dict(both[4:]), dict(energies))}
+{columns(rows, MOTORS, ENERGIES)}
 """
 
 

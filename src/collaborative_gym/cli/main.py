@@ -60,9 +60,10 @@ def main(argv: Sequence[str] | None = None) -> int:
       Ctrl-C, 141 if nobody reads the output any more, as after `| head`, 143 after
       SIGTERM. Nothing half-written is left in any case.
     """
+    arguments = sys.argv[1:] if argv is None else list(argv)
     try:
         with _heeding_sigterm():
-            _run(sys.argv[1:] if argv is None else list(argv))
+            _run(arguments)
     except KeyboardInterrupt as stop:
         return _end(str(stop), _INTERRUPTED)
     except _Terminated:
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _drop_output()
         return _UNREAD
     except Exception as error:
-        return _fail(error, sys.argv[1:] if argv is None else [*argv])
+        return _fail(error, arguments)
     return 0
 
 
