@@ -12,34 +12,30 @@ from PIL import Image, ImageDraw, ImageFont
 import collaborative_gym as cg
 
 SIZE = 288, 162
-BAND = 34
+BAND = 40
 STEPS, HOLD = 78, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": ("Poke: a stick, a ring", "baseline", (1.1, 0.42)),
-    "LiftTaskSawyers-v0": ("Lift: too heavy for one", "baseline", (1.35, 0.42)),
-    "PassTaskJacoSawyer-v0": ("Pass: hand to hand", "baseline", (1.0, 0.5)),
-    "BalanceTaskJacoSawyer-v0": ("Balance: keep the ball", "baseline", (1.3, 0.36)),
-    "BalancePathPandas4-v0": ("BalancePath: roll along", "baseline", (1.1, 0.48)),
-    "ReachPandas4-v0": ("Reach: ways that cross", "baseline", (1.0, 0.5)),
-    "SortPandas4-v0": ("Sort: by colour", "baseline", (1.2, 0.5)),
-    "AssemblePandas3-v0": ("Assemble: three parts", "baseline", (1.15, 0.5)),
-    "HockeyPandas-v0": ("Hockey: one on one", "baseline", (1.3, 0.4)),
-    "TugPandas-v0": ("Tug: who is stronger?", "baseline", (1.3, 0.4)),
+    "PokeTaskPandaSawyer-v0": (1.1, 0.42),
+    "LiftTaskSawyers-v0": (1.35, 0.42),
+    "PassTaskJacoSawyer-v0": (1.0, 0.5),
+    "BalanceTaskJacoSawyer-v0": (1.3, 0.36),
+    "BalancePathPandas4-v0": (1.1, 0.48),
+    "ReachPandas4-v0": (1.0, 0.5),
+    "SortPandas4-v0": (1.2, 0.5),
+    "AssemblePandas3-v0": (1.15, 0.5),
+    "HockeyPandas-v0": (1.3, 0.4),
+    "TugPandas-v0": (1.3, 0.4),
 }
-"""What is played, by environment: the caption, who plays, and how much larger than the
-whole picture its part is drawn, whose middle is so far down."""
-
-WHO = {"baseline": "trained", "expert": "scripted"}
+"""What the baselines play, by environment: how much larger than the whole picture its
+part is drawn, whose middle is so far down."""
 
 
-def film(
-    env_id: str, caption: str, player: str, part: tuple[float, float]
-) -> list[np.ndarray]:
+def film(env_id: str, part: tuple[float, float]) -> list[np.ndarray]:
     """Return the pictures of some starts, (height, width, 3) uint8 each."""
     env = cg.make_vec(env_id, 1, seed=1, num_threads=1)
-    policy = cg.load_policy(player, env)
+    policy = cg.load_policy("baseline", env)
     observations, infos = env.reset()
     frames, left = [], HOLD
     width, height = (round(part[0] * side) for side in SIZE)
@@ -49,7 +45,7 @@ def film(
         pixels = env.render(width=width, height=height)
         pixels = pixels[down : down + SIZE[1], right : right + SIZE[0]]
         is_met = len(env.sides) == 1 and bool(infos["metrics"]["completion"][0])
-        frames.append(captioned(pixels, caption, "success" if is_met else WHO[player]))
+        frames.append(captioned(pixels, type(env.task).__name__, is_met))
         left -= is_met
         if left < 0:
             (observations, infos), left = env.reset(), HOLD
@@ -59,15 +55,16 @@ def film(
     return frames
 
 
-def captioned(pixels: np.ndarray, caption: str, state: str) -> np.ndarray:
-    """Return a picture below a line of text."""
+def captioned(pixels: np.ndarray, name: str, is_met: bool) -> np.ndarray:
+    """Return a picture below a task's name, and whether its goal is met."""
     picture = Image.new("RGB", (SIZE[0], SIZE[1] + BAND), "white")
     picture.paste(Image.fromarray(pixels), (0, BAND))
     pen, load = ImageDraw.Draw(picture), ImageFont.load_default
     middle = BAND // 2
-    pen.text((6, middle), caption, "black", load(size=20), anchor="lm")
-    ink = "#0a7a2f" if state == "success" else "#777777"
-    pen.text((SIZE[0] - 6, middle), state, ink, load(size=15), anchor="rm")
+    pen.text((6, middle), name, "black", load(size=30), anchor="lm")
+    if is_met:
+        end = SIZE[0] - 6, middle
+        pen.text(end, "success", "#0a7a2f", load(size=26), anchor="rm")
     return np.asarray(picture)
 
 
@@ -90,7 +87,7 @@ def palette(pictures: list[Image.Image]) -> Image.Image:
 
 
 if __name__ == "__main__":
-    films = [film(env_id, *what) for env_id, what in TOUR.items()]
+    films = [film(env_id, part) for env_id, part in TOUR.items()]
     pictures = [
         Image.fromarray(
             np.concatenate([np.concatenate(frames[i : i + 5], axis=1) for i in (0, 5)])

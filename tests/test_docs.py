@@ -83,9 +83,12 @@ registry._configure = lambda task, settings: configure(
 arguments = sys.argv[1:]
 if arguments[0] == "--env":
     arguments[0] = "view"
+if arguments[0] == "record":
+    arguments += ["--size", "160", "90"]
+    arguments += ["--seconds", "1"] * ("--only-episodes" not in arguments)
 sys.exit(main(arguments))
 """
-"""The command line, with short episodes."""
+"""The command line, with short episodes and small, short films."""
 
 LATER = """
 from pathlib import Path

@@ -325,7 +325,7 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
     if differences:
         raise ValueError(
             f"this run cannot start from {settings.start_from}:"
-            f" {'; '.join(differences)}. Choose the mode, network, hidden_sizes and"
+            f" {'; '.join(differences)}. Choose the mode, network, hidden sizes and"
             " activation with which that policy was trained, and spaces of equal sizes"
         )
     return policy

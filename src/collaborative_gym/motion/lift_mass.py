@@ -67,9 +67,9 @@ class Weighing:
             missing = f"robot_{self.fewer.index(most) + 1}"
             who = "all" if min(self.fewer) > _ALIKE * most else f"all but {missing}"
             raise ValueError(
-                f"{count - 1} of these {count} arms carry too much of Lift's pot:"
-                f" {most:.1f} kg without {missing}, while all carry"
-                f" {self.together:.1f} kg and must carry {ratio:.2f} times as much;"
+                f"Lift's pot would not need all of these {count} arms: without {missing}"
+                f" they carry {most:.1f} kg, and all, who must carry {ratio:.2f} times"
+                f" as much, carry {self.together:.1f} kg;"
                 f" mount {who} farther from the pot, or take other arms, or pass"
                 " pot_mass"
             )

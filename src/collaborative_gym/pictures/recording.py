@@ -248,8 +248,8 @@ def _sides(size: Any) -> tuple[int, int]:
         raise TypeError(f"size must be a width and a height, got {shown(size)}")
     width, height = size
     return (
-        check_count("width", width, 32, LARGEST[0]),
-        check_count("height", height, 32, LARGEST[1]),
+        check_count("size's width", width, 32, LARGEST[0]),
+        check_count("size's height", height, 32, LARGEST[1]),
     )
 
 

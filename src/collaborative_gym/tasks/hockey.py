@@ -206,7 +206,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
         far = 1.25 + 0.65 * half_width
-        scene.add_camera((0, -far, HEIGHT + 1.1 * far), (1, 0, 0, 0, 0.74, 0.67))
+        scene.add_camera((0, -far, HEIGHT + 1.1 * far), (1, 0, 0, 0, 0.7, 0.71))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
