@@ -14,7 +14,8 @@ from collaborative_gym.certificate import certify as module
 from collaborative_gym.certificate import rival
 from collaborative_gym.certificate.budget import QUICK
 from collaborative_gym.certificate.report import TEAM, Certificate
-from collaborative_gym.certificate.search import Motions, record_actions
+from collaborative_gym.certificate.search import Motions, record_actions, search
+from collaborative_gym.certificate.tries import find_starts, play
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.learning.folder import claimed
@@ -72,6 +73,28 @@ def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small
     assert replay.converged is None and motion.converged is not None
     again = cg.certify(press(), budget=replace(budget, rounds=60), num_threads=1)
     assert all(t.converged for t in again.trials if t.player in ("blind", "search"))
+
+
+def test_of_many_starts_only_the_best_candidates_are_tried_on_all(press, small):
+    budget = replace(small, candidates=20, rounds=2)
+    task = press(together=False)
+    with closing(VectorEnv(task, 30, num_threads=1, auto_reset=False)) as env:
+        starts = find_starts(env, 5, 18, [0.0])[0.0]
+        motions = Motions(env, {"robot_2": "idle"}, budget)
+
+        def found(rng):
+            steps = []
+            every = np.arange(18)[None]
+            args = {"motions": motions, "budget": budget, "rng": rng}
+            return *search(env, starts, every, on_step=steps.append, **args), steps
+
+        motion, result, steps = found(np.random.default_rng(1))
+        # 20 candidates on 8 starts take 6 rounds of the 30 worlds, and 3 of them on
+        # the other 10 starts one more; all on all 18 starts would take 12.
+        assert sum(steps) <= 2 * 7 * 30 * (motions.steps + 10)
+        cast = motions.cast(np.repeat(motion, 18, axis=0), np.zeros(18, int))
+        again = play(env, starts, np.arange(18), cast, steps=motions.steps + 10)
+        assert again.nearest.mean() == pytest.approx(result.nearest[0])
 
 
 def test_recorded_actions_played_again_are_the_episode_itself(press):

@@ -184,7 +184,9 @@ def test_arms_that_others_do_without_are_refused():
     places = tuple(make_task("LiftPandas8-v0").placements.values())
     robots = ("panda",) * 7 + ("jaco",)
     task = make_task("Lift", robots, placements=places)
-    with pytest.raises(ValueError, match=r"7 of these 8 arms .* but robot_4 farther"):
+    with pytest.raises(
+        ValueError, match=r"all of these 8 arms: .* but robot_4 farther"
+    ):
         task.build(Scene())
 
 

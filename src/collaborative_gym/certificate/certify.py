@@ -13,7 +13,12 @@ import numpy as np
 from collaborative_gym.certificate.budget import Budget
 from collaborative_gym.certificate.report import TEAM, Certificate, Trial
 from collaborative_gym.certificate.rival import train_rival
-from collaborative_gym.certificate.search import Motions, record_actions, search
+from collaborative_gym.certificate.search import (
+    Motions,
+    record_actions,
+    search,
+    starts_each,
+)
 from collaborative_gym.certificate.tries import Cast, Results, find_starts, play
 from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
@@ -212,7 +217,7 @@ class Work:
         one = budget.rounds * budget.candidates * budget.motion_steps
         return {
             "expert": judging,
-            "blind": judging + one * budget.training_starts,
+            "blind": judging + round(one * starts_each(budget.training_starts)),
             "search": one * budget.searched_starts,
             "replay": judging + length * budget.replays * (1 + budget.training_starts),
             "ppo": budget.ppo_steps and judging + budget.ppo_steps,

@@ -21,6 +21,10 @@ least one later."""
 _ELITE = 0.1
 """Share of the candidates around which the next ones are drawn."""
 
+_SCREENED, _GO_ON = 8, 0.15
+"""Of more starts than this, each round draws so many for all candidates; only so large
+a share of them, the best, is then tried on the others."""
+
 _AFTER = 10
 """Control steps of a try after the end of its motion."""
 
@@ -134,6 +138,11 @@ def record_actions(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
     return np.stack(steps, axis=1)[:, : end + _AFTER]
 
 
+def starts_each(count: int) -> float:
+    """Return on how many of so many starts a candidate is tried, in the mean."""
+    return min(count, _SCREENED) + _GO_ON * max(0, count - _SCREENED)
+
+
 def search(
     env: VectorEnv,
     starts: EnvState,
@@ -157,6 +166,19 @@ def search(
       The best motion of each group, (groups, knots, columns), and its outcome, where a
       group counts as completed if it was from each of its starts.
     """
+
+    def played(starting: np.ndarray, tried: np.ndarray) -> np.ndarray:
+        """Return sums over starts of costs and distances, (2, groups, candidates)."""
+        tries = *tried.shape[:2], starting.shape[1]
+        which = np.broadcast_to(starting[:, None], tries).ravel()
+        flat = np.repeat(tried.reshape(-1, *motions.shape), tries[2], axis=0)
+        cast = motions.cast(flat, np.full(len(flat), record))
+        found = play(
+            env, starts, which, cast, steps=motions.steps + _AFTER, on_step=on_step
+        )
+        completed, near = found.completed.reshape(tries), found.nearest.reshape(tries)
+        return np.stack([near - completed, near]).sum(axis=3)
+
     first, deviation = motions.first()
     mean = np.tile(first, (len(groups), 1, 1))
     std, best = np.full_like(mean, deviation), mean.copy()
@@ -169,25 +191,15 @@ def search(
         tried = mean[left, None] + std[left, None] * rng.standard_normal(shape)
         tried[:, 0] = mean[left]
         tried = np.clip(tried, -1.0, 1.0)
-        tries = *shape[:2], groups.shape[1]
-        which = np.broadcast_to(groups[left, None], tries).ravel()
-        flat = np.repeat(tried.reshape(-1, *motions.shape), tries[2], axis=0)
-        cast = motions.cast(flat, np.full(len(flat), record))
-        found = play(
-            env, starts, which, cast, steps=motions.steps + _AFTER, on_step=on_step
-        )
-        completed, near = found.completed.reshape(tries), found.nearest.reshape(tries)
-        cost = (near - completed).mean(axis=2)
-        order = np.argsort(cost, axis=1)[:, : max(2, round(_ELITE * shape[1]))]
-        elite = np.take_along_axis(tried, order[..., None, None], axis=1)
+        tried, cost, near = _race(tried, groups[left], played, rng)
+        elite = tried[:, : max(2, round(_ELITE * shape[1]))]
         mean[left] = elite.mean(axis=1)
         std[left] = np.maximum(elite.std(axis=1), _LEAST_STD)
         least[number] = least[number - 1]
         for row, group in enumerate(left):
-            first = order[row, 0]
-            if cost[row, first] < least[number, group]:
-                least[number, group] = cost[row, first]
-                best[group], nearest[group] = tried[row, first], near[row, first].mean()
+            if cost[row, 0] < least[number, group]:
+                least[number, group] = cost[row, 0]
+                best[group], nearest[group] = tried[row, 0], near[row, 0]
         before = least[max(0, number - _STALL), left]
         left = left[
             (least[number, left] > -1.0) & (before - least[number, left] > _GAIN)
@@ -195,3 +207,32 @@ def search(
         if not len(left):
             break
     return best, Results(least[number] <= -1.0, nearest, not len(left))
+
+
+def _race(
+    tried: np.ndarray,
+    groups: np.ndarray,
+    played: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return candidates, the best of each group first, with costs and distances.
+
+    Both are means over a group's starts. Those that are not tried on all are left out.
+    """
+    count = groups.shape[1]
+    if count > _SCREENED:
+        groups = groups[:, rng.permutation(count)]
+    tried, sums = _ranked(tried, played(groups[:, :_SCREENED], tried))
+    if count > _SCREENED:
+        most = max(2, round(_GO_ON * tried.shape[1]))
+        tried, sums = tried[:, :most], sums[..., :most]
+        sums = sums + played(groups[:, _SCREENED:], tried)
+        tried, sums = _ranked(tried, sums)
+    return tried, *(sums / count)
+
+
+def _ranked(tried: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return candidates and their sums in the order of these costs."""
+    order = np.argsort(sums[0], axis=1)
+    ranked = np.take_along_axis(tried, order[..., None, None], axis=1)
+    return ranked, np.take_along_axis(sums, order[None], axis=2)

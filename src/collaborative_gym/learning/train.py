@@ -153,11 +153,7 @@ def _task(env: str | Task, started: Checkpoint | None) -> Task:
     own = started.settings.identity
     starts = Randomization(**own.config["randomization"])
     return make_task(
-        env,
-        own.robot_names,
-        randomization=starts,
-        action=own.action,
-        grasp=own.grasp,
+        env, own.robot_names, randomization=starts, action=own.action, grasp=own.grasp
     )
 
 

@@ -81,9 +81,7 @@ def check_places(robot: RobotData, model: mujoco.MjModel) -> None:
 
 
 def _check(
-    robot: RobotData,
-    model: mujoco.MjModel,
-    bounds: dict[str, tuple[float, float, str]],
+    robot: RobotData, model: mujoco.MjModel, bounds: dict[str, tuple[float, float, str]]
 ) -> None:
     for name, (low, high, unit) in bounds.items():
         values = getattr(model, name)

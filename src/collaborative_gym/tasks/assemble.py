@@ -62,21 +62,13 @@ from collaborative_gym.objects.table import round_table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import assemble as player
 from collaborative_gym.tasks.experts.assemble import HEIGHT, WAIT
 from collaborative_gym.tasks.handing import either_way
 from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
-from collaborative_gym.tasks.teams import (
-    Frames,
-    add_stand,
-    add_team_camera,
-    alike,
-    around,
-    fine,
-    hands_block,
-)
 
 PARTS = "block", "peg", "pin"
 
@@ -172,7 +164,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             distances.append(min(_AHEAD * robot.reach, _MOST_AHEAD) + arm)
             tall = robot.stand == "pedestal"
             heights.append(robot.base_height if tall else HEIGHT)
-        return around(distances, heights)
+        return teams.around(distances, heights)
 
     def build(self, scene: Scene) -> None:
         config, low = self.config, HEIGHT + HALF
@@ -183,7 +175,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             own = robot.stand == "pedestal" or config.placements is not None
             scene.add_robot(agent, robot, placement=place, stand=own)
             if not own:
-                add_stand(scene, agent, place)
+                teams.add_stand(scene, agent, place)
             # The arm turns to its table about its base, with all that it holds.
             base = np.array([*place.position[:2], low])
             turn = math.from_yaw(np.array(_ASIDE))
@@ -199,11 +191,11 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             knob = {"threshold": most, "width": KNOB, "lever": _LEVER}
             scene.add_grip(agent, f"{name}/knob", **knob)
         scene.add_target("target", config.success_radius)
-        add_team_camera(scene, self.placements, below=0.75)
+        teams.add_team_camera(scene, self.placements, below=0.75)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        self._frames = Frames(self.placements)
+        self._frames = teams.Frames(self.placements)
         self.turns, self.angles = {}, {}
         self._yaw = math.from_yaw(np.array(_YAW))
         for i, (agent, arm) in enumerate(scene.arms.items()):
@@ -319,16 +311,16 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             tcp, own, goal = facts.tcp[agent], facts.parts[agent], facts.goals[agent]
             part = math.pose(*frames.pose(agent, own))
             seen[agent] = {
-                "joints": alike(facts.joints[agent]),
+                "joints": teams.alike(facts.joints[agent]),
                 "gripping": grips[agent],
                 "tcp": math.pose(*frames.pose(agent, tcp)),
                 "part": xp.clip(part, -_SEEN, _SEEN),
-                "to_part": fine(frames.way(agent, tcp, facts.knobs[agent])),
-                "to_goal": fine(frames.way(agent, own, goal)),
+                "to_part": teams.fine(frames.way(agent, tcp, facts.knobs[agent])),
+                "to_goal": teams.fine(frames.way(agent, own, goal)),
                 # Whoever pushes must see whether the block gives way.
                 "block": xp.stack([facts.to_goal[first], facts.turn[first]], axis=1),
                 "inside": facts.inside[:, 1:],
-                "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
+                "mates": teams.hands_block(frames, agent, tcps=facts.tcp, grips=grips),
             }
         return seen
 

@@ -59,6 +59,7 @@ from collaborative_gym.objects.board import (
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
@@ -70,17 +71,6 @@ from collaborative_gym.tasks.task import (
     Terms,
     columns,
     face_to_face,
-)
-from collaborative_gym.tasks.teams import (
-    MOST_MATES,
-    Frames,
-    add_stand,
-    add_team_camera,
-    alike,
-    around,
-    mates_block,
-    mates_of,
-    seat_turns,
 )
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along a board of two
@@ -128,7 +118,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
       postures: of each arm, in the middle of what it needs to do, in rad.
     """
 
-    robot_counts = range(2, MOST_MATES + 2)
+    robot_counts = range(2, teams.MOST_MATES + 2)
     config_class = BalanceConfig
     units: ClassVar[Mapping[str, str]] = {"distance": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
@@ -154,7 +144,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         """Return bases 0.7 of each reach behind the handles, facing the middle."""
         robots, radius = self.robots.values(), handle_radius(len(self.agents))
         far = [radius + 0.7 * robot.reach for robot in robots]
-        return around(far, [robot.base_height for robot in robots])
+        return teams.around(far, [robot.base_height for robot in robots])
 
     @property
     def marked_radius(self) -> float:
@@ -170,7 +160,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
                 agent, robot, placement=placement, holds=BAR, stand=not is_slim
             )
             if is_slim:
-                add_stand(scene, agent, placement)
+                teams.add_stand(scene, agent, placement)
         # A free board with a weld for each would move in the same way, but take more
         # time.
         tool = board(marked_radius=self.marked_radius, count=len(self.agents))
@@ -191,7 +181,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
         if len(others) > 1:
-            add_team_camera(scene, self.placements)
+            teams.add_team_camera(scene, self.placements)
         else:
             scene.add_camera((3.2, 0, 1.95), (0, 1, 0, -0.34, 0, 1))
 
@@ -203,8 +193,8 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         joint = model.body("ball/ball").jntadr[0]
         self._ball = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
         self.centre = np.array([0.0, 0.0, self.config.board_height])
-        self._frames = Frames(self.placements)
-        self._spins = seat_turns(self.placements)
+        self._frames = teams.Frames(self.placements)
+        self._spins = teams.seat_turns(self.placements)
         self._handles, self.postures = {}, {}
         for i, (agent, arm) in enumerate(scene.arms.items()):
             site = model.site(f"{prefix}/handle_{i + 1}")
@@ -322,7 +312,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         frames, (place, quat) = self._frames, facts.board
         xp, own = array_namespace(place), self._handles[agent][0]
         rows = []
-        for mate in mates_of(self.agents, agent):
+        for mate in teams.mates_of(self.agents, agent):
             apart = xp.asarray(self._handles[mate][0] - own, dtype=place.dtype)
             apart = math.rotate(quat, xp.broadcast_to(apart, place.shape))
             rows.append(apart)
@@ -330,12 +320,12 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         turned = math.multiply(quat, xp.broadcast_to(spin, quat.shape))
         linear, angular = facts.ball_velocity
         return {
-            "joints": alike(facts.joints[agent]),
+            "joints": teams.alike(facts.joints[agent]),
             "ball": frames.place(agent, facts.ball[0]),
             "ball linear velocity": frames.direction(agent, linear),
             "ball angular velocity": frames.direction(agent, angular),
             "board": math.pose(*frames.pose(agent, (place, turned))),
-            "mates": mates_block(frames.directions(agent, rows)),
+            "mates": teams.mates_block(frames.directions(agent, rows)),
         }
 
     def reward(self, facts: BalanceFacts, commands: Commands) -> dict[str, Terms]:

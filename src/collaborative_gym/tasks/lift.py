@@ -81,6 +81,7 @@ from collaborative_gym.objects.table import round_table, table
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import lift as player
 from collaborative_gym.tasks.experts.lift import START
 from collaborative_gym.tasks.holding import start_holding
@@ -102,17 +103,6 @@ from collaborative_gym.tasks.task import (
     columns,
     face_to_face,
     presets,
-)
-from collaborative_gym.tasks.teams import (
-    MOST_MATES,
-    Frames,
-    add_stand,
-    add_team_camera,
-    alike,
-    around,
-    mates_block,
-    mates_of,
-    seat_turns,
 )
 
 _TABLE_HEIGHT = 0.64  # m
@@ -191,7 +181,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
       ways: by agent, how the arm lifts its handle to the target.
     """
 
-    robot_counts = range(2, MOST_MATES + 2)
+    robot_counts = range(2, teams.MOST_MATES + 2)
     gripping = True
     randomizations = presets(Randomization(joint_noise=0.12))
     units: ClassVar[Mapping[str, str]] = {
@@ -234,7 +224,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             for robot in self.robots.values()
         )
         radius = grip_radius(len(heights))
-        return around([far + radius for far in self._distances(heights)], heights)
+        return teams.around([far + radius for far in self._distances(heights)], heights)
 
     def _distances(self, heights: tuple[float, ...]) -> tuple[float, ...]:
         """Return how far the arms stand from their handles, in m."""
@@ -259,8 +249,8 @@ class Lift(Task[LiftConfig, LiftFacts]):
         if scene.grasp.touches:
             raise ValueError("Lift's handles collide with nothing; give grasp='pinch'")
         self._weigh(scene)
-        self._frames = Frames(self.placements)
-        self._spins = seat_turns(self.placements)
+        self._frames = teams.Frames(self.placements)
+        self._spins = teams.seat_turns(self.placements)
         self._add_arms(scene)
         (x, y), count = self.weighing.centre, len(self.agents)
         if count == 2:
@@ -271,7 +261,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             scene.add("table", round_table(grip_radius(count) + 0.02))
             vessel = ring_pot(count, self.pot_mass, balance=(x, y))
             scene.add("pot", vessel, position=START)
-            add_team_camera(scene, self.placements)
+            teams.add_team_camera(scene, self.placements)
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
@@ -287,7 +277,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             if own:
                 continue
             if len(self.agents) > 2:
-                add_stand(scene, agent, placement)
+                teams.add_stand(scene, agent, placement)
             elif abs(y) > 0.55:
                 # Push the arm's table back to the pot's table, which it would overlap.
                 place = (x, np.sign(y) * max(abs(y), 0.9), 0.0)
@@ -429,17 +419,17 @@ class Lift(Task[LiftConfig, LiftFacts]):
         spin = xp.asarray(self._spins[agent], dtype=turn.dtype)
         turn = math.multiply(turn, xp.broadcast_to(spin, turn.shape))
         rows = []
-        for mate in mates_of(self.agents, agent):
+        for mate in teams.mates_of(self.agents, agent):
             gap, above = facts.to_handle[mate], facts.handles[mate][0] - place
             parts = [grips[mate], gap[:, None], above[:, 2:]]
             rows.append(xp.concat(parts, axis=1))
         return {
-            "joints": alike(facts.joints[agent]),
+            "joints": teams.alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, facts.tcps[agent])),
             "handle": math.pose(*frames.pose(agent, (place, turn))),
             "to_target": frames.direction(agent, facts.target - facts.pot[0]),
-            "mates": mates_block(rows),
+            "mates": teams.mates_block(rows),
         }
 
     def reward(self, facts: LiftFacts, commands: Commands) -> dict[str, Terms]:

@@ -61,6 +61,7 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.scene.contacts import depth_sensors
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import reach as player
 from collaborative_gym.tasks.experts.reach import approach
 from collaborative_gym.tasks.registry import register_task, register_teams
@@ -74,14 +75,6 @@ from collaborative_gym.tasks.task import (
     TaskConfig,
     Terms,
     presets,
-)
-from collaborative_gym.tasks.teams import (
-    COLOURS,
-    Frames,
-    add_team_camera,
-    away,
-    mates_block,
-    mates_of,
 )
 
 _STARTS = Randomization(target_position=0.15)
@@ -178,7 +171,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
 
     def build(self, scene: Scene) -> None:
         places = self.placements
-        for (agent, place), colour in zip(places.items(), COLOURS, strict=False):
+        for (agent, place), colour in zip(places.items(), teams.COLOURS, strict=False):
             robot = self.robots[agent]
             scene.add_robot(agent, robot, placement=place, stand=False, holds=0.02)
             x, y, height = place.position
@@ -189,11 +182,11 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
-        add_team_camera(scene, places, below=0.4)
+        teams.add_team_camera(scene, places, below=0.4)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        self._frames = Frames(self.placements)
+        self._frames = teams.Frames(self.placements)
         self.rests, self.postures, self.starts = {}, {}, {}
         own: list[np.ndarray] = []
         # Equal arms have equal angles, as each stands in front of its own place.
@@ -343,7 +336,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
 
         They are (num_envs, 7, 12); see `mates_block`.
         """
-        tcp, mates = facts.tcps[agent][0], mates_of(self.agents, agent)
+        tcp, mates = facts.tcps[agent][0], teams.mates_of(self.agents, agent)
         places = [
             place - tcp
             for mate in mates
@@ -353,9 +346,9 @@ class Reach(Task[ReachConfig, ReachFacts]):
         xp, rows = array_namespace(tcp), []
         for i, mate in enumerate(mates):
             left = self._left(facts, mate)
-            after = 0.0 * left + np.sign(away(self.agents, agent, mate))
+            after = 0.0 * left + np.sign(teams.away(self.agents, agent, mate))
             rows.append(xp.concat([after, left, *turned[3 * i : 3 * i + 3]], axis=1))
-        return mates_block(rows)
+        return teams.mates_block(rows)
 
     def _left(self, facts: ReachFacts, agent: str) -> Array:
         """Return the share of an agent's goals that are left, (num_envs, 1)."""

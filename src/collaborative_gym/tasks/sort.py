@@ -59,20 +59,13 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import sort as player
 from collaborative_gym.tasks.experts.sort import HEIGHT, MIDDLE, SIZE
 from collaborative_gym.tasks.handing import PICKING, either_way, of
 from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Kept, Task, TaskConfig, Terms
-from collaborative_gym.tasks.teams import (
-    COLOURS,
-    MOST_MATES,
-    Frames,
-    add_stand,
-    alike,
-    hands_block,
-)
 from collaborative_gym.timing import CONTROL_DT
 
 LANE = 0.28  # m from the middle of the belt to a lane
@@ -140,7 +133,7 @@ class Sort(Task[SortConfig, SortFacts]):
       hands: by agent, the quaternion of its hand at each of these, (1, 4).
     """
 
-    robot_counts = range(2, MOST_MATES + 2)
+    robot_counts = range(2, teams.MOST_MATES + 2)
     gripping = True
     config_class = SortConfig
     units: ClassVar[Mapping[str, str]] = {"sorted": "", "idle": ""}
@@ -183,13 +176,13 @@ class Sort(Task[SortConfig, SortFacts]):
             scene.add_robot(agent, robot, placement=place, stand=own)
             spot = bases[i] + np.array([_ASIDE * robot.reach, 0.0, 0.0])
             self.totes[agent] = spot = np.array([*spot[:2], _TOTE_FLOOR])
-            scene.add(f"{agent}_tote", tote(COLOURS[i]), position=spot)
+            scene.add(f"{agent}_tote", tote(teams.COLOURS[i]), position=spot)
             stand = round_table(TOTE, height=_TOTE_FLOOR - 0.008)
             scene.add(f"{agent}_tote_stand", stand, position=(*spot[:2], 0.0))
             if not own:
-                add_stand(scene, agent, place)
+                teams.add_stand(scene, agent, place)
         for j, each in enumerate(self.cubes):
-            scene.add(f"cube_{j + 1}", cube(SIZE, rgba=COLOURS[each.owner]))
+            scene.add(f"cube_{j + 1}", cube(SIZE, rgba=teams.COLOURS[each.owner]))
             for i in {each.owner, each.mover} - {-1}:
                 site, most = f"cube_{j + 1}/centre", config.picking_threshold
                 scene.add_grip(self.agents[i], site, threshold=most, width=0.05)
@@ -201,7 +194,7 @@ class Sort(Task[SortConfig, SortFacts]):
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        self._frames = Frames(self.placements)
+        self._frames = teams.Frames(self.placements)
         cubes = [f"cube_{j + 1}/free" for j in range(len(self.cubes))]
         along = [sim.model.joint(name).dofadr[0] for name in ("belt/slide", *cubes)]
         self._moves = np.array(along)
@@ -331,12 +324,12 @@ class Sort(Task[SortConfig, SortFacts]):
                 seen[name] = xp.concat([place * todo, todo], axis=1)
         spot = xp.asarray(self.totes[agent], dtype=kind)
         return {
-            "joints": alike(facts.joints[agent]),
+            "joints": teams.alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, tcp)),
             "tote": frames.place(agent, xp.broadcast_to(spot, tcp[0].shape)),
             **seen,
-            "mates": hands_block(frames, agent, tcps=facts.tcp, grips=grips),
+            "mates": teams.hands_block(frames, agent, tcps=facts.tcp, grips=grips),
         }
 
     def is_mates(self, agent: str, which: Array) -> Array:
