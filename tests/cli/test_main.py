@@ -381,7 +381,10 @@ def test_benchmark_takes_a_tasks_name(capsys):
 @pytest.mark.parametrize(
     ("words", "answer"),
     [
-        ("record Poke --output a.mp4 --size 640", "--size takes 2 values"),
+        (
+            "record Poke --output a.mp4 --size 640",
+            "--size takes a width and a height, such as 640 360",
+        ),
         (
             "record Poke --output a.mp4 --size 9 big",
             "--size takes numbers, with spaces between",

@@ -185,7 +185,7 @@ def test_arms_that_others_do_without_are_refused():
     robots = ("panda",) * 7 + ("jaco",)
     task = make_task("Lift", robots, placements=places)
     with pytest.raises(
-        ValueError, match=r"all of these 8 arms: .* but robot_4 farther"
+        ValueError, match=r"must need all 8 arms: .* but robot_4 farther"
     ):
         task.build(Scene())
 

@@ -1,5 +1,7 @@
 """Poke: what counts as threaded and inside, the objects, the starts, the experts."""
 
+from contextlib import closing
+
 import mujoco
 import numpy as np
 import pytest
@@ -132,6 +134,23 @@ def test_the_expert_threads_the_stick_and_keeps_it_there(env_id, delay):
     assert env.task.success(env.facts).all()
     assert (env.facts.distance < 0.01).all()
     assert (env.facts.cosine < 0.05).all()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "episodes"),
+    [(IDS[0], [31, 590, 937, 909]), (IDS[1], [88, 93, 527, 889])],
+)
+def test_the_expert_waits_where_both_are_in_line_for_a_moment_only(env_id, episodes):
+    # There both still swing, and the stick once went through the ring's bar.
+    task = make_task(env_id)
+    with closing(VectorEnv(task, 4, num_threads=1, strain=True)) as env:
+        observations, _ = env.reset(seed=0, episodes=episodes)
+        policy, deepest = expert_policy(env), 0.0
+        for _ in range(30):
+            observations, *_, infos = env.step(policy(observations))
+            deepest = max(deepest, env.strain.depths["arms"].max())
+        assert infos["metrics"]["completion"].all()
+        assert deepest == 0.0
 
 
 @pytest.mark.parametrize("env_id", IDS)

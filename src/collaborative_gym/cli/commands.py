@@ -396,8 +396,8 @@ class View(Watched, _Policy):
 class Demo:
     """Film the thesis's environments and Hockey, and compare baselines with the thesis.
 
-    It takes some minutes on two cores. Pictures of all environments come first, then
-    films, then a table. Where an environment has no baseline, its expert plays.
+    It takes some minutes on two cores. A sheet of pictures comes first, then films,
+    then a table. Where an environment has no baseline, its expert plays.
 
     Attributes:
       output: where the files go.
@@ -450,8 +450,8 @@ class Demo:
         from collaborative_gym.pictures import recording
 
         show(
-            "a picture of every environment comes first, after some seconds, then a"
-            " film of each, after about a minute, then a table beside the thesis's"
+            "a sheet of the thesis's environments comes first, after some seconds, then"
+            " their films, after about a minute, then a table beside the thesis's"
         )
         try:
             recording.check_ready()

@@ -103,9 +103,11 @@ _PLAINLY = {
     " digits, such as 1000000",
     r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
     r": Could not .*$": " takes numbers, with spaces between them",
-    r"^Missing from \S+ (\w+): ((?:--\S+ )?\S+) (.*?)\.? \(.*": r"\1 needs \2, \3",
+    r"^Missing from \S+ (\w+): ((?:--\S+ )?[^\s,]+),? (?:\|.*? \.\.\. )?(.*?)"
+    r"(?:: |\. |\.? \().*": r"\1 needs \2, \3",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
     r" 1 values$": " a value",
+    "^--size takes 2 values$": "--size takes a width and a height, such as 640 360",
 }
 """Patterns of the parser's errors, and our words in their place."""
 
@@ -200,6 +202,8 @@ def _complaint(box: str, verb: str) -> Exception:
     # Between its first two rules are the words; then come like names, or the help.
     parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box, flags=re.M)
     text, more = (" ".join(p.replace("│", " ").split()) for p in parts[1:3])
+    if misplaced := re.match(r"Unrecognized or misplaced options: (\S+)", text):
+        return UnknownName(f"{misplaced[1]} comes after a command; see {verb} --help")
     if unused := re.match(r"Unrecognized options: ([^\s,=]+)", text):
         near = re.match(r".* meant: (--[\w-]+)", more)
         hint = f" (did you mean {near[1]}?)" if near else ""
@@ -239,7 +243,8 @@ def _in_options(words: str, arguments: list[str]) -> str:
     """Return an error's words with options as they were typed."""
     for option in {word.partition("=")[0] for word in arguments if word[:2] == "--"}:
         name = option[2:].replace("-", "_")
-        where = r"(?<![\w.-])" if "_" in name else "^|each of |leave out |without "
+        plain = "^|each of |give |as |leave out |without "
+        where = r"(?<![\w.-])" if "_" in name else plain
         pattern = rf"({where}){re.escape(name)}(?!\w)"
         words = re.sub(pattern, lambda found, own=option: found[1] + own, words)
     return words

@@ -206,8 +206,8 @@ def _check_words(task: Task, opponents: Sequence[str], partners: Sequence[str]) 
         )
     if partners and len(task.sides) > 1:
         raise ValueError(
-            f"{task.name} has {len(task.sides)} sides; policies to play with are given"
-            " as opponent there, not as partner"
+            f"{task.name} has {len(task.sides)} sides; name whom to play"
+            " against as opponent, not as partner"
         )
     for word in {SELF, LEAGUE} & set(partners):
         raise ValueError(

@@ -27,10 +27,9 @@ from collaborative_gym.evaluation.machine import cores
 from collaborative_gym.learning.config import Mode, Resources, recipe
 from collaborative_gym.learning.display import ManyDisplay
 from collaborative_gym.learning.folder import LAST
-from collaborative_gym.learning.run import Result
 from collaborative_gym.learning.settings import Options, make_settings, take_interval
 from collaborative_gym.learning.stopping import ctrl_c
-from collaborative_gym.learning.train import train
+from collaborative_gym.learning.train import Result, train
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.rng import check_run_seed
 from collaborative_gym.tasks.registry import as_task

@@ -67,10 +67,10 @@ class Weighing:
             missing = f"robot_{self.fewer.index(most) + 1}"
             who = "all" if min(self.fewer) > _ALIKE * most else f"all but {missing}"
             raise ValueError(
-                f"Lift's pot would not need all of these {count} arms: without"
-                f" {missing} they carry {most:.1f} kg, and all, who must carry"
-                f" {ratio:.2f} times as much, carry {self.together:.1f} kg; mount"
-                f" {who} farther from the pot, or take other arms, or pass"
+                f"Lift's pot must need all {count} arms: together they must carry"
+                f" {ratio:.2f} times the {most:.1f} kg that they carry without"
+                f" {missing}, but carry {self.together:.1f} kg; mount {who} farther"
+                " from the pot, or take other arms, or pass"
                 " pot_mass"
             )
         mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)

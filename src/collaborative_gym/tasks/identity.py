@@ -178,6 +178,8 @@ def _differing(
 def _short(value: Any) -> str:
     if isinstance(value, str):
         return value
+    if isinstance(value, float):
+        return f"{value:.6g}"
     return json.dumps(value).replace("null", "None")
 
 

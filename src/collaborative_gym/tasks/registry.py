@@ -291,7 +291,8 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     for option in settings:
         if option not in valid:
             names = [*valid, "robots"]
-            raise UnknownOption(unknown("option", option, names))
+            wrong = unknown("option", option, names)
+            raise UnknownOption(f"{task.__name__} has {wrong}")
     return task.config_class(**settings)
 
 

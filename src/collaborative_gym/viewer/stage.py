@@ -20,8 +20,8 @@ _SKY = (230, 235, 240)
 _HAZE = (15.0, 40.0)
 """Distances at which things begin to fade and have faded, in m."""
 
-_ABOVE = 0.2
-"""Height of a label above its arm, in m."""
+_ABOVE, _BEFORE = 0.2, 0.9
+"""Height of a label above its arm, and distance of the hint from the arms, in m."""
 
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
@@ -105,13 +105,15 @@ class Stage:
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
-        # On the floor, between the arms, until somebody has pulled. The latest tab says
+        # On the floor, before the arms, until somebody has pulled. The latest tab says
         # whether there is a Ctrl: a phone has none.
         self._has_keys = True
         self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
-        self._hint.position = middle
+        eye, looked_at = overview(model, self._data)
+        toward = (eye - looked_at) * np.array([1.0, 1.0, 0.0])
+        self._hint.position = middle + _BEFORE * toward / np.linalg.norm(toward)
         self._titles = [
             scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
             for i in range(len(self._worlds))
@@ -127,14 +129,11 @@ class Stage:
             head_length=0.04,
         )
         camera = server.initial_camera
-        camera.position, camera.look_at = overview(model, self._data)
+        camera.position, camera.look_at = eye, looked_at
         camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
 
     def refresh(self, *, labels: bool, forces: bool, shadows: bool) -> None:
-        """Show the present state, with a policy's name over each arm if `labels`.
-
-        The arms of the world that is read have names, and of several worlds each one.
-        """
+        """Show the present state, with names of policies or worlds if `labels`."""
         self._move()
         session = self._session
         data, place = self._data, self._places[session.world]
@@ -150,9 +149,9 @@ class Stage:
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
-                title.text = f"world {i + 1}{': success' if is_met else ''}"
+                title.text = f"{i + 1}{': success' if is_met else ''}"
             for agent, label in self._labels.items():
-                label.visible = labels
+                label.visible = labels and not has_many
                 if labels:
                     name = name_policy(session.policies[agent])
                     label.text = f"{agent}: {name}"

@@ -48,7 +48,9 @@ def styled(
 def _behind(facts: "PokeFacts") -> np.ndarray:
     """Return how far behind the hole the stick's middle is to be, (num_envs,)."""
     beside = math.norm(facts.offset[:, :2])
-    is_lined_up = (beside < 0.05) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
+    # From afar both may still swing, so that they are in line for a moment only.
+    near = np.where(facts.offset[:, 2] < -0.15, 0.03, 0.05)
+    is_lined_up = (beside < near) & (facts.cosine < 0.2) & (facts.axis[:, 2] > 0)
     # The stick's middle keeps its tip clear of the ring, the more the farther it is
     # from the hole, and goes in so slowly that it stays in line.
     return np.where(
