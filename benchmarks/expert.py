@@ -74,8 +74,13 @@ def main() -> None:
         is_task = name in cg.list_tasks()
         pairs = product(cg.list_robots(), repeat=2) if is_task else (None,)
         jobs += [(name, pair) for pair in pairs]
-    rows = [measure(*job) for job in track(jobs)]
-    show(rows, Console(width=140))
+    console, rows = Console(width=140), []
+    for name, pair in track(jobs, console=console):
+        try:
+            rows.append(measure(name, pair))
+        except ValueError as error:  # Not every pair of arms fits every task.
+            console.print(f"{name} with {', '.join(pair or ())}: {error}")
+    show(rows, console)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1))
 

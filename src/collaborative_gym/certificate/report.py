@@ -206,7 +206,7 @@ CERTIFICATE_NOTE = (
     " very start that it is played on. A blind team plays one motion, or the best of"
     " some recorded episodes, from every start."
 )
-"""Note below the table."""
+"""Note above the table."""
 
 COLUMNS = ("environment", "still arm", *PLAYERS.values(), "up to", "nearest")
 """Columns of the table, which has a line for each still arm."""
@@ -225,11 +225,11 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
 
 
 def certificates_to_markdown(certificates: Sequence[Certificate]) -> str:
-    """Return one Markdown table of certificates, and their statements below it."""
+    """Return the statements of certificates, and one Markdown table of them."""
     table = [line for each in certificates for line in lines(each)]
     parts = [
-        markdown_table(COLUMNS, table, words=2),
-        "\n".join(f"- {escaped(each.statement)}" for each in certificates),
         CERTIFICATE_NOTE,
+        "\n".join(f"- {escaped(each.statement)}" for each in certificates),
+        markdown_table(COLUMNS, table, words=2),
     ]
     return "\n\n".join(parts) + "\n"
