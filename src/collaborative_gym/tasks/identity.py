@@ -179,7 +179,7 @@ def _short(value: Any) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return str(float(f"{value:.6g}"))
     return json.dumps(value).replace("null", "None")
 
 
