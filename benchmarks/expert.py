@@ -79,7 +79,9 @@ def main() -> None:
         try:
             rows.append(measure(name, pair))
         except ValueError as error:  # Not every pair of arms fits every task.
-            console.print(f"{name} with {', '.join(pair or ())}: {error}")
+            if pair is None:
+                raise
+            console.print(f"{name} with {', '.join(pair)}: {error}")
     show(rows, console)
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1))

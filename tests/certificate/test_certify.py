@@ -80,15 +80,16 @@ def test_of_many_starts_only_the_best_candidates_are_tried_on_all(press, small):
     task = press(together=False)
     with closing(VectorEnv(task, 30, num_threads=1, auto_reset=False)) as env:
         starts = find_starts(env, 5, 18, [0.0])[0.0]
-        motions = Motions(env, {"robot_2": "idle"}, budget)
-
-        def found(rng):
-            steps = []
-            every = np.arange(18)[None]
-            args = {"motions": motions, "budget": budget, "rng": rng}
-            return *search(env, starts, every, on_step=steps.append, **args), steps
-
-        motion, result, steps = found(np.random.default_rng(1))
+        motions, steps = Motions(env, {"robot_2": "idle"}, budget), []
+        motion, result = search(
+            env,
+            starts,
+            np.arange(18)[None],
+            motions=motions,
+            budget=budget,
+            rng=np.random.default_rng(1),
+            on_step=steps.append,
+        )
         # 20 candidates on 8 starts take 6 rounds of the 30 worlds, and 3 of them on
         # the other 10 starts one more; all on all 18 starts would take 12.
         assert sum(steps) <= 2 * 7 * 30 * (motions.steps + 10)

@@ -381,6 +381,13 @@ def test_benchmark_takes_a_tasks_name(capsys):
 @pytest.mark.parametrize(
     ("words", "answer"),
     [
+        ("--policy expert evaluate Poke", "--policy comes after a command; see"),
+        ("tournament Poke", "tournament needs --policies POLICY, two players or more,"),
+        (
+            "record Poke --output a.mp4 --seconds 3 --only-episodes 1",
+            "give --seconds or --only-episodes, not both",
+        ),
+        ("evaluate Poke Lift --settings pot_mass=3", "Poke has no option 'pot_mass'"),
         (
             "record Poke --output a.mp4 --size 640",
             "--size takes a width and a height, such as 640 360",

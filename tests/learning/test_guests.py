@@ -254,7 +254,7 @@ def test_all_pairs_of_a_population_learn(train_tiny, tiny, mode, carry):
         (
             True,
             {"partner": "idle"},
-            "Duel has 2 sides; name whom to play",
+            "Duel has 2 sides; name whom to play against as opponent",
         ),
         (True, {"opponent": ["self", "idle"]}, "self stands alone, got self idle"),
         (False, {"partner": ["population", "idle"]}, "population stands alone"),

@@ -145,14 +145,15 @@ class Stage:
                     node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
             is_news = self._has_keys and not session.was_pulled
-            self._hint.visible = labels and not has_many and is_news
+            names_arms = labels and not has_many
+            self._hint.visible = names_arms and is_news
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
                 title.text = f"{i + 1}{': success' if is_met else ''}"
             for agent, label in self._labels.items():
-                label.visible = labels and not has_many
-                if labels:
+                label.visible = names_arms
+                if names_arms:
                     name = name_policy(session.policies[agent])
                     label.text = f"{agent}: {name}"
                     parts = data.xpos[self._arms[agent]]
