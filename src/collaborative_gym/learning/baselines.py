@@ -145,8 +145,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f"- network: {layers}, {numbers.activation}; actions are means, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
-        f" chosen by {numbers.validation_episodes} validation episodes{among}; those"
-        " below are others",
+        f" chosen by {numbers.validation_episodes} validation episodes{among}; the"
+        " table's episodes are others",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} core"
         f"{'s' * (machine['cores'] != 1)}, MuJoCo {machine['mujoco']}",
