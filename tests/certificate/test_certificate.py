@@ -34,8 +34,8 @@ def test_a_row_tells_the_best_and_the_surest():
     trials = (
         Trial(*idle, "expert", 500, 0, 0.5),
         Trial(*frozen, "expert", 400, 10, 0.2),
-        Trial(*idle, "search", 32, 0, 0.4),
-        Trial(*frozen, "search", 32, 8, 0.1),
+        Trial(*idle, "search", 32, 0, 0.4, converged=True),
+        Trial(*frozen, "search", 32, 8, 0.1, converged=False),
         Trial(*TEAM, "replay", 500, 5, 0.3),
     )
     identity = Identity.of(make_task("Pass", ("panda", "jaco"))).to_dict()
@@ -43,7 +43,7 @@ def test_a_row_tells_the_best_and_the_surest():
     assert certificate.best == {idle: trials[0], frozen: trials[3], TEAM: trials[4]}
     table = certificate.to_markdown()
     assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | - | 0.6% | 0.40 |" in table
-    assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32 | - | - | 4" in table
+    assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32† | - | - | 4" in table
     assert "- Pass with panda, jaco, with one arm still: 0.0% (up to 0.6%)" in table
     assert "if from the start on, 25.0%" in table
     assert "25.0% (up to 40.6%) if from 50 % of the way on" in table

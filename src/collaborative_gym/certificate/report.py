@@ -204,7 +204,8 @@ CERTIFICATE_NOTE = (
     " arms; up to: upper end of the 95 % interval of the best of them; nearest: the"
     " least median distance from the goal. A motion for each is searched for on the"
     " very start that it is played on. A blind team plays one motion, or the best of"
-    " some recorded episodes, from every start."
+    " some recorded episodes, from every start. †: the search spent its rounds before"
+    " it converged."
 )
 """Note above the table."""
 
@@ -216,7 +217,7 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
     """Return the cells of `COLUMNS`, one tuple for each still arm."""
     found = []
     for row, trials in certificate.rows.items():
-        counts = {trial.player: trial.count for trial in trials}
+        counts = {t.player: t.count + "†" * (t.converged is False) for t in trials}
         best, nearest = certificate.best[row], min(trial.nearest for trial in trials)
         cells = (counts.get(player, "-") for player in PLAYERS)
         ends = f"{best.bound:.1%}", f"{nearest:.2f}"
