@@ -297,7 +297,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate CarryPanda-v0", "did you mean 'CarryPandas-v0'?"),
         ("evaluate Carry --all", "name environments or pass --all, not both"),
         ("evaluate Carry --json a --csv a", "a is named for two outputs"),
-        ("evaluate", "name the environments to evaluate, or pass --all"),
+        ("evaluate", "environments to evaluate before all options, or"),
         ("evaluate Carry --policy exprt", "did you mean 'expert'?"),
         ("evaluate Carry --policy expert idle", "robot_2=idle, got expert idle"),
         (
@@ -310,7 +310,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --randomization none", "default, hard, lost, paper, wide"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
         ("record Carry --output a.avi", ".gif, .mp4"),
-        ("certify", "name the environments to certify, or pass --all"),
+        ("certify", "environments to certify before all options, or"),
         ("certify Cary", "did you mean 'Carry'?"),
         ("certify Carry --episodes 0", "episodes must be at least 1"),
         ("certify Carry --quick --rounds 3", "--quick has a budget of its own"),
@@ -327,6 +327,8 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("view Carry --port 99999", "port must be at most 65535, got 99999"),
         ("evaluate Carry --polcy idle", "not take --polcy (did you mean --policy?); e"),
         ("train Carry --leage-reset 1", "(did you mean --league-reset?); train --help"),
+        ("record --robots panda jaco Carry --output a.mp4", "name, before all options"),
+        ("record Carry -o a.mp4", "not take -o; options begin with --"),
         (
             "evaluate Carry --seed 1 2",
             "evaluate does not take 2; evaluate --help lists",
@@ -402,7 +404,10 @@ def test_benchmark_takes_a_tasks_name(capsys):
             "no mode 'colaborative' (did you mean 'coll",
         ),
         ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; missing"),
-        ("view", "view needs ENV, environment id, or a task's name\n"),
+        (
+            "view",
+            "view needs ENV, environment id, or a task's name, before all options\n",
+        ),
         ("--frobnicate", "collaborative-gym does not take --frobnicate; coll"),
     ],
 )

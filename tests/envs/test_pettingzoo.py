@@ -148,9 +148,9 @@ def test_the_last_picture_is_of_the_ended_episode(env):
             lambda a: {**a, "robot_2": np.zeros(7)},
             r"robot_2 has shape \(7,\), not \(8,\)",
         ),
-        (lambda a: {"robot_1": a["robot_1"]}, "one for each of robot_1, robot_2"),
-        (lambda a: {}, "for nobody"),
-        (lambda a: np.zeros(16), "give a dictionary"),
+        (lambda a: {"robot_1": a["robot_1"]}, r"robot_2, got keys \['robot_1'\]"),
+        (lambda a: {}, r"got keys \[\]"),
+        (lambda a: np.zeros(16), "must be a dictionary"),
         (lambda a: {**a, "robot_1": np.full(8, np.nan)}, "robot_1 in world 0 is nan"),
     ],
 )

@@ -182,7 +182,7 @@ def test_bad_input_says_what_is_allowed(carry):
             cg.evaluate(carry(), episodes=count)
     with pytest.raises(TypeError, match=r"'expert', .* a function .* got 3"):
         cg.evaluate(carry(), 3)
-    with pytest.raises(ValueError, match="actions are a int; give a dictionary"):
+    with pytest.raises(ValueError, match=r"a dictionary with an array .* got 0"):
         cg.evaluate(carry(), lambda observations: 0, num_threads=1)
     with pytest.raises(FileNotFoundError, match="no baseline is shipped for Carry"):
         cg.evaluate(carry(), "baseline")

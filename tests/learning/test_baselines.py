@@ -94,7 +94,7 @@ def test_of_equal_runs_the_one_whose_arms_keep_apart_is_better(alone, monkeypatc
 
 def test_a_card_says_if_the_expert_was_a_guide():
     first = {"seed": 0, "steps": 2e6, "hyperparameters": {"imitation": 2.0}}
-    guide = "with the scripted expert's actions as a guide"
+    guide = "with the expert's advice"
     assert baselines._beginning(first) == f"from scratch, {guide}"
     start = {"start_from": "runs/a", "start": {"digest": "1f", "metadata": first}}
     text = baselines._beginning({"hyperparameters": {}, **start})

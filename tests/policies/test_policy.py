@@ -234,7 +234,7 @@ def test_what_is_missing_is_named(make_env, tmp_path):
     ):
         load_policy(tmp_path)
     with pytest.raises(
-        FileNotFoundError, match=r"no policy file runs/nowhere .*validation"
+        FileNotFoundError, match=r"no policy file runs/nowhere .*folder"
     ):
         load_policy("runs/nowhere")
     for name in ("baseline", "expert", "frozen", "gripping", "idle", "random"):

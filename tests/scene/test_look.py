@@ -135,7 +135,7 @@ def test_what_is_no_model_of_the_arm_is_refused(look, tmp_path):
     ("word", "reason"),
     (
         ("panda", "--look takes the arm before"),
-        ("sawyr=x.xml", "no robot of this team"),
+        ("sawyr=x.xml", "no robot 'sawyr'"),
     ),
 )
 def test_the_command_line_says_how_looks_are_named(word, reason, capsys, tmp_path):

@@ -196,7 +196,7 @@ def test_a_policy_that_fails_is_told_and_may_go_on(make_env, start, wait_until):
     assert session.reading.time == pytest.approx(0.2)
     session.play()
     wait_until(lambda: session.is_paused)
-    assert len(calls) == 6 and "actions are for robot_1; give one" in warned[1]
+    assert len(calls) == 6 and "got keys ['robot_1']" in warned[1]
     session.reset()
     wait_until(lambda: session.reading.time == 0)
     wait_until(lambda: session.reading.trouble == "")

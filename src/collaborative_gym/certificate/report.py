@@ -149,12 +149,11 @@ class Certificate:
         for fraction, trials in sorted(by_fraction.items()):
             most = max(trials, key=lambda trial: (trial.completion, trial.bound))
             since = f"{100 * fraction:.0f} % of the way" if fraction else "the start"
-            found.append(
-                f"{most.completion:.1%} (up to {most.bound:.1%}) if from {since} on"
-            )
-        text = f"{self.title}, with one arm still: {', '.join(found)}"
+            by = f"{most.still}, " * (most.completed > 0)
+            found.append(f"{most.count} ({by}up to {most.bound:.1%}) from {since} on")
+        text = f"{self.title}: with one arm still {', '.join(found)}"
         if blind := self.best.get(TEAM):
-            text += f"; by a team that looks at nothing: {blind.completion:.1%} (up to"
+            text += f"; by a team that looks at nothing: {blind.count} (up to"
             text += f" {blind.bound:.1%})"
         return text
 

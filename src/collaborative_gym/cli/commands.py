@@ -211,7 +211,9 @@ def _tasks(command: "Evaluate | Certify") -> list[Task]:
     env_ids = list_envs() if command.all else command.envs
     if not env_ids:
         verb = type(command).__name__.lower()
-        raise ValueError(f"name the environments to {verb}, or pass --all")
+        raise ValueError(
+            f"name the environments to {verb} before all options, or pass --all"
+        )
     return [command.task(env_id) for env_id in env_ids]
 
 

@@ -107,6 +107,7 @@ _PLAINLY = {
     r"(?:: |\. |\.? \().*": r"\1 needs \2, \3",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
     r" 1 values$": " a value",
+    r"( needs ENV, .*)$": r"\1, before all options",
     "^--size takes 2 values$": "--size takes a width and a height, such as 640 360",
 }
 """Patterns of the parser's errors, and our words in their place."""
@@ -149,6 +150,8 @@ def _run(arguments: list[str]) -> None:
         raise SystemExit(0)
     for word in arguments:
         option, _, value = word.partition("=")
+        if re.fullmatch("-[a-gi-zA-Z]", word):
+            raise UnknownName(f"{verb} does not take {word}; options begin with --")
         if "None" in (word, value):
             raise ValueError("None is no value; leave the option out")
         if (verb, option) in _INSTEAD:

@@ -146,7 +146,7 @@ class Report(Measured):
         from collaborative_gym.evaluation.table import to_json
 
         if not self.envs:
-            raise ValueError("name the environments to report on")
+            raise ValueError("name the environments to report on before all options")
         policies = read_policies(self.policies)
         tasks = {task.name: task for task in map(self.task, self.envs)}
         pages: dict[str, Path] = {}

@@ -174,7 +174,7 @@ class Watched(Played):
                     "--look takes the arm before its file, such as panda=panda.xml,"
                     f" got {word!r}"
                 )
-            look_up("robot of this team", name, dict.fromkeys(names))
+            look_up("robot", name, dict.fromkeys(names))
             files[name] = file
         if not files:
             return task

@@ -280,15 +280,12 @@ class ActionMode:
           ValueError: if they are not finite numbers of the right shapes.
         """
         agents = list(self.arms)
-        if not isinstance(actions, Mapping):
+        is_mapping = isinstance(actions, Mapping)
+        if not is_mapping or set(actions) != set(agents):
+            given = f"keys {[*map(str, actions)]}" if is_mapping else shown(actions)
             raise ValueError(
-                f"actions are a {type(actions).__name__}; give a dictionary with an"
-                f" array for each of {', '.join(agents)}"
-            )
-        if set(actions) != set(agents):
-            raise ValueError(
-                f"actions are for {', '.join(map(str, actions)) or 'nobody'};"
-                f" give one for each of {', '.join(agents)}"
+                f"actions must be a dictionary with an array for each of"
+                f" {', '.join(agents)}, got {given}"
             )
         return {agent: self._checked(agent, actions[agent]) for agent in agents}
 

@@ -31,7 +31,7 @@ from collaborative_gym.tasks.task import Randomization
 
 _EPISODES, _SEED = {"paper": 200, "default": 1000, "default, late": 200}, 0
 """The episodes of a card; no run is trained on them or chosen by them. In late ones,
-each action is done one control step late."""
+every action comes one control step late."""
 
 _CHOICE_EPISODES, _CHOICE_SEED = 200, 1
 """Other episodes, by which the run is chosen that is shipped."""
@@ -137,8 +137,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         "",
         f"{who} ({', '.join(identity.robot_names)}), trained by PPO"
         f" on the task's reward, {_beginning(settings.to_dict())}; mode"
-        f" {settings.mode}, {curriculum}; penalties and late actions, where they are"
-        " listed below, are in no return.",
+        f" {settings.mode}, {curriculum}. Returns contain no penalties.",
         "",
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.name, identity.config['randomization'])}`",
@@ -153,7 +152,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         "",
         f"Episodes of seed {_SEED} ({episodes}); means, 95 % intervals."
         " Where starts are all the same there is one deterministic episode, and no"
-        " interval. Where they are late, each action is done one control step late.",
+        " interval. `late`: every action comes one control step late.",
     ]
 
 
@@ -196,18 +195,14 @@ def _beginning(own: Mapping[str, Any]) -> str:
     ]
     return (
         f"in {len(runs)} runs, each from the policy of the one before:"
-        f" {'; '.join(reversed(parts))}; the last, {_guide(own)}, is that of the"
+        f" {'; '.join(reversed(parts))}; the last, {_guide(own)}, took the"
         " table's steps and time"
     )
 
 
 def _guide(own: Mapping[str, Any]) -> str:
     is_guided = bool(own["hyperparameters"].get("imitation"))
-    return (
-        "with the scripted expert's actions as a guide"
-        if is_guided
-        else "without demonstrations"
-    )
+    return "with the expert's advice" if is_guided else "without demonstrations"
 
 
 def training_commands(settings: Settings, resources: Resources) -> list[str]:

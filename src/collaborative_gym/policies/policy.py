@@ -40,12 +40,6 @@ with partners of many kinds."""
 POLICY_FILE = "policy.safetensors"
 """Policy in the folder of a training run."""
 
-_FIRST = (
-    "after its first validation: there is one every `validation_interval` steps, and"
-    " one at the end"
-)
-"""Moment from which on a training run has a policy, for errors."""
-
 _PLAYERS = "players"
 """Folder, in that of a run with several players, of a policy for each."""
 
@@ -290,7 +284,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
         if not (path / POLICY_FILE).exists():
             raise FileNotFoundError(
                 f"{path} has no {POLICY_FILE}; give the folder of one training run,"
-                f" which has it {_FIRST}"
+                " which has it after its first validation: there is one every"
+                " `validation_interval` steps, and one at the end"
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
@@ -300,8 +295,7 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
         return NetworkPolicy.load(look_up("player", path.name, names))
     if path.suffix or len(path.parts) > 1:
         raise FileNotFoundError(
-            f"no policy file {path} exists; the folder of a training run has one"
-            f" {_FIRST}"
+            f"no policy file {path} exists, nor a training run's folder of this name"
         )
     shipped = [each for each in list_envs() if is_shipped("baseline", each)]
     wrong = unknown("policy", name, [*_NAMES, *shipped]).partition(";")[0]
