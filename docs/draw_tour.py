@@ -7,6 +7,7 @@ start.
 from pathlib import Path
 
 import numpy as np
+from draw_films import AGAINST
 from PIL import Image, ImageDraw, ImageFont
 
 import collaborative_gym as cg
@@ -28,27 +29,43 @@ TOUR = {
     "HockeyPandas-v0": (1.3, 0.4),
     "TugPandas-v0": (1.3, 0.4),
 }
-"""What the baselines play, by environment: how much larger than the whole picture its
-part is drawn, whose middle is so far down."""
+"""What the baselines play, in games against the expert, by environment: how much larger
+than the whole picture its part is drawn, whose middle is so far down."""
 
 
 def film(env_id: str, part: tuple[float, float]) -> list[np.ndarray]:
-    """Return the pictures of some starts, (height, width, 3) uint8 each."""
-    env = cg.make_vec(env_id, 1, seed=1, num_threads=1)
-    policy = cg.load_policy("baseline", env)
-    observations, infos = env.reset()
-    frames, left = [], HOLD
+    """Return the pictures of some starts, (height, width, 3) uint8 each.
+
+    They begin late enough in the first one for its success to be seen.
+    """
+    env = cg.make_vec(env_id, 1, num_threads=1)
+    alone = len(env.sides) == 1
+    policy = cg.load_policy("baseline" if alone else AGAINST, env)
     width, height = (round(part[0] * side) for side in SIZE)
     right = (width - SIZE[0]) // 2
     down = min(max(0, round(part[1] * height) - SIZE[1] // 2), height - SIZE[1])
+
+    def is_met() -> bool:
+        sides = [infos["success"]] if alone else infos["success"].values()
+        return any(side[0] for side in sides)
+
+    observations, infos = env.reset(seed=1)
+    first = 0
+    while not is_met() and not infos["ended"][0]:
+        observations, _, _, _, infos = env.step(policy(observations))
+        first += 1
+    observations, infos = env.reset(seed=1)
+    for _ in range(first + HOLD - STEPS):
+        observations, _, _, _, infos = env.step(policy(observations))
+    frames, left, met = [], HOLD, False
     for _ in range(STEPS):
+        met = met or is_met()
         pixels = env.render(width=width, height=height)
         pixels = pixels[down : down + SIZE[1], right : right + SIZE[0]]
-        is_met = len(env.sides) == 1 and bool(infos["metrics"]["completion"][0])
-        frames.append(captioned(pixels, type(env.task).__name__, is_met))
-        left -= is_met
+        frames.append(captioned(pixels, type(env.task).__name__, met))
+        left -= met
         if left < 0:
-            (observations, infos), left = env.reset(), HOLD
+            (observations, infos), left, met = env.reset(), HOLD, False
         else:
             observations, _, _, _, infos = env.step(policy(observations))
     env.close()

@@ -51,9 +51,9 @@ def test_pages_say_the_speeds_of_the_table():
     rows = re.findall(r"^\| (\S+-v0) \| (.+) \|$", page, re.M)
     cells = {env_id: row.replace(",", "").split(" | ") for env_id, row in rows}
     pairs = [row for env_id, row in cells.items() if len(get_env(env_id).robots) == 2]
-    speeds = [int(row[i]) // 1000 for row in pairs for i in (1, 4)]
+    speeds = [round(int(row[i]), -2) for row in pairs for i in (1, 4)]
     readme = (ROOT / "README.md").read_text()
-    assert f"Two cores make {min(speeds)},000 to {max(speeds)},000 control" in readme
+    assert f"Two cores make {min(speeds):,} to {max(speeds):,} control" in readme
     expert, random = (
         sorted(int(row[i].rstrip("%")) for row in cells.values()) for i in (2, 5)
     )

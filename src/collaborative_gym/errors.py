@@ -109,7 +109,7 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
         close = difflib.get_close_matches(str(given).lower(), lower, 8, 0.0)
         left = len(names) - len(close)
         names = [*sorted(lower[name] for name in close), f"and {left} others"]
-    return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names)}"
+    return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names) or 'none'}"
 
 
 def counted(names: Iterable[str]) -> str:

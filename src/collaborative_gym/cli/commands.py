@@ -452,8 +452,8 @@ class Demo:
         from collaborative_gym.pictures import recording
 
         show(
-            "a sheet of the thesis's environments comes first, after some seconds, then"
-            " their films, after about a minute, then a table beside the thesis's"
+            "first a sheet (seconds), then films (about a minute), then a table beside"
+            " the thesis's"
         )
         try:
             recording.check_ready()
