@@ -46,7 +46,8 @@ window.isKnown = true;
 """Script of a tab that has the panel. It sets the title, and unticks the shadows if
 there is no graphics card: a picture with them takes a second there."""
 
-_THUMBS = """<style>@media (pointer: coarse), (max-width: 36em) {
+_THUMBS = """<style>.mantine-ScrollArea-content { padding-right: 10px; }
+@media (pointer: coarse), (max-width: 36em) {
 .mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
 .mantine-Input-input { min-height: 44px !important; }
 .mantine-Slider-root { translate: 0 14px; }

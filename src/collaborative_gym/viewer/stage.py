@@ -20,14 +20,18 @@ _SKY = (230, 235, 240)
 _HAZE = (15.0, 40.0)
 """Distances at which things begin to fade and have faded, in m."""
 
-_ABOVE, _BEFORE = 0.2, 0.9
-"""Height of a label above its arm, and distance of the hint from the arms, in m."""
+_ABOVE = 0.2
+"""Height of a label above its arm, in m."""
 
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
 _HINT = "Ctrl-drag a thing to pull at it"
 """A hint that newcomers need; on a Mac it is Cmd."""
+
+_BEFORE, _BELOW = 0.6, 0.85
+"""Where the hint is: a share of the way from the first camera to what it looks at, so
+that arms are behind, and a share of the lower half of what the camera sees."""
 
 NEWTONS_PER_METRE = 100.0
 """Contact force whose arrow is 1 m long."""
@@ -105,15 +109,17 @@ class Stage:
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
-        # On the floor, before the arms, until somebody has pulled. The latest tab says
-        # whether there is a Ctrl: a phone has none.
+        # It is there until somebody has pulled. The latest tab says whether there is a
+        # Ctrl: a phone has none.
         self._has_keys = True
         self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
         eye, looked_at = overview(model, self._data)
-        toward = (eye - looked_at) * np.array([1.0, 1.0, 0.0])
-        self._hint.position = middle + _BEFORE * toward / np.linalg.norm(toward)
+        fov, ahead = float(np.radians(model.camera(CAMERA).fovy[0])), looked_at - eye
+        down = np.cross(ahead, np.cross(ahead, (0.0, 0.0, 1.0)))
+        down *= np.tan(fov / 2) * np.linalg.norm(ahead) / np.linalg.norm(down)
+        self._hint.position = eye + _BEFORE * (ahead + _BELOW * down)
         self._titles = [
             scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
             for i in range(len(self._worlds))
@@ -130,7 +136,7 @@ class Stage:
         )
         camera = server.initial_camera
         camera.position, camera.look_at = eye, looked_at
-        camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
+        camera.fov = fov
 
     def refresh(self, *, labels: bool, forces: bool, shadows: bool) -> None:
         """Show the present state, with names of policies or worlds if `labels`."""
