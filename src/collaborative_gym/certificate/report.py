@@ -147,7 +147,7 @@ class Certificate:
             by_fraction.setdefault(trial.fraction, []).append(trial)
         found = []
         for fraction, trials in sorted(by_fraction.items()):
-            most = max(trials, key=lambda trial: (trial.completion, trial.bound))
+            most = max(trials, key=lambda trial: (trial.completion, trial.episodes))
             since = f"{100 * fraction:.0f} % of the way" if fraction else "the start"
             by = f"{most.still}, " * (most.completed > 0)
             found.append(f"{most.count} ({by}up to {most.bound:.1%}) from {since} on")
