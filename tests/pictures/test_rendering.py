@@ -146,3 +146,22 @@ def test_sizes_of_numpy_are_sizes():
     camera = Camera(mujoco.MjSpec().compile(), np.int64(64), np.uint8(48))
     assert camera.size == (64, 48)
     camera.close()
+
+
+def test_what_stands_before_a_close_up_is_cut_away():
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <worldbody>
+            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
+            <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+            <geom type="box" size="0.01 1 1" pos="0.3 0 0" rgba="0 0 1 1" group="2"/>
+          </worldbody>
+        </mujoco>
+        """
+    )
+    for body, channel in (("ball", 0), (None, 2)):
+        camera = Camera(model, 64, 48, body)
+        pixel = camera.picture(np.zeros(0), np.zeros((0, 3)))[24, 32]
+        assert pixel.argmax() == channel
+        camera.close()

@@ -18,8 +18,9 @@ from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
 
-_NEAR, _DOWN = 0.65, -15.0
-"""Distance to a body in a close-up, in m, and the view's elevation, in degrees."""
+_NEAR, _DOWN, _CUT = 0.65, -15.0, 0.45
+"""Distance to a body in a close-up, in m, the view's elevation, in degrees, and the
+distance from the camera below which nothing is drawn, in m."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
@@ -93,6 +94,11 @@ class Camera:
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
             eye.frustum_top *= self._share
+            # Of a close-up, what stands between is cut away, such as another arm.
+            cut = 1.0 if self._body is None else _CUT / eye.frustum_near
+            for side in "near", "bottom", "top", "center", "width":
+                name = f"frustum_{side}"
+                setattr(eye, name, cut * getattr(eye, name))
         return self._renderer.render()
 
     def _near(self, body: int) -> mujoco.MjvCamera:
