@@ -32,7 +32,7 @@ def test_a_task_that_one_arm_can_do_is_found_out(press, small):
         assert by_player["search"].completed > 0
         assert min(trial.nearest for trial in trials) == 0.0
     assert max(t.completion for t in certificate.trials if t.player == "blind") > 0.2
-    assert "100.0% (up to 100.0%) if from the start on" in certificate.statement
+    assert "12 of 12 (robot_1 idle, up to 100.0%) from the start" in certificate.statement
 
 
 def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
@@ -53,7 +53,7 @@ def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
             for way in (("idle", 0.0), ("frozen", 0.5))
         )
         assert frozen < idle
-    assert "0.0% (up to 22.1%) if from the start on, 0.0% (up" in certificate.statement
+    assert "0 of 12 (up to 22.1%) from the start on, 0 of 12" in certificate.statement
 
 
 def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small):
