@@ -23,7 +23,7 @@ ROOMS = [
     {"motion"},
     {"control"},
     {"tasks"},
-    {"pictures", "pictures.rendering", "pictures.opengl"},
+    {"pictures", "pictures.rendering"},
     {"envs"},
     {"policies"},
     {"evaluation"},

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from collaborative_gym.pictures.opengl import choose_backend
+from collaborative_gym.pictures import choose_backend
 
 choose_backend()  # MuJoCo decides how to draw when it is imported.
 

@@ -32,7 +32,9 @@ def test_a_task_that_one_arm_can_do_is_found_out(press, small):
         assert by_player["search"].completed > 0
         assert min(trial.nearest for trial in trials) == 0.0
     assert max(t.completion for t in certificate.trials if t.player == "blind") > 0.2
-    assert "12 of 12 (robot_1 idle, up to 100.0%) from the start" in certificate.statement
+    assert (
+        "12 of 12 (robot_1 idle, up to 100.0%) from the start" in certificate.statement
+    )
 
 
 def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):

@@ -326,6 +326,16 @@ def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     assert shown[1]["y"] + shown[1]["height"] <= 844 - 120
     for agent in session.env.agents:
         assert pixel_of(tab, page, f"{agent}/base")[1] < panel["y"]
+    # A finger needs no key to pull.
+    x, y = pixel_of(tab, page, "pot/pot")
+    tab.mouse.move(x, y)
+    tab.mouse.down()
+    for step in range(1, 9):
+        tab.mouse.move(x, y - 8 * step)
+    wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
+    assert session.perturb.select == session.env.model.body("pot/pot").id
+    tab.mouse.up()
+    wait_until(lambda: session.perturb is None, timeout=PATIENCE)
 
 
 def test_a_tab_that_takes_the_first_camera_late_gets_its_own_again(

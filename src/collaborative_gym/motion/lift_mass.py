@@ -70,8 +70,7 @@ class Weighing:
                 f"Lift's pot must need all {count} arms: together they must carry"
                 f" {ratio:.2f} times the {most:.1f} kg that they carry without"
                 f" {missing}, but carry {self.together:.1f} kg; mount {who} farther"
-                " from the pot, or take other arms, or pass"
-                " pot_mass"
+                " from the pot, or take other arms, or pass pot_mass"
             )
         mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)
         return float(mass)

@@ -18,9 +18,6 @@ from websockets.http11 import Request, Response
 
 from collaborative_gym.viewer.session import MOST_WORLDS
 
-PULL = "cmd/ctrl"
-"""Key to hold down while the mouse pulls at a body."""
-
 _PROTOCOL = f"viser-v{viser.__version__}"
 """The WebSocket protocol by which viser's own page talks to it."""
 
@@ -256,7 +253,7 @@ class _Input(_Message, tag="GuiUpdateMessage"):
 
 
 class _Drag(_Message, tag="SceneNodeDragMessage"):
-    """A mouse that pulls."""
+    """A mouse or a finger that pulls."""
 
     phase: Literal["start", "update", "end"]
     name: _Text
@@ -266,7 +263,7 @@ class _Drag(_Message, tag="SceneNodeDragMessage"):
     end_position: _Place
     end_screen_pos: tuple[_Pixels, _Pixels]
     button: Literal["left"]
-    modifier: Literal["cmd/ctrl"]
+    modifier: Literal["cmd/ctrl"] | None
     owner: Literal[""] = ""
 
 

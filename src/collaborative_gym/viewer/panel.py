@@ -183,7 +183,9 @@ class Panel:
             "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
             "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
         }
-        gui.add_markdown("Hold down Ctrl (Mac: Cmd) and drag to pull at an object.")
+        gui.add_markdown(
+            "Hold down Ctrl (Mac: Cmd; phones: no key) and drag to pull at a thing."
+        )
 
     def _read(self, world: int) -> None:
         """Read another world, and look at it where not all are seen."""

@@ -10,7 +10,6 @@ import viser
 from collaborative_gym import math
 from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.policies import name_policy
-from collaborative_gym.viewer.guard import PULL
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import surfaces
 
@@ -103,14 +102,14 @@ class Stage:
         }
         scene = server.scene
         scene.reset()
+        self._pullable: list[tuple[Any, Callable[[Any], Any]]] = []
         self._lights = _light(scene, model, float(np.ptp(self._places, axis=0).max()))
         self._bodies = self._add_bodies(scene)
         self._labels = {
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
-        # It is there until somebody has pulled. The latest tab says whether there is a
-        # Ctrl: a phone has none.
+        # It is there until somebody pulls, if the latest tab has a Ctrl.
         self._has_keys = True
         self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
@@ -150,8 +149,8 @@ class Stage:
                     node.batched_positions = positions[:, body]
                     node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
-            is_news = self._has_keys and not session.was_pulled
             names_arms = labels and not has_many
+            is_news = self._has_keys and not session.was_pulled
             self._hint.visible = names_arms and is_news
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
@@ -177,6 +176,8 @@ class Stage:
         aspect = client.camera.aspect
         is_tall = aspect < _TALL
         self._has_keys = not is_tall and client.camera.image_height >= _LOW
+        for node, pull in () if self._has_keys else self._pullable:
+            node.on_drag("left")(pull)  # With a finger.
         eye, target = self._place(view, aspect)
         if view != CAMERA:
             # Of several worlds, all other views are of the one that is read.
@@ -270,7 +271,8 @@ class Stage:
             if is_free or model.body_mocapid[body] >= 0:
                 moving[body] = nodes
             for node in nodes if is_free else ():
-                node.on_drag("left", modifier=PULL)(self._puller(body))
+                self._pullable.append((node, pull := self._puller(body)))
+                node.on_drag("left", modifier="cmd/ctrl")(pull)
         return moving
 
     def _puller(self, body: int) -> Callable[[Any], Any]:
