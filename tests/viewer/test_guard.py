@@ -333,7 +333,7 @@ def malformed(page):
         drag(page, instance_index=16),
         drag(page, phase="middle"),
         drag(page, button="right"),
-        drag(page, modifier=None),
+        drag(page, modifier="shift"),
         drag(page, owner="7"),
     ]
 
