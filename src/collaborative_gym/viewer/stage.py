@@ -25,7 +25,7 @@ _ABOVE = 0.2
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
-_HINT = "Ctrl-drag a thing to pull at it"
+_HINT = "Ctrl-drag to pull an object"
 """A hint that newcomers need; on a Mac it is Cmd."""
 
 _BEFORE, _BELOW = 0.6, 0.85
