@@ -7,9 +7,6 @@ import numpy as np
 
 from collaborative_gym import math
 
-_GAMMA = 1.8
-"""Exponent that keeps colours strong, since pages draw them lighter than MuJoCo."""
-
 _MAX_GROUP = 2
 """Geoms of higher groups collide and are not seen."""
 
@@ -83,7 +80,7 @@ def surfaces(model: mujoco.MjModel, body: int) -> list[Surface]:
         turn, place = model.geom_quat[geom], model.geom_pos[geom]
         vertices = place + math.rotate(turn, mesh.vertices)
         for color, faces in painted:
-            color = tuple(np.rint(255 * color**_GAMMA).astype(int).tolist())
+            color = tuple(np.rint(255 * color).astype(int).tolist())
             looks = color, round(float(rgba[3]), 6), is_floor
             found.setdefault(looks, []).append(_Mesh(vertices, faces))
     return [Surface(*_joined(parts), *looks) for looks, parts in found.items()]

@@ -22,6 +22,9 @@ _HAZE = (15.0, 40.0)
 _ABOVE = 0.2
 """Height of a label above its arm, in m."""
 
+_GAMMA = 1.4
+"""Exponent that keeps colours strong, since pages draw them lighter than MuJoCo."""
+
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
@@ -259,7 +262,7 @@ class Stage:
                     # A floor is endless, and one is enough.
                     wxyzs[: 1 if each.is_floor else None, body],
                     positions[: 1 if each.is_floor else None, body],
-                    batched_colors=each.color,
+                    batched_colors=(np.array(each.color) / 255) ** _GAMMA,
                     opacity=None if each.opacity == 1 else each.opacity,
                     cast_shadow=each.opacity == 1,
                     side="front" if each.opacity == 1 else "double",
