@@ -43,8 +43,8 @@ class Impedance(TcpChanges):
     the joints as the stiffness J^T K J. Each servo takes its stiffness from the
     diagonal of this matrix in the posture at the beginning of a control step, and is
     critically damped for its joint's inertia. The springs are thus in the drives, and
-    the physics integrates them implicitly, within the motors' limits. Without the rest
-    of the matrix, the tool is stiffer along the arm than across it.
+    the physics integrates them implicitly, within the motors' limits. Ignoring
+    off-diagonal terms makes the tool stiffer along the arm than across.
     """
 
     servo = _Springs

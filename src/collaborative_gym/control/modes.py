@@ -284,7 +284,7 @@ class ActionMode:
         if not is_mapping or set(actions) != set(agents):
             given = f"keys {[*map(str, actions)]}" if is_mapping else shown(actions)
             raise ValueError(
-                f"actions must be a dictionary with an array for each of"
+                "actions must be a dictionary with an array for each of"
                 f" {', '.join(agents)}, got {given}"
             )
         return {agent: self._checked(agent, actions[agent]) for agent in agents}

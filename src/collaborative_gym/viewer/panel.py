@@ -184,7 +184,7 @@ class Panel:
             "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
         }
         gui.add_markdown(
-            "Hold down Ctrl (Mac: Cmd; phones: no key) and drag to pull at a thing."
+            "Hold Ctrl (Mac: Cmd; phones: no key), drag to pull an object."
         )
 
     def _read(self, world: int) -> None:

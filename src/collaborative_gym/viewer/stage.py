@@ -152,8 +152,8 @@ class Stage:
                     node.batched_positions = positions[:, body]
                     node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
-            names_arms = labels and not has_many
             is_news = self._has_keys and not session.was_pulled
+            names_arms = labels and not has_many
             self._hint.visible = names_arms and is_news
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
