@@ -119,8 +119,9 @@ class Stage:
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
         eye, looked_at = overview(model, self._data)
         fov, ahead = float(np.radians(model.camera(CAMERA).fovy[0])), looked_at - eye
+        self._slope = float(np.tan(fov / 2))
         down = np.cross(ahead, np.cross(ahead, (0.0, 0.0, 1.0)))
-        down *= np.tan(fov / 2) * np.linalg.norm(ahead) / np.linalg.norm(down)
+        down *= self._slope * np.linalg.norm(ahead) / np.linalg.norm(down)
         self._hint.position = eye + _BEFORE * (ahead + _BELOW * down)
         self._titles = [
             scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
@@ -187,8 +188,7 @@ class Stage:
             place = self._places[self._session.world]
             eye, target = eye + place, target + place
         if is_tall:
-            slope = np.tan(np.radians(self._model.camera(CAMERA).fovy[0]) / 2)
-            down = _LOWER * slope * np.linalg.norm(eye - target)
+            down = _LOWER * self._slope * np.linalg.norm(eye - target)
             target = target - np.array([0.0, 0.0, down])
         client.camera.position, client.camera.look_at = eye, target
         return eye
@@ -222,9 +222,8 @@ class Stage:
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
         away = shown - target
-        slope = np.tan(np.radians(model.camera(CAMERA).fovy[0]) / 2)
-        wide = (np.abs(away @ right) + _MARGIN) / (slope * aspect)
-        high = (np.abs(away @ np.cross(back, right)) + _MARGIN) / slope
+        wide = (np.abs(away @ right) + _MARGIN) / (self._slope * aspect)
+        high = (np.abs(away @ np.cross(back, right)) + _MARGIN) / self._slope
         needed = float(np.max(away @ back + np.maximum(wide, high)))
         nearest = np.linalg.norm(eye - target) if view == CAMERA else 0.0
         return target + max(needed, nearest) * back, target
