@@ -203,10 +203,10 @@ class Panel:
         self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
             old.remove()
-        starts = menu.randomizations(choice.env)
+        starts, drawn = menu.randomizations(choice.env), choice.randomization
         asked: list[tuple[str, Iterable[str], str, Any]] = [
             ("Environment", menu.envs, choice.env, menu.moved),
-            ("Starts", starts, choice.randomization, menu.drawn),
+            ("Starts", starts, drawn, menu.drawn),
         ]
         for i, agent in enumerate(env.agents):
             arm, policy = choice.robots[i], choice.policies[i]
@@ -234,9 +234,9 @@ class Panel:
         change: Callable[[Choice, str], Choice],
     ) -> Any:
         """Offer names, of which a user can choose one to play."""
-        box = self._gui.add_dropdown(
-            label, list(dict.fromkeys([*options, value])), initial_value=value
-        )
+        names = list(dict.fromkeys([*options, value]))
+        hint = "Plays at once. Where a policy cannot play, the expert does"
+        box = self._gui.add_dropdown(label, names, initial_value=value, hint=hint)
         _on_user(box, lambda name: self.play(change(self._choice, name)))
         return box
 
