@@ -13,8 +13,10 @@ from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
-SIZE, ALONE = (400, 226), (480, 270)
-"""Size beside a close-up, and without one."""
+SIZE, WIDE = (640, 360), (960, 360)
+"""Sizes of films, and of those of long rows, of whose height less is shown."""
+BESIDE = (400, 226)
+"""Size of each of two pictures side by side in a GIF, which pages show."""
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
@@ -24,11 +26,11 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "Assemble": "block/block",
-    "Sort": "robot_3/hand",
+    "Sort": "cube_6/cube",
 }
 """What each task's films show from nearby."""
-WIDE = {"PassPandas3-v0": (600, 226), "PassPandas4-v0": (600, 226)}
-"""Sizes of films of long rows, of whose height less is shown."""
+ROWS = ("PassPandas3-v0", "PassPandas4-v0")
+"""Teams that stand in long rows."""
 TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
@@ -41,17 +43,17 @@ and lost 2."""
 def film(env_id: str) -> None:
     """Film who plays best, and leave out the picture that stood for the last film."""
     player = "baseline" if is_shipped("baseline", env_id) else "expert"
-    path = MEDIA / f"{player}s" / f"{env_id}.gif"
+    path = MEDIA / f"{player}s" / f"{env_id}.mp4"
     sides = cg.make_vec(env_id, 1, num_threads=1).sides
     policy = player if len(sides) == 1 else AGAINST
     if env_id == GAME:
         whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZE}
         record(env_id, path, policy=policy, **whole)
     elif len(sides) > 1:  # Tug is over within a second.
-        record(env_id, path, policy=policy, speed=0.25, size=ALONE)
+        record(env_id, path, policy=policy, speed=0.25, size=SIZE)
     else:
         near = CLOSE_UPS.get(type(cg.task(env_id)).__name__)
-        size = WIDE.get(env_id, SIZE if near else ALONE)
+        size = WIDE if env_id in ROWS else SIZE
         more = {"seconds": LEAST, "slow_motion": True, "close_up": near}
         record(env_id, path, policy=policy, size=size, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
@@ -69,7 +71,7 @@ if __name__ == "__main__":
                 "PassTaskSawyers-v0",
                 MEDIA / "ego.gif",
                 policy=[nearer, higher],
-                size=SIZE,
+                size=BESIDE,
             )
         else:
             film(name)

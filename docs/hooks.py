@@ -27,7 +27,7 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def on_page_content(html, page, config, files):
-    """Load pictures late, keep names of options whole, and drop the files' anchors."""
+    """Load pictures late, play films, keep options whole, drop the files' anchors."""
     html = re.sub(
         r"<code>(--[a-z0-9-]+)</code>", r'<code class="whole">\1</code>', html
     )
@@ -47,7 +47,16 @@ def on_page_content(html, page, config, files):
             width, height = image.size
         return f'{tag} loading="lazy" width="{width}" height="{height}"'
 
-    return re.sub(r'<img [^>]*src="(?P<source>[^"]+)"', lazy, html)
+    html = re.sub(r'<img [^>]*src="(?P<source>[^"]+)"', lazy, html)
+    return re.sub(r'<a href="([^"]+\.mp4)"><img (.*?)></a>', _film, html)
+
+
+def _film(link):
+    """Return what plays a film in place of a picture that leads to it."""
+    picture = re.sub(r"\balt=", "aria-label=", link[2].removesuffix("/"))
+    picture = picture.replace("src=", "poster=").replace('loading="lazy"', "")
+    how = 'controls loop muted playsinline preload="none"'
+    return f'<video src="{link[1]}" {how} {picture}></video>'
 
 
 def _keep_words(block):

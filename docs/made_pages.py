@@ -18,9 +18,11 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import griffe
+import imageio_ffmpeg
 import numpy as np
 from PIL import Image
 
@@ -122,7 +124,7 @@ def stale() -> dict[Path, bytes]:
             text = filled(page.read_text(), page.relative_to(ROOT).as_posix())
             made[page] = text.encode()
     made[DOCS / "media" / "table11.svg"] = _chart().encode()
-    for film in DOCS.glob("media/*s/*.gif"):
+    for film in DOCS.glob("media/*s/*.mp4"):
         if not film.with_suffix(".jpg").exists():
             made[film.with_suffix(".jpg")] = _still(film)
     return {
@@ -239,8 +241,9 @@ def _task_page(name: str) -> str:
         *map(_labelled, body.split("\n\n")),
     ]
     picture = f"media/{name.lower()}.jpg"
-    if not (DOCS / picture).exists():  # A page begins with a picture, or with a film.
-        picture = next(film for each, _ in envs for film in _film(each).values())
+    if not (DOCS / picture).exists():
+        film = next(film for each, _ in envs for film in _film(each).values())
+        picture = _poster(film)
     paragraphs.insert(2, f"![{name}](../{picture})")
     for env_id, spec in envs:
         paragraphs += _environment(env_id, spec)
@@ -266,7 +269,8 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
         arms.append(f"- settings that differ from the defaults: {listed}")
     paragraphs = [f"## {env_id}"]
     for player, film in _film(env_id).items():
-        paragraphs.append(f"![{env_id}, played by its {player}](../{film})")
+        said = f"{env_id}, played by its {player}; click for the film"
+        paragraphs.append(f"[![{said}](../{_poster(film)})](../{film})")
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
     card = shipped_file("baseline", env_id).with_suffix(".md")
     if card.exists():
@@ -398,17 +402,19 @@ def _certificates() -> str:
 def _still(film: Path) -> bytes:
     """Return a film's picture at half of its time, as JPEG."""
     content = io.BytesIO()
-    with Image.open(film) as image:
-        image.seek(image.n_frames * _MOMENT.get(film.stem, 50) // 100)
-        image.convert("RGB").save(content, format="JPEG", quality=85)
+    count, _ = imageio_ffmpeg.count_frames_and_secs(film)
+    frames = imageio_ffmpeg.read_frames(film)
+    size = next(frames)["size"]
+    moment = count * _MOMENT.get(film.stem, 50) // 100
+    pixels = next(islice(frames, moment, None))
+    image = Image.frombytes("RGB", size, pixels)
+    image.save(content, format="JPEG", quality=85)
+    frames.close()
     return content.getvalue()
 
 
 def _films(tasks: Sequence[str]) -> str:
-    """Return a picture of each environment that has a film, which leads to the film.
-
-    The films themselves are too heavy for one page.
-    """
+    """Return a picture of each environment that has a film, which leads to the film."""
     paragraphs = []
     for name in tasks:
         for env_id, _ in _envs(name):
@@ -418,15 +424,20 @@ def _films(tasks: Sequence[str]) -> str:
                 paragraphs += [
                     f"### [{env_id}]({page}), played by its {player}{beside}",
                     f"[![{env_id}; click for its film]"
-                    f"(docs/{film.removesuffix('.gif')}.jpg)](docs/{film})",
+                    f"(docs/{_poster(film)})](docs/{film})",
                 ]
     return "\n\n".join(paragraphs)
 
 
 def _film(env_id: str) -> dict[str, str]:
     """Return an environment's film in `docs/` by who plays, or nothing."""
-    films = {who: f"media/{who}s/{env_id}.gif" for who in ("baseline", "expert")}
+    films = {who: f"media/{who}s/{env_id}.mp4" for who in ("baseline", "expert")}
     return {who: film for who, film in films.items() if (DOCS / film).exists()}
+
+
+def _poster(film: str) -> str:
+    """Return the picture that stands for a film, by paths in `docs/`."""
+    return film.removesuffix(".mp4") + ".jpg"
 
 
 def _names(names: str) -> str:

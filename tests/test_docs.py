@@ -302,6 +302,11 @@ def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path):
     assert (tmp_path / "search" / "search_index.js").stat().st_size > 100_000
     home = pages[tmp_path / "index.html"]
     assert "javascripts/iframe-worker.js" in home
+    films = re.findall(
+        r'<video src="([^"]+)".* poster="([^"]+)"', pages[tmp_path / "gallery.html"]
+    )
+    assert len(films) == len(list(ROOT.glob("docs/media/*/*.mp4")))
+    assert all((tmp_path / file).exists() for film in films for file in film)
 
 
 def test_what_is_made_is_up_to_date():
