@@ -13,7 +13,12 @@ from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
-SIZE, WIDE = (640, 360), (960, 360)
+SIZE = 640, 360
+SIZES = {
+    "PassPandas3-v0": (960, 360),
+    "PassPandas4-v0": (960, 360),
+    "SortPandas4-v0": (1280, 480),
+}
 """Sizes of films, and of those of long rows, of whose height less is shown."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
@@ -25,12 +30,10 @@ CLOSE_UPS = {
     "Balance": "ball/ball",
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
-    "Assemble": "block/block",
-    "Sort": "cube_6/cube",
+    "PassPandas4-v0": "cube_2/cube",  # It is handed on last.
+    "Assemble": "pin/pin",
 }
-"""What each task's films show from nearby."""
-ROWS = ("PassPandas3-v0", "PassPandas4-v0")
-"""Teams that stand in long rows."""
+"""What the films of a task or an environment show from nearby."""
 TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
@@ -52,10 +55,11 @@ def film(env_id: str) -> None:
     elif len(sides) > 1:  # Tug is over within a second.
         record(env_id, path, policy=policy, speed=0.25, size=SIZE)
     else:
-        near = CLOSE_UPS.get(type(cg.task(env_id)).__name__)
-        size = WIDE if env_id in ROWS else SIZE
-        more = {"seconds": LEAST, "slow_motion": True, "close_up": near}
-        record(env_id, path, policy=policy, size=size, **more)
+        name = type(cg.task(env_id)).__name__
+        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(name))
+        # Robots reach their goals one by one, so no moment decides.
+        more = {"seconds": LEAST, "slow_motion": name != "Reach", "close_up": near}
+        record(env_id, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 

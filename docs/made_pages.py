@@ -414,11 +414,22 @@ def _still(film: Path) -> bytes:
 
 
 def _films(tasks: Sequence[str]) -> str:
-    """Return a picture of each environment that has a film, which leads to the film."""
-    paragraphs = []
+    """Return a picture of each environment that has a film, which leads to the film.
+
+    Before those of a task stand its goal and, from README's table, why it takes two.
+    """
+    paragraphs, readme = [], (ROOT / "README.md").read_text()
     for name in tasks:
-        for env_id, _ in _envs(name):
+        goal = inspect.getdoc(_envs(name)[0][1].task).partition("\n")[0]
+        row = re.search(rf"^\| {name} \|.*\| (.*) \|$", readme, re.M)
+        why = "" if name in _AGAINST else f" Why one arm is not enough: {row[1]}."
+        paragraphs.append(f"**{name}.** {goal}{why}")
+        for env_id, spec in _envs(name):
+            grasp = spec.settings.get("grasp")
             beside = " (robot_1) and the expert" * (name in _AGAINST)
+            beside += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`" * bool(
+                grasp
+            )
             for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [

@@ -59,8 +59,10 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
         "robot_2, policy": "idle",
     }
     first = session.env
+    session.pause()
     choose(page, "robot_2, policy", "random")
     wait_until(lambda: session.policies["robot_2"] == "random")
+    wait_until(lambda: not session.is_paused)
     assert session.env is first
     choose(page, "robot_1, arm", "panda")
     wait_until(lambda: page._stage.env is not first, timeout=120)

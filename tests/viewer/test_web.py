@@ -2,6 +2,7 @@ import html
 import socket
 import sys
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -163,6 +164,10 @@ def test_the_panel_says_what_the_reading_says(make_session, make_page):
     for name, value in session.reading.rows:
         assert f">{name}<" in page._panel._table.content
         assert html.escape(value) in page._panel._table.content
+    assert "stopped" not in page._panel._heading.content
+    session.readings = (replace(session.reading, trouble="no <idea>"),)
+    page.refresh()
+    assert "stopped:</b> no &lt;idea&gt;<br>" in page._panel._heading.content
 
 
 def test_a_world_that_cannot_be_drawn_leaves_no_server(make_session):

@@ -211,8 +211,7 @@ def add_team_camera(
 ) -> None:
     """Look at arms, and so many m below, from above through the widest gap between."""
     bases = np.array([each.position for each in placements.values()])
-    upright = np.array([0.0, 0.0, 1.0])
-    bases, tops = bases - below * upright, bases + _TALL * upright
+    bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, _TALL))
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
     azimuths = np.sort(np.arctan2(*(bases - middle)[:, 1::-1].T))
     gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)
@@ -224,7 +223,10 @@ def add_team_camera(
     right = np.array([-np.sin(angle), np.cos(angle), 0.0])
     up = np.cross(back, right)
     away = np.concatenate([bases, tops]) - middle
-    wide = (np.abs(away @ right) + _MARGIN) / _VIEW[0]
-    high = (np.abs(away @ up) + _MARGIN) / _VIEW[1]
-    far = np.max(away @ back + np.maximum(wide, high))
+    for _ in range(20):  # Until the lowest and the highest are as near to the edges.
+        off = away @ np.transpose([right, up])
+        far = np.max(away @ back + np.max((np.abs(off) + _MARGIN) / _VIEW, axis=1))
+        seen = off[:, 1] / (far - away @ back)
+        shift = up * far * (seen.max() + seen.min()) / 2
+        middle, away = middle + shift, away - shift
     scene.add_camera(middle + far * back, np.concatenate([right, up]))

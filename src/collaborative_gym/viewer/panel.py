@@ -23,11 +23,13 @@ _PAUSE = 0.5
 
 _COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
 
-_HEIGHT = 200
-"""Height of a chart, in pixels."""
-
 _MEASURED = "measured"
 """Title of the chart of measures."""
+
+_PADDED: Any = {end: {"pad": 0.1, "mode": 0} for end in ("min", "max")}
+"""Room below and above a chart's curves, as a share of their range."""
+
+_CHOOSING = "A choice plays at once. Where a policy cannot play, the expert does."
 
 _LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
 """The panel's title, and the text by which a tab finds a box in it."""
@@ -146,11 +148,9 @@ class Panel:
             "Back": session.back,
             "Next": session.next,
         }
-        self._moves = gui.add_button_group(
-            "Episode", list(moves), hint="Back: to the end of the episode before it"
-        )
+        self._moves = gui.add_button_group("Episode", list(moves))
         self._time = gui.add_slider(
-            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
+            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
         )
         worlds = [f"world {i + 1}" for i in range(session.env.num_envs)]
         self._worlds = gui.add_dropdown(
@@ -183,9 +183,6 @@ class Panel:
             "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
             "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
         }
-        gui.add_markdown(
-            "Hold Ctrl (Mac: Cmd; phones: no key), drag to pull an object."
-        )
 
     def _read(self, world: int) -> None:
         """Read another world, and look at it where not all are seen."""
@@ -216,7 +213,7 @@ class Panel:
         with self._choices:
             offers = [self._ask(*each) for each in asked]
             self._link = self._gui.add_html("")
-            offers.append(self._link)
+            offers += self._link, self._gui.add_markdown(_CHOOSING)
         self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS)))
@@ -235,8 +232,7 @@ class Panel:
     ) -> Any:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
-        hint = "Plays at once. Where a policy cannot play, the expert does"
-        box = self._gui.add_dropdown(label, names, initial_value=value, hint=hint)
+        box = self._gui.add_dropdown(label, names, initial_value=value)
         _on_user(box, lambda name: self.play(change(self._choice, name)))
         return box
 
@@ -260,6 +256,8 @@ def _heading(session: Session) -> str:
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
     lines = ["loading ..." if reading.is_loading else html.escape(goal)]
+    if reading.trouble:
+        lines.append(f"<b>stopped:</b> {html.escape(reading.trouble)}")
     lines.append(" : ".join(sides))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
@@ -328,8 +326,9 @@ class Plots:
                 (np.zeros(1),) * (1 + len(names)),
                 ({"label": "time, s"}, *series),
                 title=title,
-                scales={"x": {"time": False}},
-                height=_HEIGHT,
+                scales={"x": {"time": False}, "y": {"range": _PADDED}},
+                height=200,  # pixels
+                padding=(12, 12, 0, 0),
             )
 
 

@@ -38,9 +38,8 @@ class Reading:
     @property
     def rows(self) -> list[tuple[str, str]]:
         """The reading as rows of name and value; the heading of a part has no value."""
-        rows = [("stopped", ""), (f"  {self.trouble}", "")] if self.trouble else []
         # There are the same rows at any time, so that none jumps.
-        rows.append((f"episode of seed {self.seed}", str(self.episode)))
+        rows = [(f"episode of seed {self.seed}", str(self.episode))]
         rows.append(("time", f"{self.time:.1f} s"))
         indent = "  " * (len(self.players) > 1)
         for side, player in self.players.items():

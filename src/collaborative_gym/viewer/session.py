@@ -234,7 +234,7 @@ class Session:
             env.watch(self._after_physics, env.substeps)
             self.env, self._spring, self.perturb = env, Spring(env), None
             self.film, self._previous = [], []
-        self._policy, self.policies = policy, policies
+        self._policy, self.policies, self.is_paused = policy, policies, False
         self._players = name_players(policies, env.sides)
         self._begin(begun, ())
 

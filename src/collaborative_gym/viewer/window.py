@@ -76,11 +76,12 @@ class Window:
             data.qpos[:], data.mocap_pos[:] = sim.qpos[0], sim.mocap_pos[0]
             mujoco.mj_forward(self._model, data)
         session.perturb = perturb if perturb.active else None
-        state = ("paused" if session.is_paused else f"speed {session.speed:.2f}", "")
+        state = "paused" if session.is_paused else f"speed {session.speed:.2f}"
+        state = session.reading.trouble or state
         window.set_texts(
             [
                 _text(mujoco.mjtGridPos.mjGRID_TOPRIGHT, session.reading.rows),
-                _text(mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, (*_HELP, state)),
+                _text(mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, (*_HELP, (state, ""))),
             ]
         )
         window.sync()
