@@ -17,9 +17,11 @@ SIZE = 640, 360
 SIZES = {
     "PassPandas3-v0": (960, 360),
     "PassPandas4-v0": (960, 360),
-    "SortPandas4-v0": (1280, 480),
+    "SortPandas4-v0": (1280, 720),
 }
-"""Sizes of films, and of those of long rows, of whose height less is shown."""
+"""Sizes of films, of long rows with less height, and of one with small cubes."""
+SLOW = "Poke", "Lift", "Pass", "Sort"
+"""Tasks in which one moment decides."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
 LEAST = 9.0
@@ -57,8 +59,7 @@ def film(env_id: str) -> None:
     else:
         name = type(cg.task(env_id)).__name__
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(name))
-        # Robots reach their goals one by one, so no moment decides.
-        more = {"seconds": LEAST, "slow_motion": name != "Reach", "close_up": near}
+        more = {"seconds": LEAST, "slow_motion": name in SLOW, "close_up": near}
         record(env_id, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 

@@ -324,16 +324,20 @@ def _actions(env: cg.VectorEnv) -> str:
     parts = env.action_parts.values()
     sizes = {sum(part.size for part in own.values()) for own in parts}
     listed = " or ".join(map(str, sorted(sizes)))
-    grips = all("grip" in own for own in parts)
-    grip = ", and the last one, `grip`, grips above 0" if grips else ""
+    grip = ""
+    if all("grip" in own for own in parts):
+        grip = ", and the last one, `grip`, grips above 0"
+    moves = "one for each joint, in the order of the arm's joints"
+    if (mode := env.task.config.action) != "joints":
+        moves = f"as the [action mode](../concepts.md#action-modes) `{mode}` has them"
     terms = "\n".join(
         f"- `{agent}`: " + ", ".join(f"`{term}`" for term in terms)
         for agent, terms in env.reward_terms.items()
     )
     return (
-        f"An action is {listed} numbers in [-1, 1]: `moves`, one for each joint, in the"
-        f" order of the arm's joints{grip}.\n\nThe reward is the sum of these terms,"
-        f" which the top of this page explains:\n\n{terms}"
+        f"An action is {listed} numbers in [-1, 1]: `moves`, {moves}{grip}.\n\nThe"
+        f" reward is the sum of these terms, which the top of this page explains:"
+        f"\n\n{terms}"
     )
 
 

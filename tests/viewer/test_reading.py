@@ -78,7 +78,7 @@ def test_rows_show_it_all_with_sums(played):
         assert rows[f"reward of {agent}"] == f"{sum(terms.values()):.3f}"
     assert rows["  height"] == f"{after.measures['height']:.3f}"
     assert (rows["episode of seed 0"], rows["time"]) == ("0", "0.4 s")
-    assert list(rows)[-2:] == ["ended last", "  so"]
+    assert list(rows)[-2:] == ["last result", "  so"]
 
 
 def test_nothing_reads_as_minus_zero(played):
@@ -199,8 +199,9 @@ def test_terms_and_measures_are_explained_by_their_task():
     assert reading.meanings(type("Mine", (cg.Task,), {}), SimpleNamespace) == {}
 
 
-def test_an_episode_is_summed_up_at_its_end(played):
-    assert played(11)[2].previous == "so"
+def test_an_episode_is_summed_up_from_its_success_on(played):
+    assert played(3)[2].previous == "so"
+    assert played(11)[2].previous.startswith("episode 0: success after 0.6 s, return")
     env, infos, last = played(12)
     seconds, earned = infos["metrics"]["time_to_success"], infos["metrics"]["return"]
     expected = f"episode 0: success after {seconds[0]:.1f} s, return {earned[0]:.1f}"

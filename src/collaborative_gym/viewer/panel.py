@@ -29,8 +29,6 @@ _MEASURED = "measured"
 _PADDED: Any = {end: {"pad": 0.1, "mode": 0} for end in ("min", "max")}
 """Room below and above a chart's curves, as a share of their range."""
 
-_CHOOSING = "A choice plays at once. Where a policy cannot play, the expert does."
-
 _LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
 """The panel's title, and the text by which a tab finds a box in it."""
 
@@ -213,7 +211,8 @@ class Panel:
         with self._choices:
             offers = [self._ask(*each) for each in asked]
             self._link = self._gui.add_html("")
-            offers += self._link, self._gui.add_markdown(_CHOOSING)
+            said = "It plays at once. Where a policy cannot, the expert plays."
+            offers += self._link, self._gui.add_markdown(said)
         self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS)))

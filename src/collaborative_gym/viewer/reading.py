@@ -30,7 +30,7 @@ class Reading:
     rewards: Mapping[str, Mapping[str, float]]  # named terms of the last step
     measures: Mapping[str, float | bool]  # distances and the like
     units: Mapping[str, str]  # of the measures that have one
-    previous: str  # end of the episode before, a sentence, or empty
+    previous: str  # how the last end or success came, a sentence, or empty
     has_ended: bool  # whether this episode is over
     trouble: str = ""  # why it cannot go on, a sentence, or empty
     is_loading: bool = False  # whether another world is being made
@@ -57,7 +57,7 @@ class Reading:
                 (f"  {name}", _word(value, self.units.get(name, "")))
                 for name, value in self.measures.items()
             ]
-        return [*rows, ("ended last", ""), (f"  {self.previous or 'none'}", "")]
+        return [*rows, ("last result", ""), (f"  {self.previous or 'none'}", "")]
 
 
 def read(
@@ -82,6 +82,7 @@ def read(
     }
     earned = before.returns if before is not None and step > 1 else {}
     success = _by_side(env.sides, infos["success"])
+    over = infos["ended"][0] or (len(success) == 1 and step > 0 and success[0][1][0])
     points = infos["metrics"].get("score", {})
     measures = list(_measures(env.facts, env.task.units, world))
     previous = "" if before is None else before.previous
@@ -101,7 +102,7 @@ def read(
         rewards=rewards,
         measures={name: value for name, _, value in measures},
         units={name: unit for name, unit, _ in measures if unit},
-        previous=_sum_up(env, infos, players) if infos["ended"][0] else previous,
+        previous=_sum_up(env, infos, players) if over else previous,
         has_ended=bool(infos["ended"][0]),
     )
 
@@ -166,11 +167,11 @@ def _sum_up(
     times = _by_side(players, metrics["time_to_success"])
     returns = _by_side(players, metrics["return"])
     results = [result(players, infos)] if len(players) > 1 else []
-    has_diverged = infos["diverged"][0]
-    if infos["step"][0] < env.task.config.max_episode_steps and not has_diverged:
+    is_early = infos["step"][0] < env.task.config.max_episode_steps
+    if infos["ended"][0] and is_early and not infos["diverged"][0]:
         results.append(f"over after {infos['step'][0] * CONTROL_DT:.1f} s")
     for (side, time), (_, earned) in zip(times, returns, strict=True):
-        if has_diverged:
+        if infos["diverged"][0]:
             end = "the physics diverged"
         elif np.isnan(time[0]):
             end = "no success"
