@@ -239,7 +239,7 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     for _ in range(5):
         session.step()
     wait_until(lambda: session.reading.time == pytest.approx(0.5))
-    assert session.env.facts.pot[0][0, 2] > height + 0.1
+    assert session.env.facts.pot[0][0, 2] > height + 0.05
     tab.mouse.up()
     tab.keyboard.up("Control")
     wait_until(lambda: session.perturb is None, timeout=PATIENCE)
