@@ -270,7 +270,7 @@ def _environment(env_id: str, spec: EnvSpec) -> list[str]:
     paragraphs = [f"## {env_id}"]
     for player, film in _film(env_id).items():
         said = f"{env_id}, played by its {player}; click for the film"
-        paragraphs.append(f"[![{said}](../{_poster(film)})](../{film})")
+        paragraphs.append(_to_film(said, "..", film))
     paragraphs += ["\n".join(arms), _observations(env), _actions(env)]
     card = shipped_file("baseline", env_id).with_suffix(".md")
     if card.exists():
@@ -431,15 +431,13 @@ def _films(tasks: Sequence[str]) -> str:
         for env_id, spec in _envs(name):
             grasp = spec.settings.get("grasp")
             beside = " (robot_1) and the expert" * (name in _AGAINST)
-            beside += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`" * bool(
-                grasp
-            )
+            if grasp:
+                beside += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`"
             for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
                 paragraphs += [
                     f"### [{env_id}]({page}), played by its {player}{beside}",
-                    f"[![{env_id}; click for its film]"
-                    f"(docs/{_poster(film)})](docs/{film})",
+                    _to_film(f"{env_id}; click for its film", "docs", film),
                 ]
     return "\n\n".join(paragraphs)
 
@@ -448,6 +446,11 @@ def _film(env_id: str) -> dict[str, str]:
     """Return an environment's film in `docs/` by who plays, or nothing."""
     films = {who: f"media/{who}s/{env_id}.mp4" for who in ("baseline", "expert")}
     return {who: film for who, film in films.items() if (DOCS / film).exists()}
+
+
+def _to_film(said: str, docs: str, film: str) -> str:
+    """Return a film's picture, which leads to the film; `docs` is where they lie."""
+    return f"[![{said}]({docs}/{_poster(film)})]({docs}/{film})"
 
 
 def _poster(film: str) -> str:

@@ -236,10 +236,11 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
     assert session.perturb.select == pot
     wait_until(lambda: session.perturb.refselpos[2] > height + 0.2, timeout=PATIENCE)
+    tab.wait_for_timeout(1000)  # Until the last move has arrived.
     for _ in range(5):
         session.step()
     wait_until(lambda: session.reading.time == pytest.approx(0.5))
-    assert session.env.facts.pot[0][0, 2] > height + 0.05
+    assert session.env.facts.pot[0][0, 2] > height + 0.1
     tab.mouse.up()
     tab.keyboard.up("Control")
     wait_until(lambda: session.perturb is None, timeout=PATIENCE)
