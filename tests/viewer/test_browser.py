@@ -361,6 +361,24 @@ def test_shadows_can_be_had(serve, open_tab, wait_until):
     wait_until(lambda: page._stage._lights[0].cast_shadow)
 
 
+def test_keys_that_move_a_slider_leave_the_camera(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    tab = open_tab(page)
+    session.play()
+    wait_until(lambda: len(session.film) > 8, timeout=PATIENCE)
+    session.seek(2)
+    slider = tab.get_by_role("slider").first
+    expect(slider).to_have_attribute("aria-valuenow", "0.2", timeout=PATIENCE * 1000)
+    camera = next(iter(page._server.get_clients().values())).camera
+    before = camera.position.copy()
+    slider.press("ArrowRight", delay=1000)
+    wait_until(lambda: session.reading.time == pytest.approx(0.3), timeout=PATIENCE)
+    assert camera.position == pytest.approx(before)
+    tab.mouse.click(200, 300)  # On the arms, where keys do move it.
+    tab.keyboard.press("ArrowRight", delay=1000)
+    wait_until(lambda: np.abs(camera.position - before).max() > 0.1, timeout=PATIENCE)
+
+
 ATTACK = """async (url) => {
   const socket = new Promise((answer) => {
     const socket = new WebSocket(url.replace("http", "ws"), PROTOCOL);

@@ -64,14 +64,19 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: session.policies["robot_2"] == "random")
     wait_until(lambda: not session.is_paused)
     assert session.env is first
+    choose(page, "robot_1, policy", "baseline")
+    wait_until(lambda: session.policies["robot_1"] == "baseline")
     choose(page, "robot_1, arm", "panda")
     wait_until(lambda: page._stage.env is not first, timeout=120)
     assert session.env.task.robots["robot_1"].name == "panda"
     wait_until(lambda: offers(page)["robot_1, arm"].value == "panda")
     wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
+    said = "baseline cannot play this, so the expert does"
+    wait_until(lambda: said in page._panel._heading.content)
     choose(page, "Environment", "HockeyPandas-v0")
     wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
+    assert said not in page._panel._heading.content
     assert "robot_1 expert <b>0</b> : robot_2 random <b>0</b>" in (
         page._panel._heading.content
     )

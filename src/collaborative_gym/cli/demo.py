@@ -19,8 +19,7 @@ _SHEET_SIZE = (480, 270)
 """Width and height of one picture of the contact sheet, in pixels."""
 
 _GAME, _GAME_STEPS, _GAME_EPISODE = "HockeyPandas-v0", 100, 6
-"""The game of the scripted player, its control steps, and an episode with a goal by
-then."""
+"""The game of the scripted player, its control steps, and an episode with a goal."""
 
 _FILM_SIZE = (640, 360)
 """Width and height of a film, in pixels."""

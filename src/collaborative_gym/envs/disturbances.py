@@ -72,8 +72,7 @@ class Disturbances:
             shape = worlds, steps + 1, len(task.agents), feels
             self._wrong = np.zeros(shape, np.float32)
         if self._blurs:
-            # Single precision, because there is much of it, and observations have no
-            # more.
+            # Single precision, as observations have no more.
             shape = worlds, steps + 1, sum(self._sizes)
             self._noise = np.zeros(shape, np.float32)
         if bounds.delay:
@@ -99,8 +98,7 @@ class Disturbances:
         bounds, rows = self._bounds, self._progress.rows
         where = rows["seed"][env_ids], rows["episode"][env_ids]
         rng = EpisodeRandom(*where, Stream.DISTURBANCES)
-        # All are drawn, even those that are off, so that one does not change the
-        # others.
+        # All are drawn, even those that are off, so that none changes others.
         links = 1.0 + rng.within(bounds.link_mass, len(self._links))
         loads = 1.0 + rng.within(bounds.payload, len(self._loads))
         friction = 1.0 + rng.within(bounds.friction)

@@ -64,7 +64,9 @@ class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
         strain: bool = False,
         **settings: Any,
     ):
-        self.autoreset_mode = _mode(autoreset_mode)
+        modes, mode = {each.value: each for each in AutoresetMode}, autoreset_mode
+        name = mode.value if isinstance(mode, AutoresetMode) else mode
+        self.autoreset_mode = look_up("autoreset mode", name, modes)
         self.metadata = {**RENDERING, "autoreset_mode": self.autoreset_mode}
         task = make_task(env_id, robots, randomization=randomization, **settings)
         is_same = self.autoreset_mode is AutoresetMode.SAME_STEP
@@ -207,12 +209,6 @@ class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
             masked["final_info"] = _masked(info, ended)
             masked["_final_info"] = ended.copy()
         return masked
-
-
-def _mode(given: AutoresetMode | str) -> AutoresetMode:
-    modes = {mode.value: mode for mode in AutoresetMode}
-    name = given.value if isinstance(given, AutoresetMode) else given
-    return look_up("autoreset mode", name, modes)
 
 
 def _chosen(mask: np.ndarray, one: Any, other: Any) -> Any:

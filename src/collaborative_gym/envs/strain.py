@@ -219,8 +219,7 @@ class Strain:
                 most = np.where(moved, values.max(axis=1), 0.0)
                 rows[row] = np.maximum(rows[row], most)
                 continue
-            # Step by step, so that the bits do not depend on how many are recorded at
-            # once.
+            # Step by step, so that bits do not depend on how many are recorded.
             for step in values.T:
                 rows[row] = rows[row] + np.where(moved, step, 0.0)
 

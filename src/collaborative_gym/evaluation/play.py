@@ -195,12 +195,14 @@ def play_episodes(
     rows: dict[int, dict[str, Any]] = {}
     steps = math.ceil(episodes / env.num_envs) * env.task.config.max_episode_steps
     observations, _ = env.reset(seed=seed)
-    done, before, changes = 0, 0.0, np.zeros(env.num_envs)
+    split, done = env.action_mode.split, 0
+    before, changes = 0.0, np.zeros(env.num_envs)
     while len(rows) < episodes:
         actions = policy(observations)
         observations, _, _, _, infos = env.step(actions)
         done += 1
-        moves = _moves(env, actions)
+        moved = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
+        moves = np.clip(np.concatenate(moved, axis=1), -1.0, 1.0)
         changes += np.abs(moves - before).mean(axis=1)
         fresh = infos["ended"][:, None]
         before = np.where(fresh, 0.0, moves)
@@ -215,13 +217,6 @@ def play_episodes(
             # Fewer steps are enough where a task ends episodes before their time.
             on_progress(1.0 if len(rows) == episodes else min(1.0, done / steps))
     return [rows[episode] for episode in range(episodes)], done
-
-
-def _moves(env: VectorEnv, actions: Mapping[str, Any]) -> np.ndarray:
-    """Return the moves of all robots' actions, (num_envs, k) in [-1, 1]."""
-    split = env.action_mode.split
-    moves = [split(np.asarray(actions[agent], float))[0] for agent in env.agents]
-    return np.clip(np.concatenate(moves, axis=1), -1.0, 1.0)
 
 
 def episode_row(infos: dict[str, Any], i: int) -> dict[str, Any]:

@@ -96,8 +96,7 @@ class Hyperparameters:
       quiet_share: PPO: share of the total steps, the last ones, over which the noise
         shrinks instead; 0 for none.
       grip_limit: greatest mean of a grip's command, 0 for no limit. With noise of half
-        this size a robot that holds a thing still finds out what it gains by letting
-        go.
+        this size a robot that holds a thing still finds out what letting go gains.
       grip_persistence: share of the grip's noise that persists in the next action, from
         0 to below 1. Noise that opens a grip in single steps makes a robot drop what it
         carries; noise that lasts tries long holds and long releases.
@@ -328,8 +327,7 @@ _PASS: Mapping[str, Any] = {
     "grip_limit": 0.6,
 }
 """A hand that misses the cube rests beside it unless grips fail in training, the more
-so the dearer contacts are. A robot_1 whose grip noise cannot open never lets go; hence
-the limit."""
+so the dearer contacts are. A robot_1 whose grip noise cannot open never lets go."""
 
 _BALANCE: Mapping[str, Any] = {
     "initial_std": 0.1,

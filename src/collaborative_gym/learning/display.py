@@ -34,8 +34,7 @@ UPDATE = {
 """The numbers of an update: how each is called on the terminal, and its format.
 
 `kl` is the divergence of the last epoch, `std` that of the actions. PPO has the KL
-divergence, and the entropy's loss with the penalty on actions; SAC has the entropy's
-weight.
+divergence, and the entropy's loss with the penalty on actions; SAC has its weight.
 """
 
 

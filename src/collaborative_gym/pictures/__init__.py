@@ -9,8 +9,7 @@ def choose_backend() -> None:
     """Select EGL on Linux without a display, where MUJOCO_GL does not say otherwise.
 
     MuJoCo reads the variable when it is imported; if that was before, its choice is
-    replaced. Nothing is selected without EGL's library, because MuJoCo could then not
-    be imported.
+    replaced. Without EGL's library nothing is: MuJoCo could not be imported.
     """
     has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform != "linux" or has_display or "MUJOCO_GL" in os.environ:

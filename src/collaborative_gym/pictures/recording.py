@@ -90,7 +90,8 @@ def record(
       output: the file: `.mp4` (H.264, 20 frames/s at speed 1) or `.gif` (10 frames/s).
       policy: as `evaluate` takes it. Several are shown side by side, in the same
         episodes; the first one decides when the next start comes. Each picture says
-        the time, who plays, and whether the goal is met or what the score is.
+        the time, who plays, how far a team has come, and whether the goal is met or
+        what the score is.
       any_env: whether a trained policy may play another environment than its own.
       seconds: least length of the film of the first episodes, up to 36,000; None for
         10. An episode that has begun by then is shown to its end.
@@ -295,6 +296,8 @@ class _Screen:
         self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
+        kept = env.task.coordination  # Of it, the measure of progress.
+        self._stage = next((name for name in kept if kept[name] == "greatest"), None)
         env.watch(self._keep, self._most)
 
     def is_done(self, step: _Step) -> bool:
@@ -322,20 +325,25 @@ class _Screen:
         said = f", speed {pace:g}" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
         label = f"{seconds:.1f} s{said}  {standing(self._players, step.infos)}"
+        if self._stage is not None and self._env.task.units.get(self._stage) == "":
+            label += f", {self._stage} {100 * self._progress(step):.0f} %"
         for state in step.states[every - 1 :: every]:
             yield _labelled(self._draw(*state), label)
 
     def decisive(self, steps: Sequence[_Step]) -> range:
         """Return the indices of the steps around the last progress or first success."""
-        kept, late = self._env.task.coordination, 0
-        name = next((name for name in kept if kept[name] == "greatest"), None)
-        if name is not None:
-            rows = [each.infos["metrics"]["coordination"][name][0] for each in steps]
+        late = 0
+        if self._stage is not None:
+            rows = [self._progress(each) for each in steps]
         else:
             late = self._env.task.success_for - 1  # Success began so long before.
             rows = np.maximum.accumulate([_is_success(each) for each in steps])
         rises = np.flatnonzero(np.diff(rows, prepend=0) > 0) - late
         return range(*(rises[-1] + _AROUND).tolist()) if rises.size else range(0)
+
+    def _progress(self, step: _Step) -> float:
+        """Return the task's measure of progress, the greatest up to a step."""
+        return float(step.infos["metrics"]["coordination"][self._stage][0])
 
     def _keep(self) -> None:
         sim = self._env.sim

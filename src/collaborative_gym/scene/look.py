@@ -53,7 +53,9 @@ def dress(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         joints[1] += others
     # Where a file has no fingers, what is behind its last joint is not the whole hand.
     last = 0 if others else joints[0][-1]
-    seen = _shapes(look)
+    collides = look.geom_contype | look.geom_conaffinity
+    # Geoms that are drawn: those that do not collide, if there are any.
+    seen = np.flatnonzero((collides == 0) | collides.all()).tolist()
     for mine, theirs in zip([-1, *joints[0]], [-1, *joints[1]], strict=True):
         shapes = [g for g in seen if _mover(look, look.geom_bodyid[g]) == theirs]
         bodies = [b for b in range(1, own.nbody) if _mover(own, b) == mine]
@@ -112,13 +114,6 @@ def _check_alike(
                 f" {apart * 1000:.0f} mm and {np.degrees(askew):.0f} degrees apart;"
                 " give a model of the same arm with its base in the same place"
             )
-
-
-def _shapes(model: mujoco.MjModel) -> list[int]:
-    """Return the geoms that are drawn: those that do not collide, if there are any."""
-    collides = model.geom_contype | model.geom_conaffinity
-    free = [geom for geom in range(model.ngeom) if not collides[geom]]
-    return free or list(range(model.ngeom))
 
 
 def _put_on(

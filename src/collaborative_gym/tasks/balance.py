@@ -161,8 +161,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
             )
             if is_slim:
                 teams.add_stand(scene, agent, placement)
-        # A free board with a weld for each would move in the same way, but take more
-        # time.
+        # A free board with a weld for each would move in the same way, but slower.
         tool = board(marked_radius=self.marked_radius, count=len(self.agents))
         scene.add_tool(first, "board", child=_held(tool))
         for i, agent in enumerate(others):

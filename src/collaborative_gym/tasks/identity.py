@@ -130,8 +130,7 @@ class Identity:
         """Return the differences, such as "pot_mass is 3.0, not None".
 
         Settings that only one of them has are not compared: a later version brought
-        them. Without an action mode, actions are joint changes; without a grasp, it is
-        a magnet.
+        them. Without an action mode, it is joint changes; without a grasp, a magnet.
 
         Args:
           other: what this one should be.

@@ -84,8 +84,7 @@ _QUARTERS = 4
 """Places of a ring for fewer arms, too, whose neighbours would face each other."""
 
 _AHEAD, _BACK = 0.5, 0.32
-"""Distances from an arm to its place and to where its tcp starts, as shares of its
-reach."""
+"""Shares of its reach from an arm to its place, and to where its tcp starts."""
 
 _GAP, _OVER = 0.3, 0.65
 """Distance between the places of neighbours, in m, and how far on the way to its
@@ -148,7 +147,9 @@ class Reach(Task[ReachConfig, ReachFacts]):
     robot_counts = range(2, 9)
     config_class = ReachConfig
     randomizations = presets(_STARTS)
-    units: ClassVar[Mapping[str, str]] = {"distance": "m", "nearer": "m"}
+    units: ClassVar[Mapping[str, str]] = {
+        **{"distance": "m", "nearer": "m", "stage": "", "idle": ""}
+    }
     coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
@@ -182,6 +183,8 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
+            for geom in scene.spec.site(f"{agent}/{robot.tcp}").parent.geoms:
+                geom.rgba = colour  # Hands hide the goals that they have reached.
         teams.add_team_camera(scene, places, below=0.4)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:

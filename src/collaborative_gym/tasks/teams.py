@@ -213,7 +213,7 @@ def add_team_camera(
     bases = np.array([each.position for each in placements.values()])
     bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, _TALL))
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
-    azimuths = np.sort(np.arctan2(*(bases - middle)[:, 1::-1].T))
+    azimuths = np.sort(np.arctan2(*(bases - bases.mean(axis=0))[:, 1::-1].T))
     gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)
     between = azimuths + gaps / 2
     # Of gaps that are equally wide, the one nearest to +x.

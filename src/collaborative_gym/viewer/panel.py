@@ -40,11 +40,13 @@ const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
 const labels = [...document.querySelectorAll("label")];
 const shadows = labels.find(label => label.textContent == %s)?.control;
 const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
+document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
 if (!window.isKnown && isSlow && shadows?.checked) shadows.click();
 window.isKnown = true;
 """
 """Script of a tab that has the panel. It sets the title, and unticks the shadows if
-there is no graphics card: a picture with them takes a second there."""
+there is no graphics card: a picture with them takes a second there. Keys that move a
+slider do not move the camera."""
 
 _THUMBS = """<style>.mantine-ScrollArea-content { padding-right: 10px; }
 @media (pointer: coarse), (max-width: 36em) {
@@ -80,6 +82,7 @@ class Panel:
         self._said: Reading | None = None
         self._offered: tuple[Any, ...] = ()
         self._offers: list[Any] = []
+        self._instead = ""
         gui = server.gui
         gui.set_panel_label(_LABEL)
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -115,7 +118,7 @@ class Panel:
         if self._said is reading:
             return
         self._said = reading
-        self._heading.content = _heading(session)
+        self._heading.content = _heading(session, self._instead)
         self._worlds.value = self._worlds.options[session.world]
         said = meanings(type(session.env.task), type(session.env.facts))
         self._table.content = _table(reading.rows, said)
@@ -175,11 +178,11 @@ class Panel:
         hint = "Go to the next start a second after a success"
         moves_on = gui.add_checkbox("Move on", session.moves_on, hint=hint)
         _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
-        arrows = f"Arrows, 1 m long for {NEWTONS_PER_METRE:g} N"
+        forces = f"Contact forces, {NEWTONS_PER_METRE:g} N are 1 m"
         self._looks = {
             "shadows": self._shadows,
             "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
-            "forces": gui.add_checkbox("Contact forces", False, hint=arrows),
+            "forces": gui.add_checkbox(forces, False),
         }
 
     def _read(self, world: int) -> None:
@@ -211,13 +214,10 @@ class Panel:
         with self._choices:
             offers = [self._ask(*each) for each in asked]
             self._link = self._gui.add_html("")
-            said = "It plays at once. Where a policy cannot, the expert plays."
-            offers += self._link, self._gui.add_markdown(said)
-        self._offers = offers
+        self._offers = [*offers, self._link]
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
         script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS)))
-        # An image that cannot be loaded runs it, because pages run no scripts that come
-        # later.
+        # An image that cannot be loaded runs it: pages run no scripts that come later.
         self._script.content = (
             f'{_THUMBS}<img src="data:," hidden onerror="{html.escape(script)}">'
         )
@@ -232,8 +232,18 @@ class Panel:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
         box = self._gui.add_dropdown(label, names, initial_value=value)
-        _on_user(box, lambda name: self.play(change(self._choice, name)))
+        _on_user(box, lambda name: self._take(change(self._choice, name)))
         return box
+
+    def _take(self, choice: Choice) -> None:
+        """Play another choice, and say which policies cannot."""
+        now = self._choice
+        pairs = zip(now.policies, choice.policies, strict=False)
+        lost = ", ".join(dict.fromkeys(old for old, new in pairs if old != new))
+        is_new = (now.env, now.robots) != (choice.env, choice.robots)
+        said = f"{lost} cannot play this, so the expert does"
+        self._instead = said if lost and is_new else ""
+        self.play(choice)
 
 
 _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
@@ -244,8 +254,8 @@ def _on_user(box: Any, do: Callable[[Any], object]) -> None:
     box.on_update(lambda event: event.client and do(event.target.value))
 
 
-def _heading(session: Session) -> str:
-    """Return the goal in a sentence, how it stands, and who won last, as HTML."""
+def _heading(session: Session, instead: str) -> str:
+    """Return the goal, how it stands, and who won last, as HTML."""
     task, reading = session.env.task, session.reading
     goal = (type(task).__doc__ or task.name).partition("\n")[0]
     sides = [
@@ -257,6 +267,7 @@ def _heading(session: Session) -> str:
     lines = ["loading ..." if reading.is_loading else html.escape(goal)]
     if reading.trouble:
         lines.append(f"<b>stopped:</b> {html.escape(reading.trouble)}")
+    lines += [html.escape(instead)] * bool(instead)
     lines.append(" : ".join(sides))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
