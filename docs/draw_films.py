@@ -17,11 +17,11 @@ SIZE = 640, 360
 SIZES = {
     "PassPandas3-v0": (960, 360),
     "PassPandas4-v0": (960, 360),
-    "SortPandas4-v0": (1280, 720),
+    "SortPandas4-v0": (960, 540),
 }
 """Sizes of films, of long rows with less height, and of one with small cubes."""
-SLOW = "Poke", "Lift", "Pass", "Sort"
-"""Tasks in which one moment decides."""
+SLOW = "Poke", "LiftTask", "Pass"
+"""Beginnings of the ids in which one moment decides."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
 LEAST = 9.0
@@ -33,6 +33,7 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "PassPandas4-v0": "cube_2/cube",  # It is handed on last.
+    "SortPandas4-v0": "cube_6/cube",  # It is sorted last, after a hand-over.
     "Assemble": "pin/pin",
 }
 """What the films of a task or an environment show from nearby."""
@@ -59,7 +60,11 @@ def film(env_id: str) -> None:
     else:
         name = type(cg.task(env_id)).__name__
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(name))
-        more = {"seconds": LEAST, "slow_motion": name in SLOW, "close_up": near}
+        more = {
+            "seconds": LEAST,
+            "slow_motion": env_id.startswith(SLOW),
+            "close_up": near,
+        }
         record(env_id, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 

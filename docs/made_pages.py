@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from types import FunctionType
 
 import griffe
 import imageio_ffmpeg
@@ -27,6 +28,7 @@ import numpy as np
 from PIL import Image
 
 import collaborative_gym as cg
+from collaborative_gym.blocks import POSE
 from collaborative_gym.certificate.report import (
     Certificate,
     certificates_to_markdown,
@@ -81,6 +83,13 @@ _MOMENT = {
     ),
 }
 """Moments of films, in % of their time, that show more than the half."""
+
+_EXPLAINED = {
+    "control.list_modes": "../concepts.md#action-modes",
+    "envs.wrists": "../concepts.md#force-and-torque-sensing",
+    "scene.grasps": "../concepts.md#grasps",
+}
+"""Where pages explain what docstrings of settings name."""
 
 _AGAINST = ("Hockey", "Tug")
 """Those in which robots play against each other."""
@@ -154,7 +163,8 @@ def filled(markdown: str, path: str) -> str:
 
     `<!-- made: NAME -->` names one of `_MADE`; a file of the repository, such as
     `docs/tables/table11.md`; a section of one, such as `README.md, Licence`; lines of
-    Python, such as `examples/it.py:1:11`; or names of Python, `names make task`.
+    Python, such as `examples/it.py:1:11`; names of Python, `names make task`; or what
+    the docstring of one says before its arguments, `says VectorEnv`.
 
     Args:
       markdown: the page.
@@ -185,6 +195,9 @@ def _make(what: str) -> str:
         return _MADE[what]()
     if what.startswith("names "):
         return _names(what.removeprefix("names "))
+    if what.startswith("says "):
+        thing = pkgutil.resolve_name(f"collaborative_gym.{what.removeprefix('says ')}")
+        return inspect.getdoc(thing).partition("\n\nArgs:")[0]
     if ".py:" in what:
         return f"```python\n{python_lines(what)}\n```"
     name, _, title = what.partition(", ")
@@ -312,6 +325,8 @@ def _observations(env: cg.VectorEnv) -> str:
             break
     is_own = all("mates" in blocks for blocks in by_agent.values())
     frame = "frame of the robot's own base" if is_own else "world's frame"
+    if not any(b.unit == POSE for own in by_agent.values() for b in own.values()):
+        return "\n\n".join(tables)
     tables.append(
         "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both in"
         f" the {frame}."
@@ -346,6 +361,9 @@ def _settings(config: type[cg.TaskConfig]) -> str:
     meanings: dict[str, str] = {}
     for base in reversed(config.__mro__):
         meanings |= _attributes(base)
+    for name, page in _EXPLAINED.items():
+        for field, meaning in meanings.items():
+            meanings[field] = meaning.replace(f"`{name}`", f"[{name}]({page})")
     rows = []
     for field in dataclasses.fields(config):
         made = field.default is dataclasses.MISSING
@@ -426,7 +444,8 @@ def _films(tasks: Sequence[str]) -> str:
     for name in tasks:
         goal = inspect.getdoc(_envs(name)[0][1].task).partition("\n")[0]
         row = re.search(rf"^\| {name} \|.*\| (.*) \|$", readme, re.M)
-        why = "" if name in _AGAINST else f" Why one arm is not enough: {row[1]}."
+        why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
+        why = why if name not in _AGAINST else ""
         paragraphs.append(f"**{name}.** {goal}{why}")
         for env_id, spec in _envs(name):
             grasp = spec.settings.get("grasp")
@@ -464,22 +483,42 @@ def _names(names: str) -> str:
 
 
 def _name(name: str) -> str:
-    """Return a line on a name; where it is, the site puts its whole docstring."""
+    """Return a line on a name, and of a class one on each method and property.
+
+    After the lists the site puts the whole docstrings.
+    """
     path = f"collaborative_gym.{name}"
     thing = pkgutil.resolve_name(path)
     takes, says = "", f"the value {thing}"
-    if callable(thing) and not inspect.isclass(thing):
-        empty = inspect.Parameter.empty
-        taken = inspect.signature(thing).parameters.values()
-        bare = []
-        for each in taken:
-            is_plain = isinstance(each.default, (bool, int, float, str, type(None)))
-            default = each.default if is_plain else empty
-            bare.append(each.replace(annotation=empty, default=default))
-        takes = str(inspect.Signature(bare))
     if callable(thing) or inspect.ismodule(thing):
-        says = " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
-    return f'- <a id="{path}"></a>`{name}{takes}`: {says}'
+        says = _begin(thing)
+    if callable(thing) and not inspect.isclass(thing):
+        takes = _takes(thing)
+    lines = [f'- <a id="{path}"></a>`{name}{takes}`: {says}']
+    for own in vars(thing) if inspect.isclass(thing) else ():
+        member = inspect.getattr_static(thing, own)
+        bare = getattr(member, "__func__", getattr(member, "func", member))
+        is_open = not own.startswith("_") and inspect.getdoc(bare)
+        if is_open and isinstance(bare, property | FunctionType):
+            takes = _takes(bare) if callable(member) or bare is not member else ""
+            lines.append(f"    - `{own}{takes}`: {_begin(bare)}")
+    return "\n".join(lines)
+
+
+def _begin(thing: object) -> str:
+    """Return the first paragraph of a docstring."""
+    return " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
+
+
+def _takes(function: Callable[..., object]) -> str:
+    """Return what a function takes, without its types."""
+    empty, bare = inspect.Parameter.empty, []
+    for name, each in inspect.signature(function).parameters.items():
+        is_plain = isinstance(each.default, (bool, int, float, str, type(None)))
+        default = each.default if is_plain else empty
+        if name not in ("self", "cls"):
+            bare.append(each.replace(annotation=empty, default=default))
+    return str(inspect.Signature(bare))
 
 
 def _chart() -> str:

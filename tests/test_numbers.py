@@ -71,9 +71,9 @@ def test_pages_count_the_tasks_those_for_teams_and_the_arms():
         for path in ("README.md", "docs/index.md", "docs/comparison.md")
     )
     for page in readme, index:
-        assert f"or win: {count} tasks, {arms} commercial arms" in page
+        assert f"or compete: {count} tasks, {arms} commercial arms" in page
         assert f"All {count} tasks" in page
-    assert f"and {teams} take [any team](docs/teams.md)" in readme
+    assert f"and {teams} take [teams of two to eight](docs/teams.md)" in readme
     assert f"eight arms do {teams} of the {count} tasks here" in compared
 
 

@@ -10,7 +10,9 @@ SAWYERS = ("sawyer", "sawyer")
 
 @pytest.fixture(scope="module")
 def env():
-    return cg.make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
+    env = cg.make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
+    env.reset()
+    return env
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ class Budget:
     """Effort of a certificate.
 
     Attributes:
-      episodes: held-out starts on which the expert, the motion and the trained policy
-        are judged.
+      episodes: held-out starts that judge the expert, the motion and the policy.
       fractions: moments at which the still arm freezes, as shares of the expert's time
         to the goal, each from 0.01 to 0.99.
       motion_steps: control steps of a motion; after it the arms hold still.

@@ -58,8 +58,8 @@ def certify(
     """Try to do a task while one arm is still, and return how often that worked.
 
     Each agent in turn is still in several ways: idle; limp, without any torque; if the
-    task has grips, idle with a closed grip, and absent, so that nothing touches it; and
-    frozen on the expert's way to the goal, with the grip as it was.
+    task has grips, idle but gripping what it meets, and absent, so that nothing touches
+    it; and frozen on the expert's way to the goal, with the grip as it was.
     The other arms then play the task's expert; one motion for all starts, which a
     search finds on other starts; a motion for each start, which a search finds on that
     start; and, in the rows where nobody reached the goal and somebody came nearest, a

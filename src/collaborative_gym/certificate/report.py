@@ -200,7 +200,7 @@ def _checked(content: dict[str, Any]) -> Trial:
 
 CERTIFICATE_NOTE = (
     "How often the goal was reached while one arm was still, by who commanded the other"
-    " arms; up to: upper end of the 95 % interval of the best of them; nearest: the"
+    " arms; up to: one-sided upper 95 % bound for the best of them; nearest: the"
     " least median distance from the goal. A motion for each is searched for on the"
     " very start that it is played on. A blind team plays one motion, or the best of"
     " some recorded episodes, from every start. †: the search spent its rounds before"

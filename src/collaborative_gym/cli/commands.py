@@ -66,7 +66,8 @@ class _Policy(Command):
         expert:late), random, baseline (the trained policy that is shipped), the id of
         another environment (its baseline), ego (a shipped policy for ad hoc teamwork),
         a policy file, an ONNX file, a training folder, or one of idle, gripping and
-        frozen, which hold still (with an open grip, a closed one, the grip as it is).
+        frozen, which hold still (with an open hand, one that closes on what it meets,
+        or the grip as it is).
         Or one for each robot, such as robot_1=baseline robot_2=idle, also robot_2=limp,
         an arm without torque, and robot_2=absent, which touches nothing.
     """
@@ -88,8 +89,7 @@ class Record(Watched, _Policy):
       only_episodes: episodes to show instead of the first ones, such as the worst ones
         that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
-      speed: simulated seconds per second of the film, 0.1 to 2; below 1 it is slow
-        motion.
+      speed: simulated seconds per second of the film, 0.1 to 2; 0.5 is slow motion.
       slow_motion: show the team's last progress, such as a hand-over, more slowly.
       close_up: a body of the world, such as pot/pot, to show from nearby beside it.
     """
@@ -262,7 +262,7 @@ class Reproduce:
 class Certify(Worlds):
     """Try to do tasks while one arm is still, to show that all arms are needed.
 
-    Each arm in turn is idle, idle with a closed grip, limp, absent, or frozen on the
+    Each arm in turn is idle, gripping what it meets, limp, absent, or frozen on the
     expert's way to the goal. The other arms play the expert, motions that a search
     finds, and policies that are trained for this. It takes hours. You can stop it at
     any time; the same command then continues.

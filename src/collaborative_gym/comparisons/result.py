@@ -366,8 +366,7 @@ def compare(
       KeyError: if the validations have no such measure.
       OSError: if a file cannot be read.
       TypeError: if a folder is not a path.
-      ValueError: if there is nothing to compare, a file is damaged, or a run is there
-        twice.
+      ValueError: if there is nothing to compare, a file is damaged, or a run doubled.
     """
     kinds = str, Path, Sequence
     check_kind("runs", runs, kinds, "a folder's name, or several")

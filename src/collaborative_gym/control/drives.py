@@ -116,8 +116,7 @@ class Servo:
         self.low = xp.asarray(arm.joint_range[0] + STOP)
         self.high = xp.asarray(arm.joint_range[1] - STOP)
         # How far a speed may have changed by each physics step and by the one after the
-        # last, in rad/s. It is the same in all worlds, but NumPy is quicker with a row
-        # for each.
+        # last, in rad/s. It is the same in all worlds, but rows are quicker.
         ramp = np.arange(1.0, SUBSTEPS + 2)[:, None] * (full * SIM_DT / _RAMP)
         ramp = np.stack([ramp] * sim.num_envs, axis=1)
         self._least, self._most = xp.asarray(-ramp), xp.asarray(ramp)

@@ -25,7 +25,7 @@ class PettingZooEnv(OneWorld, ParallelEnv):
     task has several sides, they are those of the agent's own.
 
     Args:
-      task: what to do, from `make_task`.
+      task: what to do, from `cg.task`.
       render_mode: "rgb_array", or None for no pictures.
       name: what the environment calls itself.
       strain: as in `make`.

@@ -67,7 +67,7 @@ class VectorEnv:
     the present state, if the task's class can make the task again from arms and config.
 
     Args:
-      task: what to do, from `make_task`.
+      task: what to do, from `cg.task`.
       num_envs: how many worlds.
       seed: of the first episodes.
       num_threads: physics threads, 0 for one per CPU.
@@ -277,7 +277,7 @@ class VectorEnv:
     ) -> dict[str, np.ndarray]:
         """Return actions of robots that hold still.
 
-        They grip if `grips` says so, or by agent in which worlds, (num_envs,).
+        `grips` says whether they grip; by agent, it may be a mask (num_envs,).
         """
         return self.action_mode.idle(self.num_envs, grips)
 

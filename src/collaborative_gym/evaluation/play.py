@@ -93,8 +93,7 @@ def evaluate(
       FileNotFoundError: if there is no such policy file or baseline.
       KeyError: if a name is unknown.
       TypeError: if the policy or a number is of another kind.
-      ValueError: if a number is out of range, or the policy is for another
-        environment.
+      ValueError: if a number is out of range, or the policy does not fit.
     """
     episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
     delay = check_count("delay", delay, 0, _MOST_DELAY)

@@ -31,8 +31,8 @@ _LEAST_ON_DEFAULT = {"completion": 0.98, "performance": 0.95}
 NOTE = (
     "Ours must exceed the thesis's number (where that reads 100 %, equal it), and on"
     " `default` reach 98 % completion and 95 % performance. The success rules differ,"
-    " ours are stricter: Poke needs the stick threaded through the ring, Lift both"
-    " grips held, Pass robot_2's grip."
+    " ours are stricter: Poke needs the stick through the ring for 0.5 s, Lift both"
+    " grips and a level, slow pot, Balance 2 s, Pass robot_2's grip."
 )
 """Note below the table: what decides a cell, and how the success rules differ."""
 

@@ -124,8 +124,7 @@ def make_casting(
 
     Raises:
       KeyError: if there is no such seat.
-      ValueError: if the task has nobody to oppose or to help, or words do not go
-        together.
+      ValueError: if the task has nobody to oppose or to help, or words do not fit.
     """
     seats = {agent: (agent,) for agent in task.agents}
     if len(task.sides) > 1:

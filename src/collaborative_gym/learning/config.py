@@ -130,7 +130,7 @@ class Hyperparameters:
       refined: 1 to split physics steps in which arms crash into short ones, as all
         other worlds do; 0 not to, which learns as well and is faster.
       delayed: share of the worlds in which each action comes one control step late;
-        never in validations, and never for a guest, perhaps not trained for it.
+        never in validations, and never for a guest, which may not know delays.
       mishaps: share of the episodes that begin after a mishap of the task (the
         randomization `lost`), from which robots then learn to come back; never in
         validations. A task without mishaps refuses it.

@@ -108,8 +108,7 @@ def train_all(
       jobs: processes at a time, 0 for one per CPU. Where there are several, each has
         one physics thread unless `resources` say otherwise.
       output: the folder of all runs.
-      changes: hyperparameters to use instead of those of each environment's recipe, by
-        name.
+      changes: hyperparameters to use instead of each environment's recipe's, by name.
       advised: whether they learn with the expert's advice, by recipes of its own.
       on_row: called with a plan after each of its iterations, with its numbers.
       progress: whether to show the progress, as the command line does.

@@ -73,8 +73,7 @@ class Options(TypedDict, total=False):
       algorithm: "ppo", or "sac" for tasks of one side and without partners; None for
         "ppo".
       resources: device and threads of each run.
-      checkpoint_interval: environment steps between two checkpoints, 100,000 if left
-        out.
+      checkpoint_interval: environment steps between two checkpoints (100,000).
     """
 
     opponent: Named | None

@@ -57,8 +57,7 @@ def train(
       mode: who learns what, see `Mode`; None for "collaborative", or for "shared" if
         robots with equal spaces learn against policies or in a league.
       seed: of the run; None for 0.
-      output: a new folder; None for one in `runs/` named after environment, mode and
-        seed.
+      output: a new folder; None for one in `runs/` by environment, mode and seed.
       resume: the folder of a run to continue, in place of `output`. It keeps the
         settings with which it was started; you need not give them again. You may raise
         `total_steps` and change the validations.

@@ -23,8 +23,7 @@ Pose = tuple[Array, Array]
 class Kinematics:
     """The kinematics of arms in closed form, each in the frame of its own base.
 
-    Arms with fewer joints than others get joints that move nothing. The bases' yaws are
-    in rad.
+    Arms with fewer joints get joints that move nothing. The bases' yaws are in rad.
 
     Attributes:
       moves: which joints move something, (joints, arms, 1) ones and zeros.

@@ -325,8 +325,9 @@ class _Screen:
         said = f", speed {pace:g}" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
         label = f"{seconds:.1f} s{said}  {standing(self._players, step.infos)}"
-        if self._stage is not None and self._env.task.units.get(self._stage) == "":
-            label += f", {self._stage} {100 * self._progress(step):.0f} %"
+        is_share = self._stage and self._env.task.units.get(self._stage) == ""
+        if is_share and not _is_success(step):
+            label += f", {100 * self._progress(step):.0f} % done"
         for state in step.states[every - 1 :: every]:
             yield _labelled(self._draw(*state), label)
 

@@ -44,8 +44,7 @@ class Camera:
       KeyError: if there is no such body.
       TypeError: if a side is not an integer.
       ValueError: if a side is below 1, or above that of the model's off-screen buffer.
-      RuntimeError: if no renderer can start, as in a process forked off from one that
-        has drawn.
+      RuntimeError: if no renderer can start, as in a fork of a process that has drawn.
     """
 
     def __init__(

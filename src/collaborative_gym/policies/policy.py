@@ -63,11 +63,11 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         observations; "expert:late" and the like, the expert in another style ("late"
         and "slow" for every task, and those of `Task.styles`); "random", uniform
         actions, the same for an episode of a seed in any batch; "idle", "gripping" and
-        "frozen", which hold still with an open grip, with a closed one, and with what
-        they hold; "limp" and "absent" for one agent, which the worlds' randomization
-        must name too (calls that make worlds, such as `evaluate`, see to it); a
-        function from observations to actions; or a model of Stable-Baselines3 that
-        commands all robots.
+        "frozen", which hold still with an open hand, one that closes on what it meets,
+        and what they hold; "limp" and "absent" for one agent, which the worlds'
+        randomization must name too (`evaluate` and other calls that make worlds see to
+        it); a function from observations to actions; or a model of Stable-Baselines3
+        that commands all robots.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose
         observations and actions the policy then takes and returns. Without it, you can

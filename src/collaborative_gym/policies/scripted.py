@@ -51,8 +51,7 @@ def idle_policy(env: VectorEnv):
 def gripping_policy(env: VectorEnv):
     """Return a policy that holds still and grips things within reach of its hand.
 
-    As long as it holds nothing, it opens its hand every other step: a closed one takes
-    nothing.
+    As long as it holds nothing, it opens its hand every other step to close it anew.
     """
     if not env.task.gripping:
         return idle_policy(env)

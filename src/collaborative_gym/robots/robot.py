@@ -53,8 +53,7 @@ class Robot(RobotData):
         at least 20 ms to full speed, and 10 ms for its rotor alone.
       damping: velocity gains of the joint servos, in N m s/rad; empty, half of what
         would chatter, from the joints' inertias at home.
-      stiffness: position gains of the joint servos, in N m/rad; empty, 8 times the
-        damping.
+      stiffness: position gains of the servos, in N m/rad; empty, 8 times the damping.
       stand: what the arm stands on.
       tcp: site, or else body, of the tool centre point, z along the approach direction
         and y along the closing direction of the fingers.

@@ -17,7 +17,8 @@ Inverse kinematics finds the start angles from the nominal ones plus noise.
 
 Each side observes the world in its own frame, in which it plays towards +x. The other
 side's frame is rotated by half a turn. The seats are therefore alike, and one policy
-plays in both.
+plays in both. `clock` is how long the puck has been on one half, positive on the
+opponents'.
 
 Reward of each agent:
 
@@ -152,7 +153,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         "joint speeds": "rad/s",
         "mallet": "m",
         "puck": "m",
-        "puck velocity": "m/s",
+        **{"puck velocity": "m/s", "clock": "s"},
     }
 
     @property

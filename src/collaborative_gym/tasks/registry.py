@@ -150,8 +150,7 @@ def make_task(
     Args:
       name: an environment id, or a task's name.
       robots: the arms in the order of the agents, by name or value, or one for all. An
-        environment id has its own; other arms in its place are mounted by the task's
-        rule.
+        environment id has its own; other arms are mounted by the task's rule.
       num_robots: how many arms of one kind; None for as many as there usually are.
       randomization: how starts are drawn, a preset's name or a value; None for
         "default".

@@ -59,7 +59,7 @@ class TaskConfig:
       pad_force: whether robots observe the force in N with which each of two pads
         presses a held object; it is 0 unless `grasp` is "pinch" or "friction".
       action: what actions mean, by the name of an action mode, such as "joints" or
-        "tcp"; `list_modes` has them.
+        "tcp"; `control.list_modes` has them.
       grasp: how hands hold things, where a task has grips: "magnet", "suction",
         "pinch" or "friction"; `scene.grasps` describes them.
     """
@@ -128,8 +128,7 @@ class Task(Generic[ConfigT, FactsT]):
     num_envs axis and may be NumPy's or torch's.
 
     Attributes:
-      name: the environment id or task's name by which `make` made it; else that of its
-        class.
+      name: the environment id or task's name that made it; else that of its class.
       robot_counts: how many arms the task can have; the first is the usual number.
       gripping: whether actions have a grip component.
       config_class: the class of its settings.

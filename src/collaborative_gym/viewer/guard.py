@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import html
 import ipaddress
 import logging
 import re
@@ -165,7 +166,11 @@ class _Guard:
         try:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:
-            return connection.respond(HTTPStatus.NOT_FOUND, f"{error}\n")
+            said = f'<p>{html.escape(str(error))}<p><a href="/">To the viewer</a>\n'
+            response = connection.respond(HTTPStatus.NOT_FOUND, said)
+            del response.headers["Content-Type"]
+            response.headers["Content-Type"] = "text/html; charset=utf-8"
+            return response
         if "Upgrade" in request.headers:
             show()
         request.path = "/"

@@ -23,6 +23,9 @@ _PAUSE = 0.5
 
 _COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
 
+_LONG = 30
+"""Length of a value that the table breaks into lines."""
+
 _MEASURED = "measured"
 """Title of the chart of measures."""
 
@@ -40,13 +43,16 @@ const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
 const labels = [...document.querySelectorAll("label")];
 const shadows = labels.find(label => label.textContent == %s)?.control;
 const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
+const page = document.querySelector("meta[name=viewport]");
+if (!window.isKnown) page.content += ", minimum-scale=1";
 document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
 if (!window.isKnown && isSlow && shadows?.checked) shadows.click();
 window.isKnown = true;
 """
 """Script of a tab that has the panel. It sets the title, and unticks the shadows if
 there is no graphics card: a picture with them takes a second there. Keys that move a
-slider do not move the camera."""
+slider do not move the camera. A phone does not zoom out to what opens beside the page,
+such as a list of choices, which would move the list away."""
 
 _THUMBS = """<style>.mantine-ScrollArea-content { padding-right: 10px; }
 @media (pointer: coarse), (max-width: 36em) {
@@ -82,7 +88,7 @@ class Panel:
         self._said: Reading | None = None
         self._offered: tuple[Any, ...] = ()
         self._offers: list[Any] = []
-        self._instead = ""
+        self._wished, self._instead = self._choice.policies, ""
         gui = server.gui
         gui.set_panel_label(_LABEL)
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -122,7 +128,9 @@ class Panel:
         self._worlds.value = self._worlds.options[session.world]
         said = meanings(type(session.env.task), type(session.env.facts))
         self._table.content = _table(reading.rows, said)
-        self._time.value = max(each.time for each in session.readings)
+        last, now = session.film[-1].readings, session.readings
+        self._time.max = max([session.env.control_dt, *(each.time for each in last)])
+        self._time.value = max(each.time for each in now)
         offered = session.env, session.policies, reading.trouble
         if self._offered != offered:
             self._offered = offered
@@ -134,8 +142,12 @@ class Panel:
         """Offer the cameras of another world."""
         self._view.options = views
 
-    def play(self, choice: Choice) -> None:
-        """Let the session play a choice."""
+    def play(self, choice: Choice, wished: tuple[str, ...] = ()) -> None:
+        """Let the session play a choice, as far as they can by policies wished for."""
+        self._wished = wished or choice.policies
+        pairs = zip(self._wished, choice.policies, strict=False)
+        lost = ", ".join(dict.fromkeys(old for old, new in pairs if old != new))
+        self._instead = lost and f"{lost} cannot play this, so the expert does"
         self._session.change(
             lambda env: self._menu.load(choice, env), choice.seed, choice.episode
         )
@@ -198,7 +210,6 @@ class Panel:
     def _offer(self) -> None:
         """Offer the choices beside the present one."""
         menu, choice, env = self._menu, self._choice, self._session.env
-        self._time.max = env.task.config.max_episode_steps * env.control_dt
         for old in self._offers:
             old.remove()
         starts, drawn = menu.randomizations(choice.env), choice.randomization
@@ -232,18 +243,16 @@ class Panel:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
         box = self._gui.add_dropdown(label, names, initial_value=value)
-        _on_user(box, lambda name: self._take(change(self._choice, name)))
+        _on_user(box, lambda name: self._take(lambda now: change(now, name)))
         return box
 
-    def _take(self, choice: Choice) -> None:
-        """Play another choice, and say which policies cannot."""
-        now = self._choice
-        pairs = zip(now.policies, choice.policies, strict=False)
-        lost = ", ".join(dict.fromkeys(old for old, new in pairs if old != new))
-        is_new = (now.env, now.robots) != (choice.env, choice.robots)
-        said = f"{lost} cannot play this, so the expert does"
-        self._instead = said if lost and is_new else ""
-        self.play(choice)
+    def _take(self, change: Callable[[Choice], Choice]) -> None:
+        """Play another choice, by the policies wished for where they can play it."""
+        now, wished = self._choice, self._wished
+        choice = change(replace(now, policies=wished))
+        if (now.env, now.robots) == (choice.env, choice.robots):
+            wished, choice = choice.policies, change(now)
+        self.play(choice, wished)
 
 
 _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
@@ -267,7 +276,7 @@ def _heading(session: Session, instead: str) -> str:
     lines = ["loading ..." if reading.is_loading else html.escape(goal)]
     if reading.trouble:
         lines.append(f"<b>stopped:</b> {html.escape(reading.trouble)}")
-    lines += [html.escape(instead)] * bool(instead)
+    lines += [f"<b>{html.escape(instead)}</b>"] * bool(instead)
     lines.append(" : ".join(sides))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
@@ -285,11 +294,12 @@ def _table(rows: Iterable[tuple[str, str]], meanings: Mapping[str, str]) -> str:
         if is_heading := not name.startswith(" "):
             of_part = "reward " if name.startswith("reward") else ""
         word = of_part + name.strip()
+        wrap = "nowrap" if len(value) < _LONG else "normal"
         title = meanings.get(word) or meanings.get(word.rpartition(" ")[0], "")
         lines += (
             f'<tr><td style="padding-left:{1 - is_heading}em"'
             f' title="{html.escape(title)}">{html.escape(name)}'
-            f'<td style="text-align:right;white-space:nowrap">{html.escape(value)}'
+            f'<td style="text-align:right;white-space:{wrap}">{html.escape(value)}'
         )
     # Figures of equal width, so that nothing trembles.
     style = "width:100%;font-variant-numeric:tabular-nums"

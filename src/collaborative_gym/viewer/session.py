@@ -54,8 +54,7 @@ class Session:
     once all are at an end.
 
     Args:
-      env: up to 16 worlds that do not reset themselves, so that the end of an episode
-        is seen.
+      env: up to 16 worlds that do not reset themselves, so that ends are seen.
       policy: commands the robots. Where it fails, the session says so and pauses.
       warn: called with a sentence about what went wrong.
       policies: the policy of each agent, as `evaluate` takes it; None for `policy`.

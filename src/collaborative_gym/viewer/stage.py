@@ -35,7 +35,7 @@ _BEFORE, _BELOW = 0.6, 0.85
 """Where the hint is: a share of the way from the first camera to what it looks at, so
 that arms are behind, and a share of the lower half of what the camera sees."""
 
-NEWTONS_PER_METRE = 100.0
+NEWTONS_PER_METRE = 300.0
 """Contact force whose arrow is 1 m long."""
 
 _WEAK = 0.5
