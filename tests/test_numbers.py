@@ -181,6 +181,9 @@ def test_pages_say_what_certificates_found():
     )
     assert f"on {100 * min(idle):.0f} to {percent(max(idle))} of starts" in certify
     assert f"beside a limp one on up to {percent(max(limp))}." in certify
+    searches = [t.converged for c in found for t in c.trials if t.converged is not None]
+    told = f"Of their {len(searches)} searches, {sum(searches)} converged."
+    assert told in certify
     for certificate in found:
         if "BalanceTask" not in certificate.environment:
             early = [t for t in certificate.trials if t.row != TEAM and not t.fraction]

@@ -56,7 +56,7 @@ FAULTS = ("delayed", "lost_grips", "missed_grips")
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """Numbers of PPO or SAC, and of the worlds that they learn from.
+    """Hyperparameters of PPO and SAC, and of the worlds that they learn from.
 
     Attributes:
       total_steps: environment steps over all worlds; the last update may go past it.
@@ -85,7 +85,7 @@ class Hyperparameters:
       gradient_steps: SAC: gradient steps of an update (our choice, for speed; Haarnoja
         et al. do one after each step of one world).
       polyak: SAC: share by which the target critics follow the critics in a gradient
-        step (0.005 in Haarnoja et al.).
+        step (Haarnoja et al. 2018).
       target_std: SAC: the weight of the entropy is learned so that actions have the
         entropy of a Gaussian with this standard deviation in each component. (The -1 of
         Haarnoja et al. in each component is 0.09.)

@@ -266,7 +266,7 @@ def quickest_way(
     *,
     ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
 ) -> tuple[int, np.ndarray]:
-    """Return the way on which an arm goes quickest from the first pose to the last.
+    """Return the way on which an arm moves fastest from the first pose to the last.
 
     Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
     other.

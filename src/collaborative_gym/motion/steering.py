@@ -130,7 +130,7 @@ def carry(
 ) -> np.ndarray:
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
-    They let go of what arms that hold one thing exert against each other. Without a
+    They relax what arms that hold one thing exert on each other. Without a
     load the posture counts less and less the nearer the goal is, where the arm comes to
     rest (`settling`).
 
