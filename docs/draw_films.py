@@ -1,8 +1,8 @@
 """Draws the films of the gallery: python docs/draw_films.py [ENV_ID ...].
 
 Those of baselines go into `docs/media/baselines/`, those of experts of teams into
-`docs/media/experts/`, each with a picture that stands for it; and `docs/media/ego.gif`,
-which the name `ego` draws alone.
+`docs/media/experts/`, each with a picture that stands for it; `docs/media/ego.gif`,
+which the name `ego` draws alone; and Lift beside an idle arm, which `idle` draws.
 """
 
 import sys
@@ -71,7 +71,7 @@ def film(env_id: str) -> None:
 
 if __name__ == "__main__":
     shipped = [each for each in cg.list_envs() if is_shipped("baseline", each)]
-    for name in sys.argv[1:] or [*shipped, *TEAMS, "ego"]:
+    for name in sys.argv[1:] or [*shipped, *TEAMS, "ego", "idle"]:
         if name == "ego":
             nearer, higher = (
                 {"robot_1": f"expert:{place}", "robot_2": "ego"}
@@ -83,6 +83,15 @@ if __name__ == "__main__":
                 policy=[nearer, higher],
                 size=BESIDE,
             )
+        elif name == "idle":
+            idle = {"robot_1": "expert", "robot_2": "idle"}
+            both = {
+                "policy": ["expert", idle],
+                "only_episodes": [0],
+                "size": (480, 360),
+            }
+            record("LiftTaskSawyers-v0", MEDIA / "experts" / "idle.mp4", **both)
+            (MEDIA / "experts" / "idle.jpg").unlink(missing_ok=True)
         else:
             film(name)
         print(name)

@@ -38,8 +38,7 @@ class TorchRLEnv(EnvBase):
       device: where the tensors are; the physics is on the CPU.
 
     Raises:
-      ValueError: if a group's agents have different spaces, or not every agent has
-        one group.
+      ValueError: if a group's agents have different spaces, or an agent no group.
 
     Attributes:
       vector_env: the worlds.

@@ -113,8 +113,7 @@ class Worlds(Command):
     """The options of commands that start episodes.
 
     Attributes:
-      robots: robots to use instead of the environment's own, one per agent, or one for
-        all.
+      robots: robots in place of the environment's own, one per agent, or one for all.
       num_robots: number of robots of one kind, for tasks with teams of any size.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or

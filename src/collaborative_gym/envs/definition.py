@@ -39,8 +39,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
 
     Raises:
       ValueError: if the task's methods return something that cannot be used, something
-        starts inside something else, or a target is out of every arm's reach; says what
-        to change.
+        starts inside something else, or no arm reaches a target; says what to change.
     """
     trial, mode = _Trial(task, sim), task.action_mode
     sim.memory = task.remember(sim.num_envs)

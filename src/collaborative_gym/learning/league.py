@@ -49,8 +49,7 @@ class _Player:
     """A player in the league.
 
     Attributes:
-      parent: from whom it was copied; empty for members that learn and for given
-        policies.
+      parent: from whom it was copied; empty for those that learn or were given.
       steps: of the run when it was copied.
       since: environment steps of a learning member since it left a copy.
     """

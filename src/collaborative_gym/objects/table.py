@@ -29,8 +29,7 @@ def table(
 
     Raises:
       TypeError: if one is not a number.
-      ValueError: if the top is too small or too low for the legs, or a side is longer
-        than 100 m.
+      ValueError: if the top is too small or low for the legs, or longer than 100 m.
     """
     for name, given in (("length", length), ("width", width), ("height", height)):
         check_number(name, given, at_most=100.0)

@@ -158,6 +158,11 @@ class Scene:
         self.spec.attach(child, frame=frame, prefix=f"{name}/")
         self._objects.append(name)
 
+    def paint_hand(self, agent: str, rgba: Sequence[float]) -> None:
+        """Give an arm's hand a colour, which only pictures show."""
+        for geom in self.spec.site(f"{agent}/{self.robots[agent].tcp}").parent.geoms:
+            geom.rgba = rgba
+
     def add_tool(self, agent: str, name: str, *, child: mujoco.MjSpec) -> None:
         """Fix an object to an arm's tcp, as part of the arm, under `agent/name/`."""
         self._check_arm(agent)

@@ -193,6 +193,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
             robot = self.robots[agent]
             scene.add_robot(agent, robot, placement=placement, holds=GRIP, stand=False)
             colour = _COLOURS[self.turns[agent] < 0]
+            scene.paint_hand(agent, colour)
             scene.add_tool(agent, "mallet", child=mallet(colour))
             scene.add_pose_sensor(f"{agent} mallet", f"{agent}/mallet/mallet")
         ice, (half_width, half_goal) = (0.0, 0.0, HEIGHT), self.half_sizes

@@ -183,8 +183,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_pose_sensor(f"{agent}/elbow", f"{agent}/elbow")
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
-            for geom in scene.spec.site(f"{agent}/{robot.tcp}").parent.geoms:
-                geom.rgba = colour  # Hands hide the goals that they have reached.
+            scene.paint_hand(agent, colour)  # It hides the goal that it has reached.
         teams.add_team_camera(scene, places, below=0.4)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:

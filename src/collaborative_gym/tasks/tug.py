@@ -161,6 +161,7 @@ class Tug(Task[TugConfig, TugFacts]):
             scene.add_weld(tcp, f"bar/{knob}", turns=True)
             place = _CENTRE + np.array([0.0, self.ways[agent] * self.lines[agent], 0.0])
             scene.add(f"{agent}_line", line(colour), position=place)
+            scene.paint_hand(agent, (*colour[:3], 1.0))
         scene.add_pose_sensor("bar", "bar/bar")
         scene.add_velocity_sensor("bar", "bar/bar")
         scene.add_camera((1.7, 0.0, 1.43), (0, 1, 0, -0.25, 0, 1))

@@ -76,8 +76,7 @@ class Page:
         """Place a new tab's camera, and again when its picture gets another shape.
 
         The first size of a tab may be that of a page not yet laid out. A tab may also
-        take the first camera of all tabs after its own. A camera that a user has moved
-        stays.
+        take the first camera of all tabs after its own. What a user has moved stays.
         """
         if client.client_id not in self._server.get_clients():
             return  # It has left already.
