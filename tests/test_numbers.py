@@ -163,6 +163,15 @@ def test_the_egos_table_sums_up_their_pairings(task):
     assert f"| {task} | {' | '.join(numbers)} |" in read("docs/strangers.md")
 
 
+def test_pages_say_how_fast_teams_are():
+    table = read("docs/tables/teams_speed.md")
+    rows = re.findall(r"\| (\d+)% \| ([\d.]+) \|", table)
+    assert len(rows) > 20
+    kept, growth = min(int(row[0]) for row in rows), max(float(r[1]) for r in rows)
+    assert f"(tables/teams_speed.md): {kept} %)" in read("docs/performance.md")
+    assert f"grows by at most {100 * growth - 100:.0f} %" in read("docs/teams.md")
+
+
 def test_pages_say_what_certificates_found():
     certify = read("docs/certify.md")
     found = [Certificate.load(ROOT / f"docs/certificates/{i}.json") for i in TEN]
