@@ -84,14 +84,15 @@ if __name__ == "__main__":
                 size=BESIDE,
             )
         elif name == "idle":
-            idle = {"robot_1": "expert", "robot_2": "idle"}
-            both = {
-                "policy": ["expert", idle],
-                "only_episodes": [0],
-                "size": (480, 360),
-            }
-            record("LiftTaskSawyers-v0", MEDIA / "experts" / "idle.mp4", **both)
-            (MEDIA / "experts" / "idle.jpg").unlink(missing_ok=True)
+            path = MEDIA / "experts" / "idle.mp4"
+            record(
+                "LiftTaskSawyers-v0",
+                path,
+                policy=["expert", {"robot_1": "expert", "robot_2": "idle"}],
+                only_episodes=[0],
+                size=(576, 324),
+            )
+            path.with_suffix(".jpg").unlink(missing_ok=True)
         else:
             film(name)
         print(name)

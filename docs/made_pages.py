@@ -325,12 +325,11 @@ def _observations(env: cg.VectorEnv) -> str:
             break
     is_own = all("mates" in blocks for blocks in by_agent.values())
     frame = "frame of the robot's own base" if is_own else "world's frame"
-    if not any(b.unit == POSE for own in by_agent.values() for b in own.values()):
-        return "\n\n".join(tables)
-    tables.append(
-        "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both in"
-        f" the {frame}."
-    )
+    if any(b.unit == POSE for own in by_agent.values() for b in own.values()):
+        tables.append(
+            "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both"
+            f" in the {frame}."
+        )
     return "\n\n".join(tables)
 
 
@@ -444,8 +443,9 @@ def _films(tasks: Sequence[str]) -> str:
     for name in tasks:
         goal = inspect.getdoc(_envs(name)[0][1].task).partition("\n")[0]
         row = re.search(rf"^\| {name} \|.*\| (.*) \|$", readme, re.M)
-        why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
-        why = why if name not in _AGAINST else ""
+        why = ""
+        if name not in _AGAINST:
+            why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
         paragraphs.append(f"**{name}.** {goal}{why}")
         for env_id, spec in _envs(name):
             grasp = spec.settings.get("grasp")
