@@ -320,8 +320,7 @@ class Scene:
           env_ids: which of them.
           name: the object's, as `add` or `add_target` got it.
           position: of its body's origin, (worlds, 3) or (3,), in m.
-          quat: (worlds, 4) or (4,), w x y z; None leaves it as it is. Targets have
-            none.
+          quat: (worlds, 4) or (4,), w x y z; None leaves it. Targets have none.
 
         Raises:
           ValueError: if nothing of that name can be moved, or it cannot be put there.

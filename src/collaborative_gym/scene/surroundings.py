@@ -8,18 +8,17 @@ CAMERA = "overview"
 LARGEST = 1920, 1080
 """Largest width and height of an off-screen picture, in pixels."""
 
-
-_WALL = (0.90, 0.92, 0.94)
+_WALL = (0.70, 0.74, 0.79)
 
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
-    # A plain room: a pale floor that fades into walls without corners.
+    # A plain room, on whose grey floor white arms stand out as well as black ones.
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.87, 0.895, 0.92],
+        rgb1=[0.78, 0.82, 0.86],
         rgb2=_WALL,
         width=512,
         height=512,
@@ -29,8 +28,8 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         # Squares that differ more, or are smaller, flicker where they are far away.
-        rgb1=[0.741, 0.751, 0.766],
-        rgb2=[0.725, 0.735, 0.75],
+        rgb1=[0.475, 0.50, 0.535],
+        rgb2=[0.46, 0.485, 0.52],
         width=256,
         height=256,
     )
@@ -71,13 +70,11 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     light = visual.headlight
     light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.2] * 3, [0.05] * 3
     visual.global_.offwidth, visual.global_.offheight = LARGEST
-    visual.quality.shadowsize = 4096
-    visual.quality.offsamples = 4
+    visual.quality.shadowsize, visual.quality.offsamples = 4096, 4
     visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.
-    visual.map.shadowclip = 3.0
-    visual.map.znear = 0.02
+    visual.map.shadowclip, visual.map.znear = 3.0, 0.02
 
 
 def add_overview(spec: mujoco.MjSpec) -> None:

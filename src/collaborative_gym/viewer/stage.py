@@ -13,8 +13,8 @@ from collaborative_gym.policies import name_policy
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import surfaces
 
-_SKY = (230, 235, 240)
-"""Colour of the page's sky, into which the floor fades."""
+_SKY, _FOG = (188, 199, 210), (125, 140, 155)
+"""Colours of a page's sky and of its haze, which a page draws lighter, like the sky."""
 
 _HAZE = (15.0, 40.0)
 """Distances at which things begin to fade and have faded, in m."""
@@ -22,7 +22,7 @@ _HAZE = (15.0, 40.0)
 _ABOVE = 0.2
 """Height of a label above its arm, in m."""
 
-_GAMMA = 1.4
+_GAMMA = 2.0
 """Exponent that keeps colours strong, since pages draw them lighter than MuJoCo."""
 
 _FORCE = (210, 40, 30)
@@ -345,7 +345,7 @@ def _light(
     scene.configure_environment_map(None)
     scene.set_background_image(np.full((2, 2, 3), _SKY, np.uint8))
     near, far = _HAZE
-    scene.configure_fog(near + 3 * width, far + 3 * width, color=_SKY)
+    scene.configure_fog(near + 3 * width, far + 3 * width, color=_FOG)
     ambient = model.vis.headlight.ambient.mean()
     scene.add_light_ambient("/ambient", intensity=float(np.pi * ambient))
     lights = [
