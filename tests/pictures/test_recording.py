@@ -71,7 +71,7 @@ def test_slow_motion_has_more_pictures_of_a_step(
     assert meta["fps"] == rate
     # A start, three steps, and a second of the film after the end.
     assert len(frames) == 1 + shots * 3 + rate
-    assert f"0.3 s, speed {speed:g}" in labels[-1]
+    assert f"0.3 s, speed {speed:g}x, expert" in labels[-1]
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     while env.facts.height[0] < bound:
         *_, infos = env.step(env.expert())
     moment = int(infos["step"][0])
-    times = [float(text.split()[0]) for text in told if ", speed 0.2" in text]
+    times = [float(text.split()[0]) for text in told if ", speed 0.2x, " in text]
     # A start has one picture.
     shown = [step for step in range(moment - 5, moment + 2) if step >= 0]
     slow = [round(0.1 * step, 1) for step in shown for _ in range(5 if step else 1)]
@@ -275,8 +275,8 @@ def test_what_has_no_room_behind_the_time_stands_below_it():
         written = (frame > 128).any(axis=(1, 2))
         return frame.shape, np.diff(written.astype(int)).tolist().count(1)
 
-    assert lines("3.8 s  expert", 320) == ((240, 320, 3), 1)
-    long = "3.8 s  robot_1 baseline 0 : 1 robot_2 expert"
+    assert lines("3.8 s, expert", 320) == ((240, 320, 3), 1)
+    long = "3.8 s, robot_1 baseline 0 : 1 robot_2 expert"
     assert lines(long, 640)[1] == 1
     assert lines(long, 240)[1] == 2
 
@@ -359,7 +359,7 @@ def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     )
     # It lasts longer than was asked for, and only its end is the whole.
     assert shares == sorted(shares) and shares.count(1.0) == 1
-    assert told[0] == "0.0 s  robot_1 expert 0 : 0 robot_2 idle"
+    assert told[0] == "0.0 s, robot_1 expert 0 : 0 robot_2 idle"
     assert told[-1][7:] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
     # The end is shown for a second.
     with Image.open(path) as video:

@@ -322,9 +322,9 @@ class _Screen:
         """Yield pictures of a step; in slow motion, of all its states."""
         every = 1 if is_slow else -(-len(step.states) // self._shots)
         pace = self.speed * (self._shots / self._most if is_slow else 1)
-        said = f", speed {pace:g}" if pace != 1 else ""
+        said = f", speed {pace:g}x" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
-        label = f"{seconds:.1f} s{said}  {standing(self._players, step.infos)}"
+        label = f"{seconds:.1f} s{said}, {standing(self._players, step.infos)}"
         is_share = self._stage and self._env.task.units.get(self._stage) == ""
         if is_share and not _is_success(step):
             label += f", {100 * self._progress(step):.0f} % done"
@@ -403,7 +403,7 @@ def _film(
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     """Return a frame with a text in its corner, as large as its width allows.
 
-    If there is no room for all in a line, the part after two spaces comes below.
+    If there is no room for all in a line, the part after the time comes below.
     """
     picture = _import("PIL.Image").fromarray(frame)
     pen = _import("PIL.ImageDraw").Draw(picture)
@@ -414,7 +414,7 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
         return pen.textbbox((0, 0), text, load(size=size))[2]
 
     if width() > room:
-        text = text.replace("  ", "\n", 1)
+        text = text.replace(", ", "\n", 1)
     font = load(size=max(9, min(size, int(size * room / width()))))
     *_, right, down = pen.textbbox((size // 2, size // 3), text, font)
     pen.rectangle((0, 0, right + size // 2, down + size // 3), "#202428")
