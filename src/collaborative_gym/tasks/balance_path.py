@@ -19,8 +19,9 @@ Reward of each agent:
   counts as back.
 
 Success: this distance has stayed below 0.06 m for a whole lap of 12 s, without a break,
-and the ball is on the board. From then on, performance counts how long it is below that
-distance.
+and the ball is on the board. From then on, performance counts how long that is so.
+
+Coordination: `stage` is the greatest share of a lap that this has lasted.
 """
 
 from collections.abc import Mapping
@@ -49,7 +50,7 @@ from collaborative_gym.tasks.registry import (
     register_teams,
 )
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks
+from collaborative_gym.tasks.task import Blocks, Kept
 from collaborative_gym.timing import CONTROL_DT, SIM_DT
 
 _SMALLEST = 0.9  # share of the path's size
@@ -84,6 +85,7 @@ class BalancePathFacts(BalanceFacts):
     target_velocity: Array  # (num_envs, 3) in m/s
     coming: tuple[Array, Array, Array]  # place, velocity, acceleration a step later
     followed: Array  # (num_envs,) how long the ball has been near it, in s, else 0
+    stage: Array  # (num_envs,) that time, as a share of a lap
 
 
 class BalancePath(Balance):
@@ -91,7 +93,8 @@ class BalancePath(Balance):
 
     config_class = BalancePathConfig
     config: BalancePathConfig
-    units: ClassVar[Mapping[str, str]] = {"distance": "m", "followed": "s"}
+    units: ClassVar[Mapping[str, str]] = {"distance": "m", "followed": "s", "stage": ""}
+    coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest"}
     performance_from_start = False
     success_for = 1  # It says itself how long.
     expert = player.path_expert
@@ -161,6 +164,7 @@ class BalancePath(Balance):
             target_velocity=velocity,
             coming=self._at(sim, sim.time + CONTROL_DT),
             followed=sim.time - away,
+            stage=(sim.time - away) / self.config.lap,
         )
 
     def observe(self, facts: BalancePathFacts) -> dict[str, Blocks]:
