@@ -109,6 +109,7 @@ _SHORT_OF_MEETING = 1 / 3  # share of its way there, where robot_2 leaves robot_
 _ARMS_FOR_TWO = 4  # arms of a relay from which on two cubes are under way
 _APART = 0.3  # m between two cubes, so that a hand has room beside the other one
 _CLEAR = 0.4, 0.15  # m, of a lost cube from an arm's base, and from another cube
+_COLOURS = (0.9, 0.45, 0.13, 1.0), (0.16, 0.47, 0.82, 1.0)  # of cubes, and of two goals
 _HOVER = 0.15  # m above the targets, to where the last arm swings
 _STEPS_PER_ARM = 60  # control steps; a Jaco turns with a cube in about 40
 _AT_REST, _ON_TABLE = 0.05, 0.005  # m/s and m above it, of a cube that lies there
@@ -223,9 +224,10 @@ class Pass(Task[PassConfig, PassFacts]):
         self.targets = [np.array([1.2, self.placements[last].position[1], 1.3])]
         if config.relay:
             self.targets = [row.before(last, each - 0.1) for each in reversed(aside)]
-        for i, name in enumerate(self.cubes):
-            scene.add(name, cube(_CUBE_SIZE), position=self._starts[i])
-            scene.add_target(self._goals[i], config.success_radius)
+        for i, (name, rgba) in enumerate(zip(self.cubes, _COLOURS, strict=False)):
+            own = {"rgba": rgba} if len(self.cubes) > 1 else {}
+            scene.add(name, cube(_CUBE_SIZE, rgba=rgba), position=self._starts[i])
+            scene.add_target(self._goals[i], config.success_radius, **own)
             if config.relay:
                 scene.add_velocity_sensor(name, f"{name}/centre")
         self.thresholds = dict.fromkeys(self.agents, config.handover_threshold)
