@@ -179,10 +179,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("board", f"{first}/board/board")
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
-        if len(others) > 1:
-            teams.add_team_camera(scene, self.placements)
-        else:
-            scene.add_camera((3.2, 0, 1.95), (0, 1, 0, -0.34, 0, 1))
+        teams.add_team_camera(scene, self.placements)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

@@ -256,12 +256,11 @@ class Lift(Task[LiftConfig, LiftFacts]):
         if count == 2:
             scene.add("table", table())
             scene.add("pot", pot(self.pot_mass, y), position=START)
-            scene.add_camera((2.25, 0.0, 1.62), (0, 1, 0, -0.22, 0, 1))
         else:
             scene.add("table", round_table(grip_radius(count) + 0.02))
             vessel = ring_pot(count, self.pot_mass, balance=(x, y))
             scene.add("pot", vessel, position=START)
-            teams.add_team_camera(scene, self.placements)
+        teams.add_team_camera(scene, self.placements)
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():

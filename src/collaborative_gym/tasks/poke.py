@@ -43,6 +43,7 @@ from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot
 from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import poke as player
 from collaborative_gym.tasks.experts.poke import (
     DONUT,
@@ -136,12 +137,11 @@ class Poke(Task[TaskConfig, PokeFacts]):
         scene.add_tool(DONUT, "donut", child=donut_spec)
         scene.add_pose_sensor("stick", f"{STICK}/stick/stick")
         scene.add_pose_sensor("donut", f"{DONUT}/donut/donut")
-        *_, (eye, axes) = _lay_out(self.placements, self.robots)
-        scene.add_camera(eye, axes)
+        teams.add_team_camera(scene, self.placements, below=0.9)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        start, self.goal, _ = _lay_out(self.placements, self.robots)
+        start, self.goal = _lay_out(self.placements, self.robots)
         self._start, self._spread, self.postures = {}, {}, {}
         for agent, arm in scene.arms.items():
             angles = solve_pose(sim.model, arm, goal=start[agent], start=arm.robot.home)
@@ -268,11 +268,11 @@ def _opposite(
 
 def _lay_out(
     placements: dict[str, Placement], robots: dict[str, Robot]
-) -> tuple[dict[str, Pose], dict[str, Pose], Pose]:
-    """Return where the tcps start, where they meet, and a camera that sees it all.
+) -> tuple[dict[str, Pose], dict[str, Pose]]:
+    """Return where the tcps start, and where they meet.
 
     Both start aside of the line between the bases. They meet near where it is divided
-    as their reaches, and at right angles. The camera has a position and x and y axes.
+    as their reaches, and at right angles.
     """
     first, second = (np.array(placements[agent].position) for agent in robots)
     reaches = [robot.reach for robot in robots.values()]
@@ -290,12 +290,11 @@ def _lay_out(
     into = _tilted((along + aside) / np.sqrt(2))
     level = (aside - along) / np.sqrt(2)
     across = np.cos(_TILT) * level + np.sin(_TILT) * np.cross(into, level)
-    eye = middle + 1.3 * span * aside + 0.55 * up
     start = {STICK: (starts[0], outwards)}
     start[DONUT] = starts[1], _tcp_quat(along, outwards)
     goal = {STICK: (meeting - STICK_AHEAD * into, into)}
     goal[DONUT] = meeting - DONUT_AHEAD * across, _tcp_quat(into, across)
-    return start, goal, (eye, np.concatenate([along, up - 0.2 * aside]))
+    return start, goal
 
 
 def _tilted(direction: np.ndarray) -> np.ndarray:

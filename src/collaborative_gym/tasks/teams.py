@@ -31,8 +31,8 @@ MOST_JOINTS = 7
 _FINE = 0.01  # m or rad, beside which what is more shows by its logarithm
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
-_TALL, _MARGIN = 0.7, 0.1  # m, of an arm at work in a picture, and around it
-_SLOPE = 0.9  # how steeply a camera looks down at a team
+_TALL = 0.7  # m, of an arm at work in a picture
+_LOOKS = (0.35, 0.25), (0.9, 0.1)  # how steeply at a pair, and at a team; m around it
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
 
@@ -210,6 +210,7 @@ def add_team_camera(
     scene: Scene, placements: Mapping[str, Placement], below: float = 0.0
 ) -> None:
     """Look at arms, and so many m below, from above through the widest gap between."""
+    slope, margin = _LOOKS[len(placements) > 2]
     bases = np.array([each.position for each in placements.values()])
     bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, _TALL))
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
@@ -218,14 +219,14 @@ def add_team_camera(
     between = azimuths + gaps / 2
     # Of gaps that are equally wide, the one nearest to +x.
     angle = between[np.lexsort((np.cos(between), gaps.round(3)))[-1]]
-    back = np.array([np.cos(angle), np.sin(angle), _SLOPE])
+    back = np.array([np.cos(angle), np.sin(angle), slope])
     back /= np.linalg.norm(back)
     right = np.array([-np.sin(angle), np.cos(angle), 0.0])
     up = np.cross(back, right)
     away = np.concatenate([bases, tops]) - middle
     for _ in range(20):  # Until the lowest and the highest are as near to the edges.
         off = away @ np.transpose([right, up])
-        far = np.max(away @ back + np.max((np.abs(off) + _MARGIN) / _VIEW, axis=1))
+        far = np.max(away @ back + np.max((np.abs(off) + margin) / _VIEW, axis=1))
         seen = off[:, 1] / (far - away @ back)
         shift = up * far * (seen.max() + seen.min()) / 2
         middle, away = middle + shift, away - shift

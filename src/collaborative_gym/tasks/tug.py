@@ -64,6 +64,7 @@ from collaborative_gym.robots import Robot
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import tug as player
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
@@ -164,7 +165,7 @@ class Tug(Task[TugConfig, TugFacts]):
             scene.paint_hand(agent, (*colour[:3], 1.0))
         scene.add_pose_sensor("bar", "bar/bar")
         scene.add_velocity_sensor("bar", "bar/bar")
-        scene.add_camera((1.7, 0.0, 1.43), (0, 1, 0, -0.25, 0, 1))
+        teams.add_team_camera(scene, self.placements)
 
     def _check_placements(self) -> None:
         first, second = self.placements.values()
