@@ -15,11 +15,12 @@ from collaborative_gym.policies.policy import is_shipped
 MEDIA = Path(__file__).parent / "media"
 SIZE = 640, 360
 SIZES = {
-    "PassPandas3-v0": (960, 360),
-    "PassPandas4-v0": (960, 360),
+    "PassPandas3-v0": (1120, 360),
+    "PassPandas4-v0": (1280, 320),
+    "ReachPandas4-v0": (800, 450),
     "SortPandas4-v0": (960, 540),
 }
-"""Sizes of films, of long rows with less height, and of one with small cubes."""
+"""Sizes of films, of long rows with less height, and of two with small goals."""
 SLOW = "Poke", "LiftTask", "Pass"
 """Beginnings of the ids in which one moment decides."""
 BESIDE = (400, 226)
