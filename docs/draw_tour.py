@@ -18,16 +18,16 @@ STEPS, HOLD = 78, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": (1.1, 0.42),
-    "LiftTaskSawyers-v0": (1.35, 0.42),
+    "PokeTaskPandaSawyer-v0": (1.2, 0.4),
+    "LiftTaskSawyers-v0": (1.0, 0.5),
     "PassTaskJacoSawyer-v0": (1.0, 0.5),
-    "BalanceTaskJacoSawyer-v0": (1.3, 0.36),
+    "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
     "ReachPandas4-v0": (1.0, 0.5),
     "SortPandas4-v0": (1.9, 0.5),
-    "AssemblePandas3-v0": (1.7, 0.38),
+    "AssemblePandas3-v0": (1.45, 0.4),
     "HockeyPandas-v0": (1.3, 0.4),
-    "TugPandas-v0": (1.3, 0.4),
+    "TugPandas-v0": (1.15, 0.5),
 }
 """What the baselines play, in games against the expert, by environment: how much larger
 than the whole picture its part is drawn, whose middle is so far down."""
