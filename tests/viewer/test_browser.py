@@ -232,7 +232,7 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     tab.mouse.move(x, y)
     tab.mouse.down()
     for step in range(1, 9):
-        tab.mouse.move(x, y - 12 * step)
+        tab.mouse.move(x, y - 16 * step)
     wait_until(lambda: session.perturb is not None, timeout=PATIENCE)
     assert session.perturb.select == pot
     wait_until(lambda: session.perturb.refselpos[2] > height + 0.2, timeout=PATIENCE)
@@ -302,6 +302,9 @@ def test_a_link_opens_the_same_start(serve, open_tab, wait_until):
     wait_until(lambda: session.env.task.name == ENVS[1], timeout=PATIENCE)
     assert session.reading.episode == 4
     wait_until(lambda: tab.title().startswith(ENVS[1]), timeout=PATIENCE)
+    # viser's page adds "?websocket=..." to the address; it must open the same again.
+    wait_until(lambda: "?" not in tab.evaluate("location.href"))
+    assert tab.evaluate("location.href").startswith(f"{page.url}/play/env={ENVS[1]}")
     tab.get_by_role("tab", name="Choose").click()
     shown = tab.get_by_role("link", name="link to this start").get_attribute("href")
     assert shown == page._panel._choice.link

@@ -33,17 +33,31 @@ def offers(page):
 
 
 @pytest.fixture
-def poke(start):
+def show(start):
+    """Return a function that returns a paused session and its page."""
+    shown = []
+
+    def show(env_id, **policies):
+        env = make_vec(env_id, 1, num_threads=1)
+        policies = dict.fromkeys(env.agents, "idle") | policies
+        session = Session(
+            env, load_policy(policies, env), pytest.fail, policies=policies
+        )
+        session.pause()
+        page = Page(session, Menu(env, policies), "127.0.0.1", 0)
+        shown.append((start(session, page.refresh), page))
+        return session, page
+
+    yield show
+    for end, page in shown:
+        end()
+        page.close()
+
+
+@pytest.fixture
+def poke(show):
     """Return a paused session of Poke and its page."""
-    env = make_vec("PokeTaskSawyers-v0", 1, num_threads=1)
-    policies = {"robot_1": "expert", "robot_2": "idle"}
-    session = Session(env, load_policy(policies, env), pytest.fail, policies=policies)
-    session.pause()
-    page = Page(session, Menu(env, policies), "127.0.0.1", 0)
-    end = start(session, page.refresh)
-    yield session, page
-    end()
-    page.close()
+    return show("PokeTaskSawyers-v0", robot_1="expert")
 
 
 def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
@@ -77,12 +91,42 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
     assert said not in page._panel._heading.content
-    assert "robot_1 baseline <b>0</b> : robot_2 random <b>0</b>" in (
-        page._panel._heading.content
-    )
+    block = "<span style=display:inline-block>{}</span>".format
+    sides = map(block, ("robot_1 baseline <b>0</b>", "robot_2 random <b>0</b>"))
+    assert " : ".join(sides) in page._panel._heading.content
     titles = {title for title, *_ in page._panel._plots._charts}
     wait_until(lambda: "HockeyPandas-v0" in page._panel._script.content)
-    assert titles == {"reward of robot_1", "reward of robot_2", "measured"}
+    assert {"reward of robot_1", "reward of robot_2", "measured in s"} <= titles
+
+
+def test_a_team_is_chosen_at_once_or_one_by_one(show, wait_until):
+    session, page = show("ReachPandas4-v0")
+    wait_until(lambda: "All policies" in offers(page))
+    assert list(offers(page))[:5] == [
+        "Environment",
+        "Starts",
+        "All arms",
+        "All policies",
+        "robot_1, arm",
+    ]
+    choose(page, "All policies", "expert")
+    wait_until(lambda: set(session.policies.values()) == {"expert"})
+    wait_until(lambda: offers(page)["robot_4, policy"].value == "expert")
+    choose(page, "robot_4, policy", "random")
+    wait_until(lambda: offers(page)["All policies"].value == "mixed", timeout=60)
+    assert list(session.policies.values()) == ["expert"] * 3 + ["random"]
+    assert offers(page)["All arms"].value == "panda"
+    choose(page, "All arms", "ur5e")
+    arms = {"ur5e"}
+    wait_until(lambda: {r.name for r in session.env.task.robots.values()} == arms, 120)
+
+
+def test_each_side_of_a_game_of_teams_is_chosen_at_once(show, wait_until):
+    session, page = show("HockeyDoubles-v0")
+    wait_until(lambda: "side_2, policies" in offers(page))
+    choose(page, "side_2, policies", "random")
+    wait_until(lambda: session.policies["robot_4"] == "random")
+    assert list(session.policies.values()) == ["idle", "idle", "random", "random"]
 
 
 def test_labels_stand_over_the_arms_and_say_who_plays(poke, wait_until):
@@ -127,11 +171,14 @@ def test_plots_follow_the_episode(poke, wait_until):
     reward = next(key for key in charts if key[0] == "reward of robot_1")
     wait_until(lambda: len(charts[reward].data[0]) == 3)  # A start has none.
     np.testing.assert_allclose(charts[reward].data[0], [0.1, 0.2, 0.3])
-    for name, curve in zip(reward[1:], charts[reward].data[1:], strict=True):
+    assert reward[1:3] == ("reward per step", "total")
+    totals = [sum(f.readings[0].rewards["robot_1"].values()) for f in session.film[1:]]
+    np.testing.assert_allclose(charts[reward].data[1], totals)
+    for name, curve in zip(reward[3:], charts[reward].data[2:], strict=True):
         terms = [frame.readings[0].rewards["robot_1"][name] for frame in session.film]
         np.testing.assert_array_equal(curve, terms[1:])
-    measured = next(key for key in charts if key[0] == "measured")
-    assert measured[1] == "distance, m"
+    measured = next(key for key in charts if key[0] == "measured in m")
+    assert measured[1:3] == ("m", "distance")
     wait_until(lambda: len(charts[measured].data[0]) == 4)
     np.testing.assert_allclose(charts[measured].data[0], [0.0, 0.1, 0.2, 0.3])
 

@@ -167,7 +167,8 @@ class _Guard:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:
             said = f'<p>{html.escape(str(error))}<p><a href="/">To the viewer</a>\n'
-            response = connection.respond(HTTPStatus.NOT_FOUND, said)
+            wide = "<meta name=viewport content=width=device-width>"  # A phone, too.
+            response = connection.respond(HTTPStatus.NOT_FOUND, wide + said)
             del response.headers["Content-Type"]
             response.headers["Content-Type"] = "text/html; charset=utf-8"
             return response

@@ -121,17 +121,18 @@ class Menu:
         """Return the choice of other starts."""
         return replace(choice, randomization=randomization)
 
-    def led(self, choice: Choice, policy: str, i: int) -> Choice:
-        """Return the choice of another policy for the agent i."""
-        return replace(choice, policies=_put(choice.policies, i, policy))
+    def led(self, choice: Choice, policy: str, *agents: int) -> Choice:
+        """Return the choice of another policy for agents, by their indices."""
+        return replace(choice, policies=_put(choice.policies, policy, agents))
 
-    def armed(self, choice: Choice, robot: str, i: int) -> Choice:
-        """Return the choice of another arm for the agent i.
+    def armed(self, choice: Choice, robot: str, *agents: int) -> Choice:
+        """Return the choice of another arm for agents, by their indices.
 
         The same policies go on if they can play with it; else the expert plays.
         """
         given = self._policies if self._any_env else ()
-        return self._able(replace(choice, robots=_put(choice.robots, i, robot)), given)
+        robots = _put(choice.robots, robot, agents)
+        return self._able(replace(choice, robots=robots), given)
 
     def read(self, link: str) -> Choice:
         """Return the choice of a link; parts that it lacks are the usual ones.
@@ -247,8 +248,8 @@ def _without_states(task: Task, policies: Mapping[str, AnyPolicy]) -> Task:
     return disturbed(task, **kept)
 
 
-def _put(names: tuple[str, ...], i: int, name: str) -> tuple[str, ...]:
-    return *names[:i], name, *names[i + 1 :]
+def _put(names: tuple[str, ...], name: str, at: tuple[int, ...]) -> tuple[str, ...]:
+    return tuple(name if i in at else old for i, old in enumerate(names))
 
 
 def _arms(task: Task) -> tuple[str, ...]:

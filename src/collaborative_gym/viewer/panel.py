@@ -5,8 +5,8 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from itertools import cycle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,56 +21,24 @@ from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
 _PAUSE = 0.5
 """Time between two pictures of a chart, in s of the user's time."""
 
-_COLORS = "#c92a2a", "#1971c2", "#2f9e44", "#e8590c", "#6741d9", "#0c8599", "#a61e4d"
+_COLORS = "#333", "#c22", "#17c", "#294", "#e50", "#64d", "#089", "#a15"
+
+_MIXED = "mixed"
+"""Choice of a team whose members differ."""
 
 _LONG = 30
 """Length of a value that the table breaks into lines."""
 
-_MEASURED = "measured"
-"""Title of the chart of measures."""
+_PER_STEP = "reward per step"
+"""Unit of the charts of rewards."""
 
 _PADDED: Any = {end: {"pad": 0.1, "mode": 0} for end in ("min", "max")}
 """Room below and above a chart's curves, as a share of their range."""
 
-_LABEL, _SHADOWS = "Collaborative Gym", "Shadows"
-"""The panel's title, and the text by which a tab finds a box in it."""
-
-_SCRIPT = """
-document.title = %s;
-const gl = document.createElement("canvas").getContext("webgl");
-const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
-const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
-const labels = [...document.querySelectorAll("label")];
-const shadows = labels.find(label => label.textContent == %s)?.control;
-const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
-const page = document.querySelector("meta[name=viewport]");
-if (!window.isKnown) page.content += ", minimum-scale=1";
-document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
-if (!window.isKnown && isSlow && shadows?.checked) shadows.click();
-window.isKnown = true;
-"""
-"""Script of a tab that has the panel. It sets the title, and unticks the shadows if
-there is no graphics card: a picture with them takes a second there. Keys that move a
-slider do not move the camera. A phone does not zoom out to what opens beside the page,
-such as a list of choices, which would move the list away."""
-
-_THUMBS = """<style>.mantine-ScrollArea-content { padding-right: 10px; }
-@media (pointer: coarse), (max-width: 36em) {
-.mantine-Button-root, .mantine-Tabs-tab { min-height: 44px; min-width: 44px; }
-.mantine-Input-input { min-height: 44px !important; }
-.mantine-Slider-root { translate: 0 14px; }
-.mantine-Slider-thumb { height: 28px !important; width: 14px !important; }
-.mantine-Slider-thumb::after { content: ""; inset: -8px -15px; position: absolute; }
-} @media (max-width: 36em) {
-.mantine-Paper-root:has(.mantine-Tabs-root) {
-  max-height: 45% !important; width: 100% !important; }
-.mantine-ScrollArea-content > div { width: 100% !important; }
-div:has(> [data-block]) { float: left; width: 6em; }
-div:has(> [data-block]) + div + div { clear: left; }
-div:has(> [data-block]) + div > div > :first-child { display: none; }
-}</style>"""
-"""Sizes of buttons, tabs, boxes and sliders that a thumb can hit, and of a panel on a
-phone, where it leaves the arms in view and `Play` stands beside the other buttons."""
+_STYLES, _SCRIPT = (
+    Path(__file__).with_name(f"panel.{kind}").read_text() for kind in ("css", "js")
+)
+"""Looks of all tabs, and what they do at first and when another choice plays."""
 
 
 class Panel:
@@ -90,7 +58,7 @@ class Panel:
         self._offers: list[Any] = []
         self._wished, self._instead = self._choice.policies, ""
         gui = server.gui
-        gui.set_panel_label(_LABEL)
+        gui.set_panel_label("Collaborative Gym")
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._heading = gui.add_html("")
@@ -98,7 +66,10 @@ class Panel:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Now"):
             self._table = gui.add_html("")
-        self._choices = tabs.add_tab("Choose")
+        with tabs.add_tab("Choose"):
+            self._choices = gui.add_folder(None)
+            self._singles = gui.add_folder("Each robot", expand_by_default=False)
+            self._link = gui.add_html("")
         self._plots = Plots(gui, tabs.add_tab("Plots"))
         self._on_view = on_view
         with tabs.add_tab("Look"):
@@ -136,7 +107,7 @@ class Panel:
             self._offered = offered
             self._offer()
         link = html.escape(replace(self._choice, episode=reading.episode).link)
-        self._link.content = _STYLE % f'<a href="{link}">link to this start</a>'
+        self._link.content = _STYLE % f'<a href="{link}">Link to this start</a>'
 
     def offer_views(self, views: Iterable[str]) -> None:
         """Offer the cameras of another world."""
@@ -154,24 +125,25 @@ class Panel:
 
     def _add_controls(self) -> None:
         session, gui = self._session, self._gui
-        self._play = gui.add_button("Pause", hint="Stop time, or let it go on")
+        self._play = gui.add_button("Pause", hint="Pause or continue")
         moves = {
             "Step": session.step,
             "Reset": session.reset,
             "Back": session.back,
             "Next": session.next,
         }
-        self._moves = gui.add_button_group("Episode", list(moves))
+        hint = "Do one step, start again, see the end of the last episode, or the next"
+        self._moves = gui.add_button_group("Episode", list(moves), hint=hint)
         self._time = gui.add_slider(
-            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in what was played"
+            "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
         )
         worlds = [f"world {i + 1}" for i in range(session.env.num_envs)]
         self._worlds = gui.add_dropdown(
-            "Read", worlds, visible=len(worlds) > 1, hint="What the panel says"
+            "World", worlds, visible=len(worlds) > 1, hint="Which one the panel shows"
         )
-        # Not in a tab: no script finds what is in a tab that is not open.
+        # Not in a tab, since panel.js finds no label in a tab that is not open.
         self._shadows = gui.add_checkbox(
-            _SHADOWS, True, hint="Slow where there is no graphics card"
+            "Shadows", True, hint="Slow without a graphics card"
         )
         self._play.on_click(
             lambda _: session.play() if session.is_paused else session.pause()
@@ -187,14 +159,14 @@ class Panel:
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
         self._view = gui.add_dropdown("Camera", [CAMERA])
         _on_user(self._view, self._on_view)
-        hint = "Go to the next start a second after a success"
+        hint = "Start the next episode a second after a success"
         moves_on = gui.add_checkbox("Move on", session.moves_on, hint=hint)
         _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
-        forces = f"Contact forces, {NEWTONS_PER_METRE:g} N are 1 m"
+        forces = f"Arrows that are 1 m long for {NEWTONS_PER_METRE:g} N"
         self._looks = {
             "shadows": self._shadows,
-            "labels": gui.add_checkbox("Labels", True, hint="Who plays each arm"),
-            "forces": gui.add_checkbox(forces, False),
+            "labels": gui.add_checkbox("Labels", True, hint="The policy of each arm"),
+            "forces": gui.add_checkbox("Contact forces", False, hint=forces),
         }
 
     def _read(self, world: int) -> None:
@@ -212,38 +184,54 @@ class Panel:
         menu, choice, env = self._menu, self._choice, self._session.env
         for old in self._offers:
             old.remove()
-        starts, drawn = menu.randomizations(choice.env), choice.randomization
-        asked: list[tuple[str, Iterable[str], str, Any]] = [
-            ("Environment", menu.envs, choice.env, menu.moved),
-            ("Starts", starts, drawn, menu.drawn),
-        ]
-        for i, agent in enumerate(env.agents):
-            arm, policy = choice.robots[i], choice.policies[i]
-            armed, led = partial(menu.armed, i=i), partial(menu.led, i=i)
-            asked.append((f"{agent}, arm", menu.robots, arm, armed))
-            asked.append((f"{agent}, policy", menu.policies(choice), policy, led))
+        starts, sides = menu.randomizations(choice.env), env.sides
+        is_team = self._singles.visible = len(env.agents) > 2
         with self._choices:
-            offers = [self._ask(*each) for each in asked]
-            self._link = self._gui.add_html("")
-        self._offers = [*offers, self._link]
+            offers = [
+                self._ask("Environment", menu.envs, choice.env, menu.moved),
+                self._ask("Starts", starts, choice.randomization, menu.drawn),
+            ]
+            for side, agents in sides.items() if is_team else ():
+                who = f"{side}, " if len(sides) > 1 else "All "
+                which = map(env.agents.index, agents)
+                offers += self._ask_for(f"{who}arms", f"{who}policies", choice, *which)
+        with self._singles if is_team else self._choices:
+            for i, agent in enumerate(env.agents):
+                labels = f"{agent}, arm", f"{agent}, policy"
+                offers += self._ask_for(*labels, choice, i)
+        self._offers = offers
         title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
-        script = _SCRIPT % tuple(map(json.dumps, (title, _SHADOWS)))
+        script = f"const TITLE = {json.dumps(title)};{_SCRIPT}"
         # An image that cannot be loaded runs it: pages run no scripts that come later.
         self._script.content = (
-            f'{_THUMBS}<img src="data:," hidden onerror="{html.escape(script)}">'
+            f"<style>{_STYLES}</style>"
+            f'<img src="data:," hidden onerror="{html.escape(script)}">'
         )
+
+    def _ask_for(self, arms: str, policies: str, now: Choice, *which: int) -> list[Any]:
+        """Offer arms and policies for agents, which are given by their indices."""
+        menu, able = self._menu, self._menu.policies(now)
+        arm, policy = (
+            own[which[0]] if len({own[i] for i in which}) == 1 else _MIXED
+            for own in (now.robots, now.policies)
+        )
+        return [
+            self._ask(arms, menu.robots, arm, menu.armed, *which),
+            self._ask(policies, able, policy, menu.led, *which),
+        ]
 
     def _ask(
         self,
         label: str,
         options: Iterable[str],
         value: str,
-        change: Callable[[Choice, str], Choice],
+        change: Callable[..., Choice],
+        *agents: int,
     ) -> Any:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
         box = self._gui.add_dropdown(label, names, initial_value=value)
-        _on_user(box, lambda name: self._take(lambda now: change(now, name)))
+        _on_user(box, lambda name: self._take(lambda now: change(now, name, *agents)))
         return box
 
     def _take(self, change: Callable[[Choice], Choice]) -> None:
@@ -277,7 +265,10 @@ def _heading(session: Session, instead: str) -> str:
     if reading.trouble:
         lines.append(f"<b>stopped:</b> {html.escape(reading.trouble)}")
     lines += [f"<b>{html.escape(instead)}</b>"] * bool(instead)
-    lines.append(" : ".join(sides))
+    # A line breaks between the sides first.
+    lines.append(
+        " : ".join(f"<span style=display:inline-block>{s}</span>" for s in sides)
+    )
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
     worlds = session.readings
@@ -324,41 +315,48 @@ class Plots:
         self._drawn, self._next = last, now + _PAUSE
         readings = [frame.readings[world] for frame in film]
         rows = [_curves(reading) for reading in readings]
-        titles = {(title, *curves): title for title, curves in rows[0].items()}
-        if titles.keys() != self._charts.keys():
-            for chart in self._charts.values():
-                chart.remove()
-            self._charts = {key: self._add(*key) for key in titles}
+        keys = {(*chart, *curves): chart for chart, curves in rows[0].items()}
+        if keys.keys() != self._charts.keys():
+            for old in self._charts.values():
+                old.remove()
+            self._charts = {key: self._add(*key) for key in keys}
         times = np.array([reading.time for reading in readings])
-        for key, title in titles.items():
+        for key, chart in keys.items():
             # A start has no reward yet.
-            first = int(title != _MEASURED and len(rows) > 1)
-            curves = np.array([list(row[title].values()) for row in rows[first:]])
+            first = int(chart[1] == _PER_STEP and len(rows) > 1)
+            curves = np.array([list(row[chart].values()) for row in rows[first:]])
             self._charts[key].data = (times[first:], *np.ascontiguousarray(curves.T))
 
-    def _add(self, title: str, *names: str) -> viser.GuiUplotHandle:
+    def _add(self, title: str, unit: str, *names: str) -> viser.GuiUplotHandle:
         series: list[Any] = [
-            {"label": name, "stroke": color, "width": 2}
+            {"label": name, "stroke": color, "width": 2, "points": {"show": False}}
             for name, color in zip(names, cycle(_COLORS), strict=False)
         ]
+        axis: Any = {"labelSize": 18, "labelFont": "12px sans-serif", "size": 44}
+        axis["ticks"] = {"show": False}
+        axes: Any = {**axis, "label": "time, s", "size": 30}, {**axis, "label": unit}
         with self._tab:
             return self._gui.add_uplot(
                 (np.zeros(1),) * (1 + len(names)),
                 ({"label": "time, s"}, *series),
                 title=title,
                 scales={"x": {"time": False}, "y": {"range": _PADDED}},
+                axes=axes,
                 height=200,  # pixels
                 padding=(12, 12, 0, 0),
             )
 
 
-def _curves(reading: Reading) -> Mapping[str, Mapping[str, float]]:
-    """Return the numbers of a control step, by chart and by name."""
-    charts = {f"reward of {agent}": own for agent, own in reading.rewards.items()}
-    units = {name: f", {unit}" for name, unit in reading.units.items()}
-    charts[_MEASURED] = {
-        f"{name}{units.get(name, '')}": value
-        for name, value in reading.measures.items()
-        if not isinstance(value, bool)
+def _curves(reading: Reading) -> dict[tuple[str, str], dict[str, float]]:
+    """Return a control step's numbers by name, by the title and unit of a chart."""
+    charts = {
+        (f"reward of {agent}", _PER_STEP): {"total": sum(own.values()), **own}
+        for agent, own in reading.rewards.items()
+        if own
     }
-    return {title: curves for title, curves in charts.items() if curves}
+    for name, value in reading.measures.items():
+        unit = reading.units.get(name, "")
+        if not isinstance(value, bool):
+            chart = f"measured{unit and f' in {unit}'}", unit or "number"
+            charts.setdefault(chart, {})[name] = value
+    return charts

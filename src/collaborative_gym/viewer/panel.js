@@ -1,0 +1,20 @@
+// What a tab does once it has the panel, and again whenever other things play.
+document.title = TITLE;
+// viser's page adds an address of its own to that of a link, which then opens nothing.
+history.replaceState(null, "", location.href.split("?websocket=")[0]);
+if (!window.isKnown) {
+  // Without a graphics card a picture with shadows takes a second.
+  const gl = document.createElement("canvas").getContext("webgl");
+  const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  const drawer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  const labels = [...document.querySelectorAll("label")];
+  const shadows = labels.find((label) => label.textContent == "Shadows")?.control;
+  const isSlow = /swiftshader|llvmpipe|softpipe|basic render/i.test(drawer);
+  if (isSlow && shadows?.checked) shadows.click();
+  // A phone does not zoom out to what opens beside the page, such as a list of choices,
+  // which would move the list away.
+  document.querySelector("meta[name=viewport]").content += ", minimum-scale=1";
+  // Keys that move a slider do not move the camera.
+  document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
+  window.isKnown = true;
+}
