@@ -114,6 +114,9 @@ collaborative-gym --tyro-write-completion zsh ~/.zfunc/_collaborative-gym
 _WHOSE = {"the thesis": "#9aa5ad", "the baselines here": "#e64a19"}
 """Whose bars the chart has, with their colours."""
 
+_POLICIES = {"one policy for all robots": "#e64a19", "a policy per robot": "#1565c0"}
+"""How teams learned, with the colours of their curves."""
+
 _WIDTH = 78
 """Columns of the command line's help."""
 
@@ -133,6 +136,7 @@ def stale() -> dict[Path, bytes]:
             text = filled(page.read_text(), page.relative_to(ROOT).as_posix())
             made[page] = text.encode()
     made[DOCS / "media" / "table11.svg"] = _chart().encode()
+    made[DOCS / "media" / "team_size.svg"] = _curves().encode()
     for film in DOCS.glob("media/*s/*.mp4"):
         if not film.with_suffix(".jpg").exists():
             made[film.with_suffix(".jpg")] = _still(film)
@@ -561,6 +565,105 @@ def _chart() -> str:
     return "\n".join([*lines, "</svg>", ""])
 
 
+def _curves() -> str:
+    """Return what teams of each size need to learn, each run a dot, drawn as SVG."""
+    lines = [
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 500"'
+        ' font-family="sans-serif" font-size="12" fill="#222" role="img"'
+        ' aria-label="Steps and core-seconds to 90 % against the number of arms">',
+        '<rect width="760" height="500" fill="white"/>',
+    ]
+    for i, (how, color) in enumerate(_POLICIES.items()):
+        lines.append(
+            f'<rect x="{60 + 220 * i}" y="8" width="11" height="11" fill="{color}"/>'
+            f'<text x="{77 + 220 * i}" y="18">{how}</text>'
+        )
+    tables = re.findall(
+        r"^\| arms \| steps, thousands.*\n.*\n((?:\|.*\n)+)",
+        (DOCS / "teams.md").read_text(),
+        re.M,
+    )
+    for column, (task, rows) in enumerate(zip(("Lift", "Reach"), tables, strict=True)):
+        cells = [[c.strip() for c in row.split("|")[1:-1]] for row in rows.splitlines()]
+        for row, (unit, most) in enumerate(
+            (("thousand steps", 400), ("core-seconds", 800))
+        ):
+            lines += _panel(
+                (60 + 370 * column, 40 + 230 * row),
+                f"{task}: {unit} to 90 % completion",
+                most,
+                {int(each[0]): (each[1 + row], each[3 + row]) for each in cells},
+            )
+    return "\n".join([*lines, "</svg>", ""])
+
+
+def _panel(
+    corner: tuple[int, int], title: str, most: int, found: dict[int, tuple[str, ...]]
+) -> list[str]:
+    """Return runs by the number of arms, a colour for each of `_POLICIES`, as SVG."""
+    left, top = corner
+    lines = [f'<text x="{left}" y="{top}" font-weight="bold">{title}</text>']
+    at = {arms: left + 30 + 40 * (arms - 2) for arms in found}
+
+    def height(value: float) -> float:
+        return round(top + 170 - 155 * value / most, 1)
+
+    for tick in range(0, most + 1, most // 4):
+        lines.append(
+            f'<path d="M{left} {height(tick)}h300" stroke="#ddd"/><text x="{left - 8}"'
+            f' y="{height(tick) + 4}" text-anchor="end">{tick}</text>'
+        )
+    for i, color in enumerate(_POLICIES.values()):
+        runs = {
+            arms: [float(n.replace(",", "")) for n in each[i].split(", ")]
+            for arms, each in found.items()
+            if each[i][0].isdigit()
+        }
+        means = (f"{at[n]} {height(sum(r) / len(r))}" for n, r in runs.items())
+        lines.append(
+            f'<path d="M{" L".join(means)}" fill="none" stroke="{color}"'
+            ' stroke-width="2"/>'
+        )
+        lines += [
+            f'<circle cx="{at[arms]}" cy="{height(run)}" r="4" fill="{color}"'
+            ' fill-opacity="0.5"/>'
+            for arms, each in runs.items()
+            for run in each
+        ]
+    return lines + [
+        f'<text x="{x}" y="{top + 188}" text-anchor="middle">{arms}'
+        f"{' arms' if arms == max(found) else ''}</text>"
+        for arms, x in at.items()
+    ]
+
+
+def _baselines() -> str:
+    """Return what the cards of all cooperative baselines say, in a table."""
+    table = [
+        "| environment | completion | performance | late | time to success | energy |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for env_id in cg.list_envs():
+        if not is_shipped("baseline", env_id):
+            continue
+        card = shipped_file("baseline", env_id).with_suffix(".md").read_text()
+        cells = {
+            row[0]: [cell.partition(" (")[0] for cell in row[1].split(" | ")]
+            for row in re.findall(
+                r"^\| .+\(shipped\).+\| (default.*?) \| (.+) \|$", card, re.M
+            )
+        }
+        if cells:  # Cards of games have none.
+            *_, completion, performance, time = cells["default"]
+            late = cells["default, late"][-3]
+            energy = re.search(r"^\| energy \| ([\d.]+) J", card, re.M)
+            table.append(
+                f"| {env_id} | {completion} | {performance} | {late} | {time}"
+                f" | {float(energy[1]):.0f} J |"
+            )
+    return "\n".join(table)
+
+
 def _arm(robot: cg.Robot) -> str:
     """Return the section about one arm."""
     model = robot.spec().compile()
@@ -592,7 +695,7 @@ def _arm(robot: cg.Robot) -> str:
             _picture(robot.title, f"media/robots/{robot.name}.jpg", 360),
             _first_comment(robot.model_file),
             _table(columns, rows),
-            f"The source of each number stands in `{definition.as_posix()}`.",
+            f"The source of each number is in `{definition.as_posix()}`.",
         )
     )
 
@@ -642,14 +745,7 @@ def _help(*command: str) -> str:
         os.environ.pop("COLUMNS")
         if before is not None:
             os.environ["COLUMNS"] = before
-    lines = [
-        part.rstrip()
-        for line in text.getvalue().strip().splitlines()
-        for part in textwrap.wrap(
-            line, _WIDTH, drop_whitespace=False, break_long_words=False
-        )
-        or [""]
-    ]
+    lines = [line.rstrip() for line in text.getvalue().strip().splitlines()]
     return "\n".join(("```text", *lines, "```"))
 
 
@@ -689,6 +785,7 @@ def _cell(value: object) -> str:
 _MADE = {
     "action modes": _modes,
     "arms": _arms,
+    "baselines": _baselines,
     "environments": _environments,
     "grasps": _grasps,
     "films together": partial(_films, [t for t in _TASKS if t not in _AGAINST]),

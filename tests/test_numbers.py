@@ -52,7 +52,7 @@ def test_pages_say_the_speeds_of_the_table():
     pairs = [row for env_id, row in cells.items() if len(get_env(env_id).robots) == 2]
     speeds = [round(int(row[i]), -2) for row in pairs for i in (1, 4)]
     readme = (ROOT / "README.md").read_text()
-    assert f"Two cores make {min(speeds):,} to {max(speeds):,} control" in readme
+    assert f"Two cores run {min(speeds):,} to {max(speeds):,} control" in readme
     expert, random = (
         sorted(int(row[i].rstrip("%")) for row in cells.values()) for i in (2, 5)
     )
@@ -112,11 +112,6 @@ def test_the_page_on_robustness_says_what_its_table_has():
 
 def test_results_say_what_seeds_and_strain_are():
     page, seeds, strain = read("docs/results.md"), table("seeds"), table("strain")
-    for env_id in TEN:
-        row = re.search(rf"\| {env_id} \| with [^|]+\| 100 % \|[^|]+\| (\d+), ", page)
-        card = read(f"src/collaborative_gym/baselines/{env_id}.md")
-        energy = re.search(r"\| energy \| ([\d.]+) J", card)
-        assert row[1] == f"{float(energy[1]):.0f}", env_id
     short = [
         own
         for runs in seeds.values()

@@ -117,7 +117,7 @@ class Worlds(Command):
       num_robots: number of robots of one kind, for tasks with teams of any size.
       randomization: how much episodes differ: default, paper for the thesis's fixed
         starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
-        hard for starts twice as far off and disturbances.
+        hard for disturbances, mostly with starts farther off.
       action: what actions mean, by the name of an action mode.
       settings: other settings of the task, as `cg.make` takes them, such as wrench=raw.
       seed: number of a series of episodes; another seed gives other episodes.

@@ -306,7 +306,7 @@ def explain_hyperparameters() -> str:
             sentence = re.split(r"\. (?=[A-Z(])", " ".join(about[option.name].split()))
             lines += textwrap.wrap(
                 f"{sentence[0].rstrip('.')} ({usual})",
-                80,
+                78,
                 initial_indent=f"  {_option(option.name):<24} ",
                 subsequent_indent=" " * 27,
             )
