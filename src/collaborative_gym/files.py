@@ -147,8 +147,7 @@ class SealedRows:
 
         Raises:
           OSError: if it cannot be read.
-          ValueError: if it is damaged or has no digests; names it, the line and the
-            remedy.
+          ValueError: if it is damaged or has no digests; names it, line and remedy.
         """
         text, found = read_bytes(path), []
         lines = StringIO(text.decode(errors="replace"), newline="")

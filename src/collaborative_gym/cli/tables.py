@@ -85,8 +85,13 @@ def coordination_table(reports: Sequence[Report]) -> Table:
 def strain_table(reports: Sequence[Report]) -> Table:
     """Return the strain: of arms on one another, on things and on themselves."""
     heads = ["environment", "strain", "mean", "worst", "in episode"]
-    caption = "The greatest value in each episode; for the clearance, the least."
-    return _listed(heads, reports, strain_lines, caption)
+    caption = "The greatest value in each episode, but the least clearance; no zeros."
+
+    def more_than_nothing(report: Report) -> list[list[str]]:
+        lines = zip(strain_lines(report), report.strain.values(), strict=True)
+        return [line for line, each in lines if each.worst]
+
+    return _listed(heads, reports, more_than_nothing, caption)
 
 
 def _listed(

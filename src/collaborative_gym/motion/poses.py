@@ -268,8 +268,7 @@ def quickest_way(
 ) -> tuple[int, np.ndarray]:
     """Return the way on which an arm moves fastest from the first pose to the last.
 
-    Ways that lead a joint closer than 0.2 rad to a limit are taken only if there is no
-    other.
+    Ways that lead a joint closer than 0.2 rad to a limit are the last resort.
 
     It returns the way's index, and the joint angles at its poses, (poses, joints).
 

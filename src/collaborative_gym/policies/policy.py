@@ -76,8 +76,7 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         its observations and actions have the same blocks.
 
     Raises:
-      FileNotFoundError: if there is no such file, or no such policy is shipped for the
-        environment.
+      FileNotFoundError: if there is no such file, or none is shipped.
       KeyError: if there is no such policy or agent.
       TimeoutError: if a network in ONNX does not answer.
       TypeError: if it is of another kind, or needs an environment.

@@ -117,8 +117,7 @@ def tournament(
 
     A policy file can command the agents that it has networks for. Pairings in which it
     would have to command others, or only some of the robots that one network commands
-    together, are left out, and the result says why. All files are read before the first
-    game.
+    together, are left out, and the result says why. All files are read first.
 
     Args:
       env: an environment id, a task's name, or a task.
