@@ -488,6 +488,7 @@ def test_a_link_to_nothing_is_missing(linked):
             subprotocols=[PROTOCOL],
         )
     assert refused.value.response.status_code == 404
+    assert b"width=device-width" in refused.value.response.body  # Readable on phones.
     assert led == []
 
 

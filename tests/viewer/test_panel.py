@@ -179,6 +179,9 @@ def test_plots_follow_the_episode(poke, wait_until):
         np.testing.assert_array_equal(curve, terms[1:])
     measured = next(key for key in charts if key[0] == "measured in m")
     assert measured[1:3] == ("m", "distance")
+    axes = [axis["label"] for axis in charts[measured].axes]
+    assert axes == ["time, s", "m"]
+    assert [each["label"] for each in charts[measured].series[1:]] == ["distance"]
     wait_until(lambda: len(charts[measured].data[0]) == 4)
     np.testing.assert_allclose(charts[measured].data[0], [0.0, 0.1, 0.2, 0.3])
 
