@@ -407,8 +407,9 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     """
     picture = _import("PIL.Image").fromarray(frame)
     pen = _import("PIL.ImageDraw").Draw(picture)
-    load, size = _import("PIL.ImageFont").load_default, max(9, frame.shape[0] // 18)
-    room = frame.shape[1] - size
+    load, (height, wide) = _import("PIL.ImageFont").load_default, frame.shape[:2]
+    size = max(9, height // 18, wide // 55)  # Pages make wide films small.
+    room = wide - size
 
     def width() -> float:
         return pen.textbbox((0, 0), text, load(size=size))[2]
