@@ -21,7 +21,9 @@ SIZES = {
     "SortPandas4-v0": (960, 540),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
-SLOW = "Poke", "LiftTask", "Pass"
+SPEEDS = {"SortPandas4-v0": 2.0}
+"""Speeds of long films in which much is alike."""
+SLOW = "Poke", "Pass", "Assemble"
 """Beginnings of the ids in which one moment decides."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
@@ -63,6 +65,7 @@ def film(env_id: str) -> None:
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(name))
         more = {
             "seconds": LEAST,
+            "speed": SPEEDS.get(env_id, 1.0),
             "slow_motion": env_id.startswith(SLOW),
             "close_up": near,
         }

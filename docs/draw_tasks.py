@@ -80,6 +80,9 @@ PICTURES = {
 }
 """By name: the worlds side by side."""
 
+GUTTER = 8
+"""Pixels between two worlds."""
+
 
 def picture(world: World) -> np.ndarray:
     """Return what a world looks like then, (height, width, 3) uint8."""
@@ -97,5 +100,9 @@ if __name__ == "__main__":
     for example in ("simple_pick", "own_arm"):
         cg.load_module(str(DOCS.parent / "examples" / f"{example}.py"))
     for name in sys.argv[1:] or PICTURES:
-        pixels = np.concatenate([picture(each) for each in PICTURES[name]], axis=1)
-        Image.fromarray(pixels).save(DOCS / "media" / f"{name}.jpg", quality=88)
+        worlds = [picture(each) for each in PICTURES[name]]
+        wide = len(worlds) * (SIZE[0] + GUTTER) - GUTTER
+        sheet = Image.new("RGB", (wide, SIZE[1]), "white")
+        for i, pixels in enumerate(worlds):
+            sheet.paste(Image.fromarray(pixels), (i * (SIZE[0] + GUTTER), 0))
+        sheet.save(DOCS / "media" / f"{name}.jpg", quality=88)

@@ -450,16 +450,17 @@ def _films(tasks: Sequence[str]) -> str:
         why = ""
         if name not in _AGAINST:
             why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
-        paragraphs.append(f"**{name}.** {goal}{why}")
+        paragraphs += [f"### {name}", f"{goal}{why}"]
         for env_id, spec in _envs(name):
             grasp = spec.settings.get("grasp")
-            beside = " (robot_1) and the expert" * (name in _AGAINST)
+            how = ", against the expert (blue)" * (name in _AGAINST)
             if grasp:
-                beside += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`"
+                how += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`"
             for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"
+                by = ", by its expert" * (player == "expert")
                 paragraphs += [
-                    f"### [{env_id}]({page}), played by its {player}{beside}",
+                    f"#### [{env_id}]({page}){by}{how}",
                     _to_film(f"{env_id}; click for its film", "docs", film),
                 ]
     return "\n\n".join(paragraphs)

@@ -1,6 +1,7 @@
 """What the panel offers and says, and what becomes of what its users choose."""
 
 import html
+import re
 from types import SimpleNamespace
 
 import mujoco
@@ -13,7 +14,7 @@ from collaborative_gym.envs.make import make_vec
 from collaborative_gym.policies import load_policy
 from collaborative_gym.viewer.menu import Menu
 from collaborative_gym.viewer.session import Session
-from collaborative_gym.viewer.stage import NEWTONS_PER_METRE, _arrows
+from collaborative_gym.viewer.stage import NEWTONS_PER_METRE, _arrows, _rows
 from collaborative_gym.viewer.web import Page
 
 
@@ -111,6 +112,8 @@ def test_a_team_is_chosen_at_once_or_one_by_one(show, wait_until):
     ]
     choose(page, "All policies", "expert")
     wait_until(lambda: set(session.policies.values()) == {"expert"})
+    done = re.compile(r">expert, \d+ % done<")
+    wait_until(lambda: done.search(page._panel._heading.content))
     wait_until(lambda: offers(page)["robot_4, policy"].value == "expert")
     choose(page, "robot_4, policy", "random")
     wait_until(lambda: offers(page)["All policies"].value == "mixed", timeout=60)
@@ -210,6 +213,13 @@ def test_a_slider_past_what_was_played_comes_back(poke, wait_until):
             callback(event)
         wait_until(lambda: slider.value == pytest.approx(0.1))
     assert session.reading.time == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("count", "rows"), [(16, [4] * 4), (7, [3, 3, 1]), (1, [1])])
+def test_rows_of_worlds_have_no_more_columns_than_they_need(count, rows):
+    bodies = np.array([(0.0, -1.3, 0.0), (1.6, 1.3, 0.0)])
+    _, found = np.unique(_rows(count, bodies)[:, 0], return_counts=True)
+    assert sorted(found, reverse=True) == rows
 
 
 def test_contact_forces_bear_what_lies_on_the_ground():

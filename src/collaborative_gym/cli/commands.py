@@ -82,8 +82,7 @@ class Record(Watched, _Policy):
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif; missing folders are made.
-      beside: other policies to show beside it in the same episodes; each is named as
-        for --policy.
+      beside: other policies to show beside it in the same episodes, named likewise.
       seconds: least length of the film. A second after a success, or after the end of
         an episode, it shows the next start; the last episode is shown to its end.
       only_episodes: episodes to show instead of the first ones, such as the worst ones

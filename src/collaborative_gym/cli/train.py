@@ -103,8 +103,7 @@ class Train(Worlds):
         population, several policies for each robot learn, and all pairs of them play.
       start_from: trained policy to begin with, named as in evaluate, instead of random
         networks. It may come from another environment with spaces of the same sizes.
-      backend: skrl (default), or ray to collect in several processes, also on other
-        machines.
+      backend: skrl (default), or ray to collect in several processes or machines.
       algorithm: ppo (default), or sac for tasks of one side and without partners.
       advised: learn with the scripted expert's advice, by hyperparameters that suit it,
         which you can still change; --imitation is their main one.

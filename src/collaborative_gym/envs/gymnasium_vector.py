@@ -94,8 +94,7 @@ class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
             episode of the present seed, which is drawn afresh if none was ever given.
             Of a list with a seed for each world, each starts episode 0 of its own and
             goes on to the episodes `num_envs`, 2 `num_envs` ...; None is as above.
-          options: `reset_mask` has a bool for each world, whether it starts; without
-            it all do.
+          options: `reset_mask`, (num_envs,) bool: which worlds start; else all do.
 
         Returns:
           Observations (num_envs, k) and infos.

@@ -169,8 +169,7 @@ class Hyperparameters:
         own; for network=set and the mode shared, with arms of one kind.
       hidden_sizes: widths of the hidden layers of policies and critics.
       activation: function between the layers.
-      validation_interval: environment steps between two validations; 0 for only one, at
-        the end.
+      validation_interval: environment steps between validations; 0 for one at the end.
       validation_episodes: episodes of a validation, with the deterministic policy.
     """
 

@@ -30,7 +30,7 @@ _KNOB_Z = 0.06  # m from an axis up to the middle of a knob
 _DENSITY = 700.0  # kg/m^3, of beech
 # Waxed wood slides at 0.2 to 0.3 times what presses.
 _FRICTION = 0.25, 0.005, 0.0001
-_BLOCK_RGBA = (0.82, 0.66, 0.42, 1.0)
+_BLOCK_RGBA = (0.58, 0.36, 0.70, 1.0)
 _PEG_RGBA = (0.16, 0.47, 0.82, 1.0)
 _PIN_RGBA = (0.90, 0.45, 0.13, 1.0)
 _DOWN = np.array([0.0, 0.5**0.5, 0.5**0.5, 0.0])  # a hand that closes along x

@@ -40,8 +40,7 @@ GRAVITY = 9.81
 class Gripper:
     """Fingers that move together, each on its own joint; without joints, no fingers.
 
-    Joints that mimic one of these in URDF, or follow it by a joint equality in MJCF,
-    move with it.
+    Joints that mimic one of these in URDF, or by an equality in MJCF, move with it.
 
     Attributes:
       joints: finger joint names in the model file. One whose range has the other sign

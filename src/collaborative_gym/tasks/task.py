@@ -316,8 +316,7 @@ class Task(Generic[ConfigT, FactsT]):
           sim: as in `reset`.
           env_ids: as in `reset`.
           rng: as in `reset`.
-          angles: by agent, (joints,) or (worlds, joints), in rad; None for the arms'
-            home poses.
+          angles: by agent, (joints,) or (worlds, joints), in rad; None for home.
         """
         for agent, arm in self.scene.arms.items():
             start = np.array(arm.robot.home) if angles is None else angles[agent]

@@ -157,7 +157,7 @@ class Panel:
         session, gui = self._session, self._gui
         self._speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, session.speed)
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
-        self._view = gui.add_dropdown("Camera", [CAMERA])
+        self._view = gui.add_dropdown("Camera", [CAMERA], hint="Where you look from")
         _on_user(self._view, self._on_view)
         hint = "Start the next episode a second after a success"
         moves_on = gui.add_checkbox("Move on", session.moves_on, hint=hint)
@@ -255,10 +255,15 @@ def _heading(session: Session, instead: str) -> str:
     """Return the goal, how it stands, and who won last, as HTML."""
     task, reading = session.env.task, session.reading
     goal = (type(task).__doc__ or task.name).partition("\n")[0]
+    done = "".join(
+        f", {100 * reading.measures[name]:.0f} % done"
+        for name, kept in task.coordination.items()
+        if kept == "greatest" and task.units.get(name) == ""
+    )
     sides = [
         f"{player} <b>{reading.scores[side]:g}</b>"
         if side in reading.scores
-        else f"{player}{': <b>success</b>' if reading.success[side] else ''}"
+        else f"{player}{': <b>success</b>' if reading.success[side] else done}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
     lines = ["loading ..." if reading.is_loading else html.escape(goal)]

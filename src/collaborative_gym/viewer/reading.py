@@ -48,15 +48,15 @@ class Reading:
                 rows.append((f"{indent}score", f"{self.scores[side]:g}"))
             rows.append((f"{indent}success", _word(self.success[side])))
             rows.append((f"{indent}return", f"{self.returns[side]:z.1f}"))
-        for agent, terms in self.rewards.items():
-            rows.append((f"reward of {agent}", f"{sum(terms.values()):z.3f}"))
-            rows += [(f"  {name}", _word(term)) for name, term in terms.items()]
         if self.measures:
             rows.append(("measured", ""))
             rows += [
                 (f"  {name}", _word(value, self.units.get(name, "")))
                 for name, value in self.measures.items()
             ]
+        for agent, terms in self.rewards.items():
+            rows.append((f"reward of {agent}", f"{sum(terms.values()):z.3f}"))
+            rows += [(f"  {name}", _word(term)) for name, term in terms.items()]
         return [*rows, ("last result", ""), (f"  {self.previous or 'none'}", "")]
 
 

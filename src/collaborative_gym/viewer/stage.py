@@ -315,6 +315,7 @@ def _rows(count: int, bodies: np.ndarray) -> np.ndarray:
     """
     apart = np.ptp(bodies[:, :2], axis=0) + _APART
     columns = min(count, round(np.sqrt(_WIDE * count * apart[0] / apart[1])))
+    columns = -(-count // -(-count // columns))  # No more than the rows need.
     along = np.stack([-(np.arange(count) // columns), np.arange(count) % columns], 1)
     return np.pad(along * apart, ((0, 0), (0, 1)))
 
