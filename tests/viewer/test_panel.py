@@ -95,9 +95,10 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     block = "<span style=display:inline-block>{}</span>".format
     sides = map(block, ("robot_1 baseline <b>0</b>", "robot_2 random <b>0</b>"))
     assert " : ".join(sides) in page._panel._heading.content
-    titles = {title for title, *_ in page._panel._plots._charts}
     wait_until(lambda: "HockeyPandas-v0" in page._panel._script.content)
-    assert {"reward of robot_1", "reward of robot_2", "measured in s"} <= titles
+    titles = {"reward of robot_1", "reward of robot_2", "measured in s"}
+    plots = page._panel._plots
+    wait_until(lambda: titles <= {title for title, *_ in list(plots._charts)})
 
 
 def test_a_team_is_chosen_at_once_or_one_by_one(show, wait_until):
