@@ -587,7 +587,7 @@ def _curves() -> str:
     for column, (task, rows) in enumerate(zip(("Lift", "Reach"), tables, strict=True)):
         cells = [[c.strip() for c in row.split("|")[1:-1]] for row in rows.splitlines()]
         for row, (unit, most) in enumerate(
-            (("thousand steps", 400), ("core-seconds", 800))
+            (("thousand steps", 200), ("core-seconds", 400))
         ):
             lines += _panel(
                 (60 + 370 * column, 40 + 230 * row),
