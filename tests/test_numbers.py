@@ -165,8 +165,8 @@ def test_pages_say_how_fast_teams_are():
     kept, growth = min(int(row[0]) for row in rows), max(float(r[1]) for r in rows)
     assert f"(tables/teams_speed.md): {kept} %)" in read("docs/performance.md")
     assert f"grows by at most {100 * growth - 100:.0f} %" in read("docs/teams.md")
-    [speed] = re.findall(r"^\| Pass \| 2 \| ([\d,]+)", table, re.M)
-    speed = round(int(speed.replace(",", "")), -3)
+    own = re.search(r"\| Pass \| 2 \| ([\d,]+)", table)
+    speed = round(int(own[1].replace(",", "")), -3)
     assert f"One core runs [{speed:,}](docs/tables/teams_speed.md)" in read("README.md")
 
 
