@@ -526,6 +526,24 @@ def _takes(function: Callable[..., object]) -> str:
     return str(inspect.Signature(bare))
 
 
+def _drawing(
+    height: int, said: str, places: Sequence[int], key: dict[str, str]
+) -> list[str]:
+    """Return how an SVG begins: what a screen reader says, and names with colours."""
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {height}"'
+        ' font-family="sans-serif" font-size="12" fill="#222" role="img"'
+        f' aria-label="{said}">',
+        f'<rect width="760" height="{height}" fill="white"/>',
+    ]
+    for x, (name, color) in zip(places, key.items(), strict=True):
+        lines += [
+            f'<rect x="{x}" y="8" width="11" height="11" fill="{color}"/>',
+            f'<text x="{x + 17}" y="18">{name}</text>',
+        ]
+    return lines
+
+
 def _chart() -> str:
     """Return Table 11 as bars, drawn as SVG: the thesis above, ours below."""
     rows = re.findall(
@@ -533,19 +551,8 @@ def _chart() -> str:
         (DOCS / "tables" / "table11.md").read_text(),
         re.M,
     )
-    height = len(rows) // 2 * 34 + 50
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 {height}"'
-        ' font-family="sans-serif" font-size="12" fill="#222" role="img"'
-        ' aria-label="Completion and performance, the thesis and ours">',
-        f'<rect width="760" height="{height}" fill="white"/>',
-    ]
-    for j, (whose, color) in enumerate(_WHOSE.items()):
-        x = 190 + 290 * j
-        lines += [
-            f'<rect x="{x}" y="8" width="11" height="11" fill="{color}"/>',
-            f'<text x="{x + 17}" y="18">{whose}</text>',
-        ]
+    said = "Completion and performance, the thesis and ours"
+    lines = _drawing(len(rows) // 2 * 34 + 50, said, (190, 480), _WHOSE)
     for column, measure in enumerate(("completion", "performance")):
         x = 190 + 290 * column
         lines.append(f'<text x="{x}" y="40" font-weight="bold">{measure}, %</text>')
@@ -568,17 +575,8 @@ def _chart() -> str:
 
 def _curves() -> str:
     """Return what teams of each size need to learn, each run a dot, drawn as SVG."""
-    lines = [
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 760 500"'
-        ' font-family="sans-serif" font-size="12" fill="#222" role="img"'
-        ' aria-label="Steps and core-seconds to 90 % against the number of arms">',
-        '<rect width="760" height="500" fill="white"/>',
-    ]
-    for i, (how, color) in enumerate(_POLICIES.items()):
-        lines.append(
-            f'<rect x="{60 + 220 * i}" y="8" width="11" height="11" fill="{color}"/>'
-            f'<text x="{77 + 220 * i}" y="18">{how}</text>'
-        )
+    said = "Steps and core-seconds to 90 % against the number of arms"
+    lines = _drawing(500, said, (60, 280), _POLICIES)
     tables = re.findall(
         r"^\| arms \| steps, thousands.*\n.*\n((?:\|.*\n)+)",
         (DOCS / "teams.md").read_text(),

@@ -181,8 +181,7 @@ class Policy(GaussianMixin, Model):
     """The learner's actor, as skrl knows policies.
 
     Attributes:
-      imitation: weight of the expert's advice, which stands beside the actions that PPO
-        learns from.
+      imitation: weight of the expert's advice beside the actions that PPO learns from.
     """
 
     def __init__(

@@ -16,8 +16,7 @@ def mallet(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
     """Return a mallet: a disc of 5 cm radius below a handle, without joints.
 
     The body `mallet` has its origin in the middle of the hand that holds it and z down,
-    as a tcp has that points down. The site `mallet` is in the middle of the disc's
-    lower face.
+    as a tcp has that points down. The site `mallet` is in its lower face's middle.
     """
     spec, body = begin("mallet")
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER

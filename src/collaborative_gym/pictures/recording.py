@@ -296,8 +296,7 @@ class _Screen:
         self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
-        kept = env.task.coordination  # Of it, the measure of progress.
-        self._stage = next((name for name in kept if kept[name] == "greatest"), None)
+        self._stage = env.task.progress_name
         env.watch(self._keep, self._most)
 
     def is_done(self, step: _Step) -> bool:

@@ -220,8 +220,7 @@ class NetworkPolicy:
         They may be others than those that it was trained for, if it suits any team.
 
         Raises:
-          ValueError: if it has no network for one of them, or one that commands others
-            too.
+          ValueError: if it lacks a network for one, or one commands others, too.
         """
         if self.suits_any_team:
             served, first = copy(self), self._parts[0]

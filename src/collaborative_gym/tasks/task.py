@@ -220,6 +220,12 @@ class Task(Generic[ConfigT, FactsT]):
         return (self.agents,)
 
     @property
+    def progress_name(self) -> str | None:
+        """The fact of `coordination` that measures progress, if one does."""
+        kept = self.coordination
+        return next((name for name in kept if kept[name] == "greatest"), None)
+
+    @property
     def placements(self) -> dict[str, Placement]:
         """Where each agent's arm is mounted.
 

@@ -255,11 +255,9 @@ def _heading(session: Session, instead: str) -> str:
     """Return the goal, how it stands, and who won last, as HTML."""
     task, reading = session.env.task, session.reading
     goal = (type(task).__doc__ or task.name).partition("\n")[0]
-    done = "".join(
-        f", {100 * reading.measures[name]:.0f} % done"
-        for name, kept in task.coordination.items()
-        if kept == "greatest" and task.units.get(name) == ""
-    )
+    done, name = "", task.progress_name
+    if name and task.units.get(name) == "":
+        done = f", {100 * reading.measures[name]:.0f} % done"
     sides = [
         f"{player} <b>{reading.scores[side]:g}</b>"
         if side in reading.scores
