@@ -116,6 +116,13 @@ def test_recorded_actions_played_again_are_the_episode_itself(press):
         assert not np.array_equal(env.sim.qpos[1], env.sim.qpos[2])
 
 
+def test_a_record_ends_with_its_episodes_where_these_end_at_the_goal():
+    task = cg.task("ReachMixed3-v0")
+    with closing(VectorEnv(task, 2, num_threads=1, auto_reset=False)) as env:
+        steps = record_actions(env, seed=0, episodes=2).shape[1]
+        assert steps == env.progress["step"].max() < task.config.max_episode_steps
+
+
 def test_grips_are_closed_or_open_and_completion_is_that_of_evaluate(carry, small):
     task = carry()
     certificate = cg.certify(task, budget=QUICK, num_threads=1)

@@ -109,8 +109,8 @@ def record_actions(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
     """Return the actions of the first episodes of a seed, as many as there are worlds.
 
     The expert and the baseline, if one is shipped for this task, play in turn. The
-    record ends soon after the last of them has reached the goal. The worlds must not
-    reset themselves.
+    record ends soon after the last of them has reached the goal, or where all episodes
+    have ended. The worlds must not reset themselves.
 
     Returns:
       (episodes, steps, k), with the actions of all agents side by side.
@@ -133,7 +133,7 @@ def record_actions(env: VectorEnv, seed: int, episodes: int) -> np.ndarray:
         observations, *_, infos = env.step(actions)
         before, met = met, infos["metrics"]["completion"][:episodes] > 0.0
         end = step if (met & ~before).any() else end
-        if met.all() and step >= end + _AFTER:
+        if infos["ended"].all() or (met.all() and step >= end + _AFTER):
             break
     return np.stack(steps, axis=1)[:, : end + _AFTER]
 
