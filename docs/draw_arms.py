@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from PIL import Image
 
@@ -10,6 +11,10 @@ from collaborative_gym.pictures.rendering import CAMERA, Camera
 
 FOLDER = Path(__file__).parent / "media" / "robots"
 SIZE = 640, 480
+RIGHT, UP = np.array([0.51, 0.86, 0.0]), np.array([-0.258, 0.153, 0.954])
+"""Axes of the camera, which looks down from a side."""
+FOV, MARGIN = 30, 0.45
+"""Its field of view, in degrees, and the margin around the middles of parts, in m."""
 
 
 def picture(robot: cg.Robot) -> np.ndarray:
@@ -18,20 +23,21 @@ def picture(robot: cg.Robot) -> np.ndarray:
     scene.add_robot(
         "robot_1", robot, placement=cg.Placement((0.0, 0.0, robot.base_height))
     )
-    middle = robot.base_height + 0.25
-    scene.spec.worldbody.add_camera(
-        name=CAMERA,
-        pos=(2.2, -1.3, middle + 0.25),
-        xyaxes=(0.51, 0.86, 0, -0.05, 0.03, 1),
-        fovy=33,
-    )
+    scene.spec.worldbody.add_camera(name=CAMERA, xyaxes=(*RIGHT, *UP), fovy=FOV)
     scene.compile()
     model = scene.compile_to_draw()
-    qpos = np.array(model.qpos0)
+    data = mujoco.MjData(model)
     for joint, angle in zip(robot.joints, robot.home, strict=True):
-        qpos[model.joint(f"robot_1/{joint}").qposadr] = angle
+        data.joint(f"robot_1/{joint}").qpos = angle
+    mujoco.mj_kinematics(model, data)
+    # What is above the stand fills the picture.
+    parts = data.xpos[data.xpos[:, 2] > robot.base_height - 0.01]
+    low, high = parts.min(axis=0), parts.max(axis=0)
+    size = max(high[2] - low[2], np.ptp(parts @ RIGHT) / SIZE[0] * SIZE[1]) + MARGIN
+    far = size / 2 / np.tan(np.radians(FOV / 2))
+    model.cam_pos[0] = (low + high) / 2 + far * np.cross(RIGHT, UP)
     camera = Camera(model, *SIZE)
-    pixels = camera.picture(qpos, np.zeros((model.nmocap, 3)))
+    pixels = camera.picture(data.qpos, np.zeros((model.nmocap, 3)))
     camera.close()
     return pixels
 

@@ -41,6 +41,11 @@ def beside(policy: str) -> dict[str, str]:
 
 
 PICTURES = {
+    "poke": (World("PokeTaskSawyers-v0", 13), World("PokeTaskPandaSawyer-v0", 16)),
+    "lift": (World("LiftTaskSawyers-v0", 32), World("LiftMixed4-v0", 25)),
+    "balance": (World("BalanceTaskSawyers-v0", 8), World("Balance", 8, ("panda",) * 3)),
+    "pass": (World("PassTaskSawyers-v0", 20), World("PassMixed3-v0", 26)),
+    "reach": (World("ReachMixed3-v0", 15), World("ReachPandas8-v0", 30)),
     "hockey": (World("HockeyPandas-v0", 14), World("HockeyDoubles-v0", 14)),
     "tug": (World("TugPandas-v0", 12), World("TugPandaSawyer-v0", 30)),
     "balancepath": (

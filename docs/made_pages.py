@@ -257,11 +257,7 @@ def _task_page(name: str) -> str:
         subject[0].upper() + subject[1:],
         *map(_labelled, body.split("\n\n")),
     ]
-    picture = f"media/{name.lower()}.jpg"
-    if not (DOCS / picture).exists():
-        film = next(film for each, _ in envs for film in _film(each).values())
-        picture = _poster(film)
-    paragraphs.insert(2, f"![{name}](../{picture})")
+    paragraphs.insert(2, f"![{name}](../media/{name.lower()}.jpg)")
     for env_id, spec in envs:
         paragraphs += _environment(env_id, spec)
     paragraphs += ["## Settings", _settings(task.config_class)]
