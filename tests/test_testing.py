@@ -51,6 +51,12 @@ def test_a_class_and_an_id_are_checked_too(carry, carry_id):
         check_task("Cary")
 
 
+def test_without_an_expert_nothing_shows_that_the_goal_can_be_reached(carry):
+    task = type("Carry", (type(carry()),), {"expert": cg.Task.expert})
+    with pytest.warns(UserWarning, match=r"Carry has no expert\(\), so nothing has"):
+        check_task(task, episodes=2)
+
+
 def test_a_goal_that_nobody_reaches(faults, hard):
     found = faults(hard)
     assert found[0] == "Broken breaks 1 of its promises:"

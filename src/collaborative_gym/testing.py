@@ -1,5 +1,6 @@
 """Checks of a task's promises and of an arm, for whoever writes or adds one."""
 
+import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
@@ -409,6 +410,11 @@ def check_expert(tested: TaskUnderTest) -> None:
     still: even so, opponents are in the way.
     """
     if type(tested.task).expert is Task.expert:
+        warnings.warn(
+            f"{type(tested.task).__name__} has no expert(), so nothing has shown that"
+            " its goal can be reached",
+            stacklevel=3,
+        )
         return
     for i, side in enumerate(tested.task.sides):
         _check_side(tested, i, side)

@@ -105,6 +105,24 @@ def test_a_method_that_is_not_written(carry, monkeypatch, method):
         cg.VectorEnv(task, 1)
 
 
+def test_a_method_with_a_slip_in_its_name(carry, monkeypatch):
+    kind = type(carry())
+    monkeypatch.setattr(kind, "sucess", kind.success, raising=False)
+    monkeypatch.delattr(kind, "success")
+    with pytest.raises(
+        NotImplementedError, match=r"no success\(\) \(or is 'sucess' it"
+    ):
+        cg.VectorEnv(carry(), 1, num_threads=1)
+
+
+def test_grips_that_no_action_closes(carry, monkeypatch):
+    monkeypatch.setattr(type(carry()), "gripping", False)
+    with pytest.raises(
+        ValueError, match=r"Carry.build\(\) adds grips.*gripping = True"
+    ):
+        cg.VectorEnv(carry(), 1, num_threads=1)
+
+
 def test_a_goal_that_is_no_bool(broken):
     with pytest.raises(ValueError, match=r"Carry.success\(\) is float64"):
         broken("success", lambda task, own, facts: facts.height)

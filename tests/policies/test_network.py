@@ -219,11 +219,11 @@ def named(env, change):
     [
         (
             lambda own: {"eye" if n == "tcp" else n: b for n, b in own.items()},
-            "the observation of robot_1 has no block 'eye'; .*a block 'tcp' more",
+            "the observation of robot_1 has no block 'eye'; .*an extra block 'tcp'",
         ),
         (
             lambda own: own | {"cube": Block("cube", (1, 3), unit="mm")},
-            r"block 'cube' of shape \(3,\), not \(1, 3\); .* of unit m, not mm$",
+            r"block 'cube' of shape \(3,\), not \(1, 3\); .* of unit 'm', not 'mm'$",
         ),
         (lambda own: dict(reversed(own.items())), "another order: joints, tcp, cube"),
     ],

@@ -71,7 +71,7 @@ WRONG_VALUES = [
     (
         {"joints": tuple(f"joint_{i}" for i in range(1, 6)), "home": (0.0,) * 5}
         | {"velocity_limits": (1.0,) * 5},
-        "a joint 'joint_6' that nothing would drive; name it in joints or in gripper",
+        "a joint 'joint_6' that nothing would drive; name an arm's in joints and a ",
     ),
 ]
 

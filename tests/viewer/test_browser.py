@@ -215,6 +215,18 @@ def test_the_buttons_work(serve, open_tab, wait_until):
     assert session.reading.episode == 0
     press(tab, "Next")
     wait_until(lambda: session.reading.episode == 1)
+    tab.keyboard.press("Space")  # Though `Next` has been pressed last.
+    wait_until(lambda: not session.is_paused)
+    assert session.reading.episode == 1
+    tab.keyboard.press("Space")
+    wait_until(lambda: session.is_paused)
+    time_before = session.reading.time
+    tab.keyboard.press("ArrowRight")
+    wait_until(lambda: session.reading.time == pytest.approx(time_before + 0.1))
+    tab.keyboard.press("Backspace")
+    wait_until(lambda: session.reading.time == 0)
+    tab.keyboard.press("Enter")
+    wait_until(lambda: session.reading.episode == 2)
     tab.get_by_role("tab", name="Look").click()
     speed = tab.get_by_role("textbox").nth(1)
     speed.fill("2.5")

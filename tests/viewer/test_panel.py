@@ -66,6 +66,7 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: "Environment" in offers(page))
     before = {label: box.value for label, box in offers(page).items()}
     assert before == {
+        "Task": "Poke",
         "Environment": "PokeTaskSawyers-v0",
         "Starts": "default",
         "robot_1, arm": "sawyer",
@@ -88,7 +89,8 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
     said = "baseline cannot play this, so the expert does"
     wait_until(lambda: said in page._panel._heading.content)
-    choose(page, "Environment", "HockeyPandas-v0")
+    assert "HockeyPandas-v0" not in offers(page)["Environment"].options
+    choose(page, "Task", "Hockey")
     wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
     assert said not in page._panel._heading.content
@@ -104,7 +106,8 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
 def test_a_team_is_chosen_at_once_or_one_by_one(show, wait_until):
     session, page = show("ReachPandas4-v0")
     wait_until(lambda: "All policies" in offers(page))
-    assert list(offers(page))[:5] == [
+    assert list(offers(page))[:6] == [
+        "Task",
         "Environment",
         "Starts",
         "All arms",

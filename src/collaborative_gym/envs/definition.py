@@ -41,6 +41,11 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
       ValueError: if the task's methods return something that cannot be used, something
         starts inside something else, or no arm reaches a target; says what to change.
     """
+    if scene.grips and not task.gripping:
+        raise ValueError(
+            f"{type(task).__name__}.build() adds grips, but its `gripping` is False, so"
+            " that no action can grip; set `gripping = True`"
+        )
     trial, mode = _Trial(task, sim), task.action_mode
     sim.memory = task.remember(sim.num_envs)
     rng = EpisodeRandom(0 * trial.rows, trial.rows)

@@ -171,9 +171,9 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
                 named = f"without a name, of body {joint.parent.name!r},"
             raise robot_error(
                 robot,
-                f"{file} has a joint {named} that nothing would drive; name it in"
-                ' joints or in gripper.joints, or fix it (type="fixed" in URDF, no'
-                " <joint> in MJCF)",
+                f"{file} has a joint {named} that nothing would drive; name an arm's"
+                " in joints and a finger's by gripper=cg.Gripper(joints=...), or fix it"
+                ' (type="fixed" in URDF, no <joint> in MJCF)',
             )
     if spec.worldbody.geoms:
         raise robot_error(

@@ -187,6 +187,7 @@ class Sort(Task[SortConfig, SortFacts]):
                 site, most = f"cube_{j + 1}/centre", config.picking_threshold
                 scene.add_grip(self.agents[i], site, threshold=most, width=0.05)
         wide = np.ptp(self.seats) + 1.5
+        scene.spec.stat.extent = wide  # Shadows are sharper than those of a whole belt.
         eye = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 1.1])
         across = np.array([0.77, 0.64, 0.0])
         away = eye - [0.0, 0.0, 0.6]

@@ -1,5 +1,6 @@
 """The base of tasks: a world to build, facts to measure, rewards and a goal."""
 
+import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
@@ -461,6 +462,8 @@ class Task(Generic[ConfigT, FactsT]):
         raise self._missing("styled")
 
     def _missing(self, method: str, otherwise: str = "") -> NotImplementedError:
+        near = difflib.get_close_matches(method, vars(type(self)), 1)
+        hint = f" (or is {near[0]!r} it?)" if near else ""
         return NotImplementedError(
-            f"{type(self).__name__} has no {method}(); write one{otherwise}"
+            f"{type(self).__name__} has no {method}(){hint}; write one{otherwise}"
         )

@@ -207,12 +207,15 @@ def seat_turns(placements: Mapping[str, Placement]) -> dict[str, np.ndarray]:
 
 
 def add_team_camera(
-    scene: Scene, placements: Mapping[str, Placement], below: float = 0.0
+    scene: Scene,
+    placements: Mapping[str, Placement],
+    below: float = 0.0,
+    tall: float = _TALL,
 ) -> None:
     """Look at arms, and so many m below, from above through the widest gap between."""
     slope, margin = _LOOKS[len(placements) > 2]
     bases = np.array([each.position for each in placements.values()])
-    bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, _TALL))
+    bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, tall))
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2
     azimuths = np.sort(np.arctan2(*(bases - bases.mean(axis=0))[:, 1::-1].T))
     gaps = np.diff(azimuths, append=azimuths[0] + 2 * np.pi)

@@ -38,6 +38,13 @@ _PIXELS = 2**16
 _HOST = re.compile(r"(?:\[(.+)\]|([^:\[\]]+))(?::\d+)?", re.ASCII)
 """A request's `Host`: an IPv6 address in brackets, or else a name, and a port."""
 
+_HEAD = """<!doctype html><title>Collaborative Gym</title>
+<meta name=viewport content=width=device-width>
+<style>body { font: 1.1em sans-serif; max-width: 40em; margin: 3em auto }</style>
+<h1>This link does not open</h1>
+"""
+"""Beginning of the page that says what is wrong with a link, on a phone, too."""
+
 _LAST_PORT = 65535
 """The greatest port."""
 
@@ -167,8 +174,7 @@ class _Guard:
             show = self._on_link(request.path)
         except (KeyError, ValueError) as error:
             said = f'<p>{html.escape(str(error))}<p><a href="/">To the viewer</a>\n'
-            wide = "<meta name=viewport content=width=device-width>"  # A phone, too.
-            response = connection.respond(HTTPStatus.NOT_FOUND, wide + said)
+            response = connection.respond(HTTPStatus.NOT_FOUND, _HEAD + said)
             del response.headers["Content-Type"]
             response.headers["Content-Type"] = "text/html; charset=utf-8"
             return response

@@ -21,7 +21,7 @@ from collaborative_gym.policies.scripted import STYLES
 from collaborative_gym.rng import check_seed
 from collaborative_gym.robots import Robot, list_robots
 from collaborative_gym.tasks.identity import Identity
-from collaborative_gym.tasks.registry import disturbed, list_envs, make_task
+from collaborative_gym.tasks.registry import disturbed, get_env, list_envs, make_task
 from collaborative_gym.tasks.task import Task
 
 LINK = "/play/"
@@ -55,6 +55,7 @@ class Menu:
 
     Attributes:
       envs, robots: names of the choices.
+      tasks: the environments of each task, by its name.
     """
 
     def __init__(
@@ -72,6 +73,10 @@ class Menu:
         self._robots |= {robot.name: robot for robot in env.task.robots.values()}
         self.envs = tuple(dict.fromkeys([*list_envs(), env.task.name]))
         self.robots = tuple(self._robots)
+        self.tasks: dict[str, list[str]] = {}
+        for name in self.envs:
+            task = get_env(name).task if name in list_envs() else type(env.task)
+            self.tasks.setdefault(task.__name__, []).append(name)
         presets = self._task.randomizations.values()
         self._has_own = self._task.config.randomization not in presets
         self._settings = _changed(self._task)
@@ -116,6 +121,10 @@ class Menu:
             starts = "default"
         robots = self._usual(env)
         return self._able(replace(choice, env=env, robots=robots, randomization=starts))
+
+    def turned(self, choice: Choice, task: str) -> Choice:
+        """Return the choice of another task's first environment, as `moved` does."""
+        return self.moved(choice, self.tasks[task][0])
 
     def drawn(self, choice: Choice, randomization: str) -> Choice:
         """Return the choice of other starts."""

@@ -14,6 +14,21 @@ if (!window.isKnown) {
   // A phone does not zoom out to what opens beside the page, such as a list of choices,
   // which would move the list away.
   document.querySelector("meta[name=viewport]").content += ", minimum-scale=1";
+  // The keys of MuJoCo's window. A button that has the focus takes keys of its own, but
+  // not because a mouse has pressed it.
+  const keys = {" ": /^(Pause|Play)$/, ArrowRight: /^Step$/, Backspace: /^Reset$/,
+    Enter: /^Next$/};
+  window.addEventListener("click", (e) => e.detail && e.target.closest("button")?.blur());
+  window.addEventListener("keydown", (e) => {
+    const name = keys[e.key];
+    if (!name || e.ctrlKey || e.metaKey || e.altKey || e.target.role == "slider" ||
+        e.target.matches("input, textarea") || document.querySelector(":focus-visible"))
+      return;
+    const buttons = [...document.querySelectorAll("button")];
+    buttons.find((button) => name.test(button.textContent))?.click();
+    e.preventDefault();
+    e.stopPropagation();  // So that an arrow does not turn the camera.
+  }, true);
   // Keys that move a slider do not move the camera.
   document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
   window.isKnown = true;

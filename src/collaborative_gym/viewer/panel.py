@@ -107,7 +107,7 @@ class Panel:
             self._offered = offered
             self._offer()
         link = html.escape(replace(self._choice, episode=reading.episode).link)
-        self._link.content = _STYLE % f'<a href="{link}">Link to this start</a>'
+        self._link.content = _STYLE % (_LINK % link)
 
     def offer_views(self, views: Iterable[str]) -> None:
         """Offer the cameras of another world."""
@@ -125,14 +125,17 @@ class Panel:
 
     def _add_controls(self) -> None:
         session, gui = self._session, self._gui
-        self._play = gui.add_button("Pause", hint="Pause or continue")
+        self._play = gui.add_button("Pause", hint="Pause or continue: space")
         moves = {
             "Step": session.step,
             "Reset": session.reset,
             "Back": session.back,
             "Next": session.next,
         }
-        hint = "Do one step, start again, see the end of the last episode, or the next"
+        hint = (
+            "Do one step (right arrow), start again (backspace), see the end of the"
+            " last episode, or the next (enter)"
+        )
         self._moves = gui.add_button_group("Episode", list(moves), hint=hint)
         self._time = gui.add_slider(
             "Time, s", 0.0, 1.0, 0.1, 0.0, hint="Go back and forth in the episode"
@@ -185,10 +188,12 @@ class Panel:
         for old in self._offers:
             old.remove()
         starts, sides = menu.randomizations(choice.env), env.sides
+        task = next(name for name, own in menu.tasks.items() if choice.env in own)
         is_team = self._singles.visible = len(env.agents) > 2
         with self._choices:
             offers = [
-                self._ask("Environment", menu.envs, choice.env, menu.moved),
+                self._ask("Task", menu.tasks, task, menu.turned),
+                self._ask("Environment", menu.tasks[task], choice.env, menu.moved),
                 self._ask("Starts", starts, choice.randomization, menu.drawn),
             ]
             for side, agents in sides.items() if is_team else ():
@@ -242,6 +247,10 @@ class Panel:
             wished, choice = choice.policies, change(now)
         self.play(choice, wished)
 
+
+_LINK = """<a href="%s">Link to this start</a> <button onclick="navigator.clipboard
+.writeText(this.previousElementSibling.href)
+.then(() => this.textContent = 'Copied')">Copy</button>"""
 
 _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
 
@@ -345,7 +354,7 @@ class Plots:
                 title=title,
                 scales={"x": {"time": False}, "y": {"range": _PADDED}},
                 axes=axes,
-                height=200,  # pixels
+                height=160,  # pixels
                 padding=(12, 12, 0, 0),
             )
 
