@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import collaborative_gym as cg
+from collaborative_gym.envs.world import World
 from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
@@ -27,6 +28,8 @@ SLOW = "Poke", "Pass", "Assemble"
 """Beginnings of the ids in which one moment decides."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
+SHADOWS = 8192
+"""Sides of the map of shadows, in pixels, twice as many as elsewhere."""
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
@@ -49,27 +52,33 @@ GAME, EPISODE = "HockeyPandas-v0", 8
 and lost 2."""
 
 
+def sharp(env_id: str) -> cg.Task:
+    """Return the task of an id, whose pictures have finer shadows than usual."""
+    task = cg.task(env_id)
+    World.of(task).drawn_model.vis.quality.shadowsize = SHADOWS
+    return task
+
+
 def film(env_id: str) -> None:
     """Film who plays best, and leave out the picture that stood for the last film."""
     player = "baseline" if is_shipped("baseline", env_id) else "expert"
     path = MEDIA / f"{player}s" / f"{env_id}.mp4"
-    sides = cg.make_vec(env_id, 1, num_threads=1).sides
-    policy = player if len(sides) == 1 else AGAINST
+    task = sharp(env_id)
+    policy = player if len(task.sides) == 1 else AGAINST
     if env_id == GAME:
         whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZE}
-        record(env_id, path, policy=policy, **whole)
-    elif len(sides) > 1:  # Tug is over within a second.
-        record(env_id, path, policy=policy, speed=0.25, size=SIZE)
+        record(task, path, policy=policy, **whole)
+    elif len(task.sides) > 1:  # Tug is over within a second.
+        record(task, path, policy=policy, speed=0.25, size=SIZE)
     else:
-        name = type(cg.task(env_id)).__name__
-        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(name))
+        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(type(task).__name__))
         more = {
             "seconds": LEAST,
             "speed": SPEEDS.get(env_id, 1.0),
             "slow_motion": env_id.startswith(SLOW),
             "close_up": near,
         }
-        record(env_id, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
+        record(task, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 
@@ -82,7 +91,7 @@ if __name__ == "__main__":
                 for place in ("nearer", "higher")
             )
             record(
-                "PassTaskSawyers-v0",
+                sharp("PassTaskSawyers-v0"),
                 MEDIA / "ego.gif",
                 policy=[nearer, higher],
                 size=BESIDE,
@@ -90,7 +99,7 @@ if __name__ == "__main__":
         elif name == "idle":
             path = MEDIA / "experts" / "idle.mp4"
             record(
-                "LiftTaskSawyers-v0",
+                sharp("LiftTaskSawyers-v0"),
                 path,
                 policy=["expert", {"robot_1": "expert", "robot_2": "idle"}],
                 only_episodes=[0],

@@ -484,7 +484,7 @@ def _names(names: str) -> str:
 
 
 def _name(name: str) -> str:
-    """Return a line on a name, and of a class one on each method and property.
+    """Return a line on a name, and one on each attribute, method, property or function.
 
     After the lists the site puts the whole docstrings.
     """
@@ -496,14 +496,30 @@ def _name(name: str) -> str:
     if callable(thing) and not inspect.isclass(thing):
         takes = _takes(thing)
     lines = [f'- <a id="{path}"></a>`{name}{takes}`: {says}']
-    for own in vars(thing) if inspect.isclass(thing) else ():
+    is_class = inspect.isclass(thing)
+    listed = _attributes(thing) | _comments(thing) if is_class else {}
+    lines += [f"    - `{own}`: {meaning}" for own, meaning in listed.items()]
+    for own in vars(thing) if is_class or inspect.ismodule(thing) else ():
         member = inspect.getattr_static(thing, own)
+        if getattr(member, "__module__", path) != path and not is_class:
+            continue  # It is from another module.
         bare = getattr(member, "__func__", getattr(member, "func", member))
         is_open = not own.startswith("_") and inspect.getdoc(bare)
         if is_open and isinstance(bare, property | FunctionType):
             takes = _takes(bare) if callable(member) or bare is not member else ""
             lines.append(f"    - `{own}{takes}`: {_begin(bare)}")
     return "\n".join(lines)
+
+
+def _comments(thing: type) -> dict[str, str]:
+    """Return what comments say of a dataclass's fields, by name."""
+    fields = (
+        {f.name for f in dataclasses.fields(thing)}
+        if dataclasses.is_dataclass(thing)
+        else ()
+    )
+    said = re.findall(r"^    (\w+):.*  # (.+)$", inspect.getsource(thing), re.M)
+    return {name: meaning for name, meaning in said if name in fields}
 
 
 def _begin(thing: object) -> str:

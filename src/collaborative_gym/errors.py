@@ -20,7 +20,7 @@ MOST_THREADS = 1024
 """More threads than any machine runs well."""
 
 _LISTED = 12
-"""Most names in an error; of more it lists the eight nearest."""
+"""Most names in an error; of more it lists those that are near, eight at most."""
 
 _REMEDIES = {
     "mass and inertia of moving bodies": "give it a mass in kg and an inertia in kg m2",
@@ -106,9 +106,11 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     if len(names) > _LISTED:
-        close = difflib.get_close_matches(str(given).lower(), lower, 8, 0.0)
-        left = len(names) - len(close)
-        names = [*sorted(lower[name] for name in close), f"and {left} others"]
+        close = difflib.get_close_matches(asked, lower, 8)
+        left = (
+            f"and {len(names) - len(close)} others" if close else f"{len(names)} in all"
+        )
+        names = [*sorted(lower[name] for name in close), left]
     return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names) or 'none'}"
 
 

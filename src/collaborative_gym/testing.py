@@ -21,8 +21,7 @@ from collaborative_gym.tasks.registry import as_task, list_tasks
 from collaborative_gym.tasks.task import Task, named_facts
 
 _LOOKS = 10  # control steps from one look at what hinders arms to the next
-_AT_END = 0.03  # rad from the end of a joint's range, where it counts as there
-_NEAR_END = 0.1  # rad likewise, of a home that leaves little room
+_AT_END, _NEAR_END = 0.03, 0.1  # rad from the end of a joint's range: there, or near it
 _ROOM = 0.02  # m, half the width of Pass's cube
 
 
@@ -108,8 +107,8 @@ def check_robot(
 def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
     """Return the share of episodes that the expert completes with such arms, and why.
 
-    The reason is one sentence, empty if all is well. Where not all sides can win, the
-    share is of the episodes whose physics is sound.
+    The reason is a sentence, or empty. Where not all sides can win, the share is of the
+    episodes whose physics is sound.
     """
     try:
         env = VectorEnv(as_task(task, robot), episodes, num_threads=1, auto_reset=False)
@@ -406,16 +405,11 @@ def check_goal(tested: TaskUnderTest) -> None:
 def check_expert(tested: TaskUnderTest) -> None:
     """The expert, where there is one, reaches a goal from every start.
 
-    Where there are several sides, each of them from some start, while the others hold
-    still: even so, opponents are in the way.
+    With several sides, each from some start, while the others hold still, in the way.
     """
     if type(tested.task).expert is Task.expert:
-        warnings.warn(
-            f"{type(tested.task).__name__} has no expert(), so nothing has shown that"
-            " its goal can be reached",
-            stacklevel=3,
-        )
-        return
+        said = "has no expert(), so nothing has shown that its goal can be reached"
+        return warnings.warn(f"{type(tested.task).__name__} {said}", stacklevel=3)
     for i, side in enumerate(tested.task.sides):
         _check_side(tested, i, side)
 

@@ -22,6 +22,7 @@ from collaborative_gym.cli import demo, environments, terminal
 from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import new_table, progress_bars, read_policies
+from collaborative_gym.cli.train import Train
 from collaborative_gym.evaluation import table11
 from collaborative_gym.learning.config import Hyperparameters
 from collaborative_gym.pictures import recording
@@ -39,6 +40,48 @@ def test_list_has_a_line_per_environment(carry_id, capsys):
     carry = next(line for line in lines if line.startswith(carry_id))
     assert carry.split()[1:] == ["Carry", "2", "panda", "-"]
     assert max(map(len, lines[: len(cg.list_envs()) + 2])) <= 80
+
+
+def test_list_takes_a_part_of_a_name(capsys):
+    assert main(["list", "poke"]) == 0
+    printed = capsys.readouterr().out
+    assert "PokeTaskSawyers-v0" in printed and "Lift" not in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "env", "policy"),
+    [
+        ("evaluate --policy expert Carry --seed 1", ("Carry",), ("expert",)),
+        ("evaluate --policy Poke Carry Lift", ("Carry", "Lift"), ("Poke",)),
+        ("evaluate Carry --policy expert", ("Carry",), ("expert",)),
+        ("record --policy idle Carry --output a.gif", "Carry", ("idle",)),
+        ("record --output a.gif --only-episodes 1 2 Carry", "Carry", ("expert",)),
+        ("train --seeds 0 1 Carry", ("Carry",), None),
+    ],
+)
+def test_an_environment_may_follow_an_option_of_several_values(
+    words, env, policy, monkeypatch
+):
+    asked = []
+    for kind in (Evaluate, Record, Train):
+        monkeypatch.setattr(kind, "run", lambda self: asked.append(self))
+    assert main(words.split()) == 0
+    (command,) = map(vars, asked)
+    assert command.get("envs") == env or command.get("env") == env
+    assert command.get("policy") == policy
+
+
+def test_steps_may_be_written_with_an_exponent(monkeypatch):
+    asked = []
+    monkeypatch.setattr(Train, "run", lambda self: asked.append(self))
+    assert main(["train", "Poke", "--total-steps", "1.5e6"]) == 0
+    assert asked[0].hyperparameters.total_steps == 1_500_000
+
+
+def test_a_benchmark_warns_of_more_threads_than_cpus(capsys, monkeypatch):
+    monkeypatch.setattr("collaborative_gym.evaluation.speed.benchmark", None)
+    assert main(["benchmark", "Poke", "--num-threads", "999"]) != 0
+    assert "999 threads share" in capsys.readouterr().err
 
 
 def test_list_builds_worlds_for_their_sizes_alone(carry_id, capsys, monkeypatch):
@@ -284,7 +327,9 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
     assert main(["demo", "--episodes", "2", "--output", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
     names = ["contact_sheet.png", f"{carry_id}.mp4", "TugPandas-v0.mp4"]
-    assert lines[1:4] == [f"wrote {folder / name}" for name in names]
+    told = ("wrote ", "film 1 of 2: ", "film 2 of 2: ")
+    paths = [folder / name for name in names]
+    assert lines[1:4] == [f"{a}{b}" for a, b in zip(told, paths, strict=True)]
     assert {path.name for path in folder.iterdir()} >= {*names, "table11.md"}
     assert "2 episodes" in lines[4] and f"are in {folder}/." in lines[-4]
     assert lines[-3] == "  .venv/bin/collaborative-gym reproduce table11"
@@ -297,7 +342,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate CarryPanda-v0", "did you mean 'CarryPandas-v0'?"),
         ("evaluate Carry --all", "name environments or pass --all, not both"),
         ("evaluate Carry --json a --csv a", "a is named for two outputs"),
-        ("evaluate", "environments to evaluate before all options, or"),
+        ("evaluate", "environments to evaluate, or pass"),
         ("evaluate Carry --policy exprt", "did you mean 'expert'?"),
         ("evaluate Carry --policy expert idle", "robot_2=idle, got expert idle"),
         (
@@ -310,7 +355,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --randomization none", "default, hard, lost, paper, wide"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
         ("record Carry --output a.avi", ".gif, .mp4"),
-        ("certify", "environments to certify before all options, or"),
+        ("certify", "environments to certify, or pass --all"),
         ("certify Cary", "did you mean 'Carry'?"),
         ("certify Carry --episodes 0", "episodes must be at least 1"),
         ("certify Carry --quick --rounds 3", "--quick has a budget of its own"),
@@ -327,7 +372,12 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("view Carry --port 99999", "port must be at most 65535, got 99999"),
         ("evaluate Carry --polcy idle", "not take --polcy (did you mean --policy?); e"),
         ("train Carry --leage-reset 1", "(did you mean --league-reset?); train --help"),
-        ("record --robots panda jaco Carry --output a.mp4", "name, before all options"),
+        ("record --robots panda jaco Cary --output a.mp4", "did you mean 'Carry'?"),
+        ("evaluate --policy Carry", "name the environments to evaluate"),
+        ("evaluate Carry --robots panda,jaco", "--robots: separate names by spaces, g"),
+        ("evaluate Carry --num-robots 3 --robots panda jaco", "of them in --robots\n"),
+        ("evaluate Qqq", "no environment 'Qqq'; environments: "),
+        ("list Qqq", "no environment 'Qqq'; environments: "),
         ("record Carry -o a.mp4", "not take -o; options begin with --"),
         (
             "evaluate Carry --seed 1 2",
@@ -406,7 +456,7 @@ def test_benchmark_takes_a_tasks_name(capsys):
         ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; missing"),
         (
             "view",
-            "view needs ENV, environment id, or a task's name, before all options\n",
+            "view needs ENV, environment id, or a task's name\n",
         ),
         ("--frobnicate", "collaborative-gym does not take --frobnicate; coll"),
     ],
@@ -431,8 +481,9 @@ def test_names_of_policies_come_before_ids(capsys):
     assert names in capsys.readouterr().err
 
 
-def test_version_is_that_of_the_package(capsys):
-    assert main(["--version"]) == 0
+@pytest.mark.parametrize("flag", ["--version", "-V"])
+def test_version_is_that_of_the_package(capsys, flag):
+    assert main([flag]) == 0
     assert capsys.readouterr().out == f"collaborative-gym {version(PACKAGE)}\n"
 
 

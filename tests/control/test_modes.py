@@ -8,8 +8,6 @@ from collaborative_gym.blocks import columns_of
 from collaborative_gym.control import (
     JointChanges,
     Motion,
-    describe_modes,
-    list_modes,
 )
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
@@ -36,12 +34,6 @@ def test_actions_are_changes_of_joint_angles_and_a_grip(env):
     action = mode.encode(dict.fromkeys(env.agents, asked))["robot_1"]
     np.testing.assert_allclose(action, [[0.5] * 7 + [1.0], [-1.0] * 8])
     assert JointChanges(env.scene, env.sim, gripping=False).size("robot_1") == 7
-
-
-def test_every_mode_says_in_a_line_what_an_action_is():
-    lines = [line.partition(", ") for line in describe_modes().split("; ")]
-    assert tuple(name for name, _, _ in lines) == list_modes()
-    assert all(line and line[0].islower() for _, _, line in lines)
 
 
 @pytest.mark.parametrize("gripping", [True, False])

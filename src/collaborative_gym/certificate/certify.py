@@ -72,8 +72,7 @@ def certify(
       budget: the effort; None for `Budget()`, which takes hours.
       seed: of the episodes to judge on.
       output: a folder for `certificate.json`, written after each trial, and for the
-        trainings. What it has of the same certificate is not done again. None to keep
-        nothing.
+        trainings. What it has of the same certificate is kept. None to keep nothing.
       num_threads: physics threads, 0 for one per CPU.
       on_trial: called with each trial that is done.
       on_progress: called with the share that is done, 0 to 1.

@@ -13,6 +13,7 @@ from collaborative_gym.cli.terminal import (
     Env,
     Envs,
     File,
+    Flag,
     Measured,
     Policies,
     Size,
@@ -38,18 +39,22 @@ class List(Command):
     """List the environments, with their robots and the policies that are shipped.
 
     Attributes:
+      name: part of the ids, or of the tasks' names, to list.
       sizes: list the sizes of each agent's observation and action instead of the task
         and the policies. It builds every world, which takes seconds.
     """
 
-    sizes: tyro.conf.FlagCreatePairsOff[bool] = False
+    name: Annotated[tyro.conf.Positional[str], option("[NAME]", "all")] = ""
+    sizes: Flag = False
 
     def run(self) -> None:
         """Print the table."""
         from collaborative_gym import list_robots, list_tasks
         from collaborative_gym.cli.environments import environments_table
 
-        show(environments_table(self.sizes))
+        show(environments_table(self.name, self.sizes))
+        if self.name:
+            return
         show(
             f"\nMost robots ({', '.join(list_robots())})\ngo into most tasks"
             f" ({', '.join(list_tasks())});\nan error says why others do not:\n"
@@ -62,29 +67,23 @@ class _Policy(Command):
     """The option that names the players.
 
     Attributes:
-      policy: who commands the robots: expert (also in another style, such as
-        expert:late), random, baseline (the trained policy that is shipped), the id of
-        another environment (its baseline), ego (a shipped policy for ad hoc teamwork),
-        a policy file, an ONNX file, a training folder, or one of idle, gripping and
-        frozen, which hold still (with an open hand, one that closes on what it meets,
-        or the grip as it is).
-        Or one for each robot, such as robot_1=baseline robot_2=idle, also robot_2=limp,
-        an arm without torque, and robot_2=absent, which touches nothing.
+      policy: who commands the robots: expert, random, baseline, ego, idle, gripping,
+        frozen, an environment id (its baseline), a policy file or a training folder; or
+        one for each robot, such as robot_1=baseline robot_2=limp. See docs/view.md.
     """
 
     policy: Policies = ("expert",)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record(Watched, _Policy):
+class Record(_Policy, Watched):
     """Write a video of a policy at work.
 
     Attributes:
       env: environment id, or a task's name.
       output: the video, .mp4 or .gif; missing folders are made.
       beside: other policies to show beside it in the same episodes, named likewise.
-      seconds: least length of the film. A second after a success, or after the end of
-        an episode, it shows the next start; the last episode is shown to its end.
+      seconds: least length of the film; the last episode is shown to its end.
       only_episodes: episodes to show instead of the first ones, such as the worst ones
         that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
@@ -102,7 +101,7 @@ class Record(Watched, _Policy):
     only_episodes: Annotated[tuple[int, ...], option("INDEX ...", "none")] = ()
     size: Size = OWN_SIZE
     speed: float = 1.0
-    slow_motion: bool = False
+    slow_motion: Flag = False
     close_up: Annotated[str | None, option("BODY", "none")] = None
 
     def run(self) -> None:
@@ -128,7 +127,7 @@ class Record(Watched, _Policy):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(Measured, _Policy):
+class Evaluate(_Policy, Measured):
     """Measure a policy over many episodes: mean reward, completion, performance, time.
 
     Attributes:
@@ -141,7 +140,7 @@ class Evaluate(Measured, _Policy):
     """
 
     envs: Envs = ()
-    all: tyro.conf.FlagCreatePairsOff[bool] = False
+    all: Flag = False
     episodes: int = 200
     delay: int = 0
     csv: File = None
@@ -165,22 +164,21 @@ class Evaluate(Measured, _Policy):
                 f" {', '.join(without)}",
                 besides=(self.json, self.csv),
             )
-        reports = []
         with progress_bars() as progress:
-            for task in tasks:
-                reports.append(
-                    evaluate(
-                        task,
-                        policy,
-                        any_env=self.any_env,
-                        episodes=self.episodes,
-                        seed=self.seed,
-                        delay=self.delay,
-                        num_envs=self.num_envs,
-                        num_threads=self.num_threads,
-                        on_progress=progress(task.name),
-                    )
+            reports = [
+                evaluate(
+                    task,
+                    policy,
+                    any_env=self.any_env,
+                    episodes=self.episodes,
+                    seed=self.seed,
+                    delay=self.delay,
+                    num_envs=self.num_envs,
+                    num_threads=self.num_threads,
+                    on_progress=progress(task.name),
                 )
+                for task in tasks
+            ]
         shown = [tables.reports_table(reports, self._title())]
         if measured := [each for each in reports if each.coordination]:
             shown.append(tables.coordination_table(measured))
@@ -210,9 +208,7 @@ def _tasks(command: "Evaluate | Certify") -> list[Task]:
     env_ids = list_envs() if command.all else command.envs
     if not env_ids:
         verb = type(command).__name__.lower()
-        raise ValueError(
-            f"name the environments to {verb} before all options, or pass --all"
-        )
+        raise ValueError(f"name the environments to {verb}, or pass --all")
     return [command.task(env_id) for env_id in env_ids]
 
 
@@ -261,24 +257,22 @@ class Reproduce:
 class Certify(Worlds):
     """Try to do tasks while one arm is still, to show that all arms are needed.
 
-    Each arm in turn is idle, gripping what it meets, limp, absent, or frozen on the
-    expert's way to the goal. The other arms play the expert, motions that a search
-    finds, and policies that are trained for this. It takes hours. You can stop it at
-    any time; the same command then continues.
+    Each arm in turn is still while the others play the expert, motions that a search
+    finds, and policies that are trained for this; see docs/certify.md. It takes hours.
+    You can stop it at any time; the same command then continues.
 
     Attributes:
       envs: environment ids, or tasks' names.
       all: certify every environment; then name none.
       quick: take only seconds. This shows that certify works, and proves nothing.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
-      output: where certificates.md goes, and a folder for each environment, with its
-        certificate.json and its trainings.
+      output: where certificates.md goes, and a folder for each environment.
       budget: how hard it tries.
     """
 
     envs: Envs = ()
-    all: tyro.conf.FlagCreatePairsOff[bool] = False
-    quick: tyro.conf.FlagCreatePairsOff[bool] = False
+    all: Flag = False
+    quick: Flag = False
     num_threads: int = 0
     output: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("out/certificates")
     budget: Annotated[Budget, tyro.conf.arg(name="")] = field(default_factory=Budget)
@@ -337,9 +331,12 @@ class Benchmark(Command):
         """Print a table and write the file."""
         from collaborative_gym import list_envs
         from collaborative_gym.cli.tables import benchmark_table
+        from collaborative_gym.evaluation.machine import cores
         from collaborative_gym.evaluation.speed import benchmark
 
         check_files(self.json)
+        if self.num_threads > cores():
+            warn(f"{self.num_threads} threads share {cores()} CPUs, which is slower")
         with progress_bars() as progress:
             measured = benchmark(
                 self.envs or list_envs(),
@@ -352,17 +349,15 @@ class Benchmark(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Watched, _Policy):
+class View(_Policy, Watched):
     """Watch a policy in real time, and pull at things to disturb it.
 
     It opens a window, or serves a page for the browser if it cannot open one. On the
     page you can change environment, robots, policies and starts without a restart.
-    `python -m collaborative_gym --env ENV` does the same.
 
     Attributes:
       env: environment id, or a task's name.
-      num_envs: worlds to show beside one another in the browser, up to 16, each with an
-        episode of its own. The panel reads one of them.
+      num_envs: worlds to show beside one another in the browser, up to 16.
       web: serve a page for the browser, even if a window can be opened.
       host: address at which the page is served. Whoever can reach it can watch and
         control the robots.
@@ -371,7 +366,7 @@ class View(Watched, _Policy):
 
     env: Env
     num_envs: int = 1
-    web: tyro.conf.FlagCreatePairsOff[bool] = False
+    web: Flag = False
     host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
     port: int = 8080
 
@@ -411,7 +406,7 @@ class Demo:
     def run(self) -> None:
         """Print each file once it is written, then the tables and how to watch."""
         from collaborative_gym.cli import demo
-        from collaborative_gym.cli.tables import reports_table, table11_table
+        from collaborative_gym.cli.tables import table11_table
         from collaborative_gym.errors import check_count
         from collaborative_gym.evaluation import reproduce_table11
         from collaborative_gym.files import write_text
@@ -422,7 +417,7 @@ class Demo:
         self._draw()
         show(
             f"now it measures {self.episodes} episodes of each baseline, of each expert"
-            " and of random actions; that takes about a minute, and Ctrl-C ends it"
+            " and of random actions; that takes some minutes, and Ctrl-C ends it"
         )
         with progress_bars() as progress:
             table11 = reproduce_table11(
@@ -431,10 +426,6 @@ class Demo:
             )
         write_text(files[0], table11.to_json())
         write_text(files[1], table11.to_markdown())
-        columns = (each.reports for each in table11.comparisons)
-        own = [each["ours_on_default"] for each in columns if "ours_on_default" in each]
-        if own:
-            show(reports_table(own))
         show(table11_table(table11))
         show(table11.verdict)
         show(
@@ -451,13 +442,14 @@ class Demo:
         from collaborative_gym.pictures import recording
 
         show(
-            "first a sheet (seconds), then films (about a minute), then a table beside"
-            " the thesis's"
+            "first a sheet (seconds), then films (one to several minutes), then a table"
+            " beside the thesis's"
         )
         try:
             recording.check_ready()
         except (ImportError, RuntimeError) as error:
             show(f"no films and pictures can be made: {error}")
             return
-        for path in demo.draw(self.output):
-            show(f"wrote {path}")
+        films = len(demo.players()) + 1
+        for number, path in enumerate(demo.draw(self.output)):
+            show(f"film {number} of {films}: {path}" if number else f"wrote {path}")

@@ -19,7 +19,7 @@ _SHEET_SIZE = (480, 270)
 """Width and height of one picture of the contact sheet, in pixels."""
 
 _GAME, _GAME_STEPS, _GAME_EPISODE = "HockeyPandas-v0", 100, 6
-"""The game of the scripted player, its control steps, and an episode with a goal."""
+"""A game, its control steps, and an episode in which the baseline scores a goal."""
 
 _FILM_SIZE = (640, 360)
 """Width and height of a film, in pixels."""
@@ -38,10 +38,11 @@ def program() -> str:
 
 def players() -> dict[str, str]:
     """Return who plays, by environment id: the baseline, or the expert without one."""
-    return {
-        env_id: "baseline" if is_shipped("baseline", env_id) else "expert"
-        for env_id in table11.THESIS
-    }
+    return {env_id: _best(env_id) for env_id in table11.THESIS}
+
+
+def _best(env_id: str) -> str:
+    return "baseline" if is_shipped("baseline", env_id) else "expert"
 
 
 def draw(folder: Path) -> Iterator[Path]:
@@ -53,9 +54,10 @@ def draw(folder: Path) -> Iterator[Path]:
       folder: where the files go.
     """
     cast = players()
+    sides = {"robot_1": _best(_GAME), "robot_2": "expert"}
     films = [
         (env_id, policy, folder / f"{env_id}.mp4")
-        for env_id, policy in (*cast.items(), (_GAME, "expert"))
+        for env_id, policy in (*cast.items(), (_GAME, sides))
     ]
     spawn = multiprocessing.get_context("spawn")
     # Leaving the pool early, as Ctrl-C does, ends its processes at once.
@@ -78,7 +80,7 @@ def _begin_worker() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
 
 
-def _film_one(job: tuple[str, str, Path]) -> Path:
+def _film_one(job: tuple[str, str | dict[str, str], Path]) -> Path:
     """Record one video and return its path."""
     env_id, policy, output = job
     task = make_task(env_id)

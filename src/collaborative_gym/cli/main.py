@@ -4,16 +4,15 @@ import functools
 import operator
 import os
 import re
-import shutil
 import signal
 import sys
-import textwrap
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib.metadata import version
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,9 +29,10 @@ from collaborative_gym.cli.commands import (
     Reproduce,
     View,
 )
+from collaborative_gym.cli.help import finished, owners
 from collaborative_gym.cli.studies import Compare, Report, Tournament
 from collaborative_gym.cli.terminal import Command, show
-from collaborative_gym.cli.train import BriefTrain, Train, explain_hyperparameters
+from collaborative_gym.cli.train import Train
 from collaborative_gym.errors import UnknownName, unknown
 from collaborative_gym.plugins import load_modules, location_of
 
@@ -107,14 +107,16 @@ _PLAINLY = {
     r"(?:: |\. |\.? \().*": r"\1 needs \2, \3",
     r"^Missing value for argument '(.*)'\. Expected (.*)\.$": r"\1 takes \2",
     r" 1 values$": " a value",
-    r"( needs ENV, .*)$": r"\1, before all options",
     "^--size takes 2 values$": "--size takes a width and a height, such as 640 360",
 }
 """Patterns of the parser's errors, and our words in their place."""
 
 _DESCRIPTION = """Robot arms that must work together: watch, train, measure.
 
-COMMAND --help lists the options of a command; --version shows the version."""
+COMMAND --help lists the options of a command, with examples."""
+
+_ENV = r"[A-Z][\w-]*"
+"""What ids of environments and tasks look like, but no policy, robot, seed or file."""
 
 
 class _Terminated(BaseException):
@@ -139,15 +141,15 @@ def _heeding_sigterm() -> Iterator[None]:
 
 
 def _run(arguments: list[str]) -> None:
-    if arguments == ["--version"]:
+    if arguments in (["--version"], ["-V"]):
         show(f"collaborative-gym {version('collaborative-gym')}")
         return
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
+    # The parser takes no 1e6 for a whole number.
+    is_large = re.compile(r"[1-9](\.\d)?e[1-9]").fullmatch
+    arguments = [f"{float(w):.0f}" if is_large(w) else w for w in arguments]
     verb = arguments[0] if arguments else ""
-    if verb == "train" and "--help-all" in arguments:
-        with suppress(SystemExit):
-            _run([verb, "--help"])
-        show(explain_hyperparameters())
-        raise SystemExit(0)
     for word in arguments:
         option, _, value = word.partition("=")
         if re.fullmatch("-[a-gi-zA-Z]", word):
@@ -158,44 +160,64 @@ def _run(arguments: list[str]) -> None:
             instead = _INSTEAD[verb, option]
             raise ValueError(f"{verb} has no {option}; give {instead}")
     if verb in _VERBS:  # Reading the options of one command is quicker.
-        kind, description, rest = _VERBS[verb], None, arguments[1:]
-        if kind is Train and {"-h", "--help"} & {*rest}:
-            kind, description = BriefTrain, BriefTrain.description()
-        command = _parse(kind, f"collaborative-gym {verb}", description, rest)
+        command = _read(_VERBS[verb], verb, arguments[1:])
     elif verb[:1] not in ("", "-"):
         raise UnknownName(unknown("command", verb, list(_VERBS)))
     else:
         arguments = arguments or ["--help"]
-        command = _parse(_any_command(), "collaborative-gym", _DESCRIPTION, arguments)
+        command = _parse(_any_command(), "", arguments)
     _check_given(command, arguments)
     if isinstance(command, Command):
         load_modules(command.module)
     command.run()
 
 
-def _parse(kind: Any, prog: str, description: str | None, words: list[str]) -> Any:
+def _read(kind: type, verb: str, words: list[str]) -> Any:
+    """Return a command with its options.
+
+    If it lacks environments, they are the last values of an option that takes several.
+    One value stays with the option, since a policy may have an environment's name.
+    """
+    pairs = enumerate(pairwise(["-", *words]))
+    late = {i for i, (a, b) in pairs if a[:1] != "-" and re.fullmatch(_ENV, b)}
+    if not late or words[0][:1] != "-":
+        return _parse(kind, verb, words)
+    try:
+        command = _parse(kind, verb, words)
+        if getattr(command, "envs", True):
+            return command
+    except (UnknownName, ValueError):
+        pass  # The words may be right in another order.
+    first = sorted(range(len(words)), key=lambda i: i not in late)
+    return _parse(kind, verb, [words[i] for i in first])
+
+
+def _parse(kind: Any, verb: str, words: list[str]) -> Any:
     """Return what `tyro.cli` does, but raise an error where it would print a box.
 
     Raises:
       UnknownName: if it has no use for a word.
       ValueError: if a value is wrong or missing.
     """
-    shown = sys.stdout  # The parser looks at it for how to draw.
-    like = {"encoding": shown.encoding, "isatty": lambda _: shown.isatty()}
-    page = type("Page", (StringIO,), like)()
+    prog, helps = f"collaborative-gym {verb}".strip(), {"-h", "--help"} & {*words}
+    if whole := verb == "train" and "--help-all" in words:
+        helps = words = ["--help"]
+    if verb:
+        # The parser lists a command's own options first, then those of its bases.
+        fields = kind.__dataclass_fields__
+        kind.__dataclass_fields__ = {name: fields[name] for name in owners(kind)}
+    # The parser looks at the stream for how to draw.
+    page = type("Page", (StringIO,), {"encoding": sys.stdout.encoding})()
+    about = None if verb else _DESCRIPTION
     with redirect_stderr(StringIO()) as box, redirect_stdout(page):
         try:
-            return tyro.cli(kind, prog=prog, description=description, args=words)
+            return tyro.cli(kind, prog=prog, description=about, args=words)
         except SystemExit as end:
             status = end.code
     if status != _BAD_INPUT:
-        # Sentences come in one line each; a script of completions is to stay as it is.
-        plain = "^[^╭│╰\x1b\n]+$" if {"-h", "--help"} & {*words} else "$^"
-        wide = shutil.get_terminal_size().columns
-        fill = functools.partial(textwrap.fill, width=wide, break_on_hyphens=False)
         brief = page.getvalue().replace(f"{{{','.join(_VERBS)}}}", "COMMAND ...")
-        fit = re.sub(plain, lambda line: fill(line[0]), brief, flags=re.M)
-        sys.stdout.write(fit)
+        # A script of completions is to stay as it is.
+        sys.stdout.write(finished(brief, verb, kind, whole) if helps else brief)
         raise SystemExit(status)
     raise _complaint(box.getvalue(), prog.split()[-1])
 
@@ -246,7 +268,7 @@ def _in_options(words: str, arguments: list[str]) -> str:
     """Return an error's words with options as they were typed."""
     for option in {word.partition("=")[0] for word in arguments if word[:2] == "--"}:
         name = option[2:].replace("-", "_")
-        plain = "^|each of |give |as |leave out |without "
+        plain = "^|each of |give |as |in |leave out |without "
         where = r"(?<![\w.-])" if "_" in name else plain
         pattern = rf"({where}){re.escape(name)}(?!\w)"
         words = re.sub(pattern, lambda found, own=option: found[1] + own, words)

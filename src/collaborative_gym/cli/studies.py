@@ -33,15 +33,13 @@ class Tournament(Measured):
     A seat is a robot; if robots play against one another, it is a side. Players that
     work together are compared by completion, performance and return; opponents by wins,
     scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
-    in one folder count as training runs of one kind, with results of their own, unless
-    --groups says which do.
+    in one folder count as training runs of one kind, with results of their own; see
+    also --groups.
 
     Attributes:
       env: environment id, or a task's name.
-      policies: two players or more, each given as for evaluate: expert, expert:late,
-        random, baseline, ego, idle, gripping, frozen, limp, absent, or a path to a
-        policy file or to a training folder. A player may have a policy for each
-        robot, such as robot_1=baseline robot_2=idle.
+      policies: two players or more, each as --policy of evaluate takes it; a player may
+        have a policy for each robot, such as robot_1=baseline robot_2=idle.
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:
         all, or the names of some, which saves games with three robots or more.
@@ -114,17 +112,15 @@ class Tournament(Measured):
 class Report(Measured):
     """Write report cards: how good policies are, on a page for each environment.
 
-    A card has completion, performance and time to success with intervals; how gently
-    the arms act: clearance, speeds, torques, energy and changes of action; the effect
-    of each disturbance alone, and of all together; and cross-play.
+    A card has the results with intervals, how gently the arms act, the effect of each
+    disturbance, and cross-play.
 
     Attributes:
       envs: environment ids, or tasks' names.
       policies: policies to report on, each given as for evaluate.
       episodes: number of episodes of each policy by itself.
       disturbed: number of episodes with each of the disturbances; 0 leaves them out.
-      paired: number of episodes of each pairing of the policies and the expert; 0
-        leaves them out.
+      paired: number of episodes of each pairing, also with the expert; 0 for none.
       output: folder for the pages, ENV.md with ENV.json and ENV.png.
     """
 
@@ -140,13 +136,12 @@ class Report(Measured):
 
     def run(self) -> None:
         """Print the cards and write their pages."""
-        from rich.markdown import Markdown
-
         from collaborative_gym.cards import draw_card, report_card
+        from collaborative_gym.cli.tables import Page
         from collaborative_gym.evaluation.table import to_json
 
         if not self.envs:
-            raise ValueError("name the environments to report on before all options")
+            raise ValueError("name the environments to report on")
         policies = read_policies(self.policies)
         tasks = {task.name: task for task in map(self.task, self.envs)}
         pages: dict[str, Path] = {}
@@ -169,7 +164,7 @@ class Report(Measured):
                     on_progress=progress(name),
                 )
         for card in cards.values():
-            show(Markdown(card.to_markdown()), besides=besides)
+            show(Page(card.to_markdown()), besides=besides)
         put(self.json, to_json({n: card.plain() for n, card in cards.items()}))
         for name, page in pages.items():
             card, chart = cards[name], page.with_suffix(".png")

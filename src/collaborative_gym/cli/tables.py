@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from statistics import median
 
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.markdown import Markdown, TableElement
 from rich.table import Table
 from rich.text import Text
 
@@ -13,7 +15,7 @@ from collaborative_gym.certificate.report import (
     Certificate,
     lines,
 )
-from collaborative_gym.cli.terminal import new_table
+from collaborative_gym.cli.terminal import fitted, new_table
 from collaborative_gym.comparisons.result import Comparison
 from collaborative_gym.evaluation.report import (
     Report,
@@ -33,6 +35,24 @@ from collaborative_gym.tournaments.result import (
     format_measure,
     short_names,
 )
+
+
+class _PageTable(TableElement):
+    """A table of a page, which cuts off nothing."""
+
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
+        # Its edges take a column on each side.
+        for table in super().__rich_console__(console, options):
+            if isinstance(table, Table):
+                yield fitted(table, options.max_width - 2)
+
+
+class Page(Markdown):
+    """A page whose tables fit."""
+
+    elements = Markdown.elements | {"table_open": _PageTable}
 
 
 def reports_table(reports: Sequence[Report], title: str | None = None) -> Table:
@@ -85,7 +105,10 @@ def coordination_table(reports: Sequence[Report]) -> Table:
 def strain_table(reports: Sequence[Report]) -> Table:
     """Return the strain: of arms on one another, on things and on themselves."""
     heads = ["environment", "strain", "mean", "worst", "in episode"]
-    caption = "The greatest value in each episode, but the least clearance; no zeros."
+    caption = (
+        "Greatest value in each episode (clearance: least); rows that are zero are left"
+        " out. Torque and speed over limit are multiples of the limit."
+    )
 
     def more_than_nothing(report: Report) -> list[list[str]]:
         lines = zip(strain_lines(report), report.strain.values(), strict=True)
@@ -233,33 +256,27 @@ def certificates_table(certificates: Sequence[Certificate]) -> Table:
 
 def benchmark_table(benchmark: Benchmark) -> Table:
     """Return the speeds, one line per environment."""
-    rows, kept = [], []
+    rows = []
     for speed in benchmark.environments:
-        played = speed.expert, speed.random
-        kept.append([rates.ratio for rates in played])
-        row = [speed.environment]
-        for rates in played:
-            row += [f"{rates.bare:,.0f}", f"{rates.env:,.0f}", f"{rates.ratio:.0%}"]
-        row += [f"{speed.single_rate:,.0f}", f"{speed.reset_ms:.2f}"]
         makes = "\n".join(f"{seconds:.2f}" for seconds in speed.make_s)
-        rows.append([*row, makes, f"{speed.kb_per_env:.0f}"])
+        single = f"{speed.single_rate:,.0f}", f"{speed.reset_ms:.2f}", makes
+        rows.append([speed.environment, *[""] * 3, *single, f"{speed.kb_per_env:.0f}"])
+        for who, rates in (("expert", speed.expert), ("random", speed.random)):
+            per_second = f"{rates.bare:,.0f}", f"{rates.env:,.0f}"
+            rows.append([f"  {who}", *per_second, f"{rates.ratio:.0%}"])
+    expert = median(speed.expert.ratio for speed in benchmark.environments)
+    random = median(speed.random.ratio for speed in benchmark.environments)
     machine, threads = benchmark.machine, benchmark.num_threads
-    expert, random = (
-        f"{median(each):.0%} ({min(each):.0%} at least)"
-        for each in zip(*kept, strict=True)
-    )
-    heads = ["environment"]
-    for who in ("expert", "random"):
-        heads += [f"{who}\nbare, 1/s", "\nenv, 1/s", "\nratio"]
+    in_median = ", in the median" * (len(benchmark.environments) > 1)
+    heads = "bare\n1/s", "env\n1/s", "\nratio", "single\n1/s", "reset\nms", "make\ns"
     return new_table(
-        [*heads, "single\n1/s", "reset\nms", "make\ns", "world\nkB"],
+        ["environment", *heads, "world\nkB"],
         rows,
-        caption=f"Control steps per second (1/s); bare physics and environment with"
-        f" {benchmark.num_envs} worlds on {threads}"
-        f" {'thread' if threads == 1 else 'threads'}, with the expert's and with random"
-        f" actions, which keep {expert} and {random} of bare physics in the median;"
-        " single: one PettingZoo environment; make: the first of a process, and the"
-        " second.\n"
+        caption=f"Control steps per second (1/s) with {benchmark.num_envs} worlds on"
+        f" {threads} {'thread' if threads == 1 else 'threads'}: of bare physics, and of"
+        f" the environment, which keeps {expert:.0%} with the expert's actions and"
+        f" {random:.0%} with random ones{in_median}; single: one PettingZoo"
+        " environment; make: the first of a process, and the second.\n"
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}",
     )

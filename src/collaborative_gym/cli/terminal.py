@@ -1,6 +1,7 @@
 """Arguments that the commands share, and their output to the terminal."""
 
 import ast
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,12 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich import box
 from rich.console import Console
-from rich.measure import Measurement
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
-from collaborative_gym.control import describe_modes
 from collaborative_gym.errors import look_up
 from collaborative_gym.files import check_writable, write_text
 from collaborative_gym.robots import Robot
@@ -27,16 +26,25 @@ from collaborative_gym.tasks.task import Task
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
+_GAP = 2
+"""Spaces between the columns of a table."""
+
+_SPACES = re.compile(r"\n|(?<![\dN]) | (?=to\b|\d)")
+"""Where a cell may fold, which leaves a number and its unit together."""
+
 _LINE_INTERVAL = 10.0
 """Least time between two lines of progress where there is no terminal, in s."""
 
 
-def option(metavar: str, default: str = "", **more: Any) -> Any:
+def option(metavar: str, default: str = "") -> Any:
     """Return how help shows an option: its value, and what holds without it."""
     hint = default and f"(default: {default})"
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, **more)
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
 
 
+Flag = Annotated[
+    tyro.conf.FlagCreatePairsOff[bool], tyro.conf.arg(help_behavior_hint="")
+]
 Modules = Annotated[tyro.conf.UseAppendAction[tuple], option("MODULE", "none")]
 
 
@@ -65,10 +73,7 @@ Policies = Annotated[
     tuple[str, ...], tyro.conf.arg(metavar="POLICY | AGENT=POLICY ...")
 ]
 Randomization = Annotated[str, tyro.conf.arg(metavar="PRESET")]
-Action = Annotated[
-    str | None,
-    option("MODE", "its own, joints", help=f"what actions mean: {describe_modes()}"),
-]
+Action = Annotated[str | None, option("MODE", "its own, joints")]
 Settings = Annotated[tuple[str, ...], option("NAME=VALUE ...", "its own")]
 Robots = Annotated[tuple[str, ...], option("ROBOT ...", "its own")]
 NumRobots = Annotated[int | None, option("INT", "its own")]
@@ -115,11 +120,11 @@ class Worlds(Command):
     Attributes:
       robots: robots in place of the environment's own, one per agent, or one for all.
       num_robots: number of robots of one kind, for tasks with teams of any size.
-      randomization: how much episodes differ: default, paper for the thesis's fixed
-        starts, wide for starts 1.5 times as far off, lost for starts after a mishap, or
-        hard for disturbances, mostly with starts farther off.
-      action: what actions mean, by the name of an action mode.
-      settings: other settings of the task, as `cg.make` takes them, such as wrench=raw.
+      randomization: how much episodes differ: {default,paper,wide,lost,hard}; see
+        docs/concepts.md.
+      action: what actions mean: {joints,tcp,tcp_position,impedance,
+        impedance_stiffness,torques}; see docs/concepts.md.
+      settings: other settings of the task, as cg.make takes them, such as wrench=raw.
       seed: number of a series of episodes; another seed gives other episodes.
     """
 
@@ -132,6 +137,8 @@ class Worlds(Command):
 
     def task(self, env: str) -> Task:
         """Return the task of this name, with these options."""
+        if joined := [word for word in self.robots if "," in word]:
+            raise ValueError(f"--robots: separate names by spaces, got {joined[0]!r}")
         return chosen_task(env, self.robots, *self._how)
 
     @property
@@ -148,7 +155,7 @@ class Played(Worlds):
       any_env: let a trained policy play an environment that it was not trained for.
     """
 
-    any_env: tyro.conf.FlagCreatePairsOff[bool] = False
+    any_env: Flag = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,8 +163,8 @@ class Watched(Played):
     """The options of commands that show policies at play.
 
     Attributes:
-      look: other model files of arms, such as panda=FILE, with whose shapes they are
-        drawn: those with the makers' meshes. They change no physics.
+      look: model files with other shapes of arms, such as the makers' meshes, in which
+        they are drawn: panda=FILE. They change no physics.
     """
 
     look: Looks = ()
@@ -280,15 +287,7 @@ def new_table(
     title: str | None = None,
     caption: str | None = None,
 ) -> Table:
-    """Return a table.
-
-    Args:
-      heads: of the columns.
-      rows: their cells.
-      words: how many of the first columns have words; the others have numbers.
-      title: stands above it.
-      caption: stands below it.
-    """
+    """Return a table whose first columns, `words` of them, have no numbers."""
     table = Table(
         box=box.SIMPLE_HEAD,
         show_edge=False,
@@ -300,36 +299,65 @@ def new_table(
         caption_justify="left",
     )
     for i, head in enumerate(heads):
-        # In a narrow terminal numbers go below one another; none is cut off.
-        table.add_column(
-            head,
-            justify="left" if i < words else "right",
-            no_wrap=i < words,
-            overflow="fold",
-            min_width=max(map(len, head.split()), default=0),
-        )
+        table.add_column(head, justify="left" if i < words else "right")
     for row in rows:
         table.add_row(*row)
     return table
 
 
+def fitted(table: Table, room: int) -> Table:
+    """Return a table no wider than the room: rich itself would cut off numbers.
+
+    Cells fold between words. If that is not enough, rows become names and values.
+    """
+    columns = [[str(c) for c in (each.header, *each.cells)] for each in table.columns]
+    # A name of more than a third of the room may break within; no number is so long.
+    least = [
+        min(max(len(part) for cell in cells for part in _SPACES.split(cell)), room // 3)
+        for cells in columns
+    ]
+    most = [max(map(len, "\n".join(cells).split("\n"))) for cells in columns]
+    left = room - _GAP * (len(columns) - 1) - sum(least)
+    if left < 0:
+        return fitted(_stood_up(table, columns), room)
+    # Numbers, which are on the right, fold last.
+    for i in reversed(range(len(columns))):
+        table.columns[i].width = min(most[i], least[i] + left)
+        table.columns[i].overflow = "fold"
+        left -= min(most[i] - least[i], left)
+    return table
+
+
+def _stood_up(table: Table, columns: Sequence[Sequence[str]]) -> Table:
+    """Return a table of the same cells, each in a line with the head of its column."""
+    heads, *rows = zip(*columns, strict=True)
+    lines = [
+        (" ".join(head.split()), cell)
+        for row in rows
+        for head, cell in (*zip(heads, row, strict=True), ("", " "))  # an empty line
+        if cell
+    ]
+    upright = new_table(["", ""], lines, words=2)
+    upright.title, upright.caption = table.title, table.caption
+    upright.show_header = False
+    return upright
+
+
 def show(
     content: "Table | Markdown | str", *, besides: Sequence[Path | None] = ()
 ) -> None:
-    """Print a table, a page or a text on standard output.
+    """Print a table, a page or a text.
 
-    Args:
-      content: what to print.
-      besides: where results go. If one goes to standard output, this is printed on
-        standard error, so that programs can read the result.
+    It goes to standard error if results, which go to `besides`, go to standard output.
     """
     console = _Output(stderr=STANDARD_OUTPUT in besides)
     if isinstance(content, str):
         console.print(content, markup=False, highlight=False, soft_wrap=True)
         return
-    if isinstance(content, Table) and not console.is_terminal:
-        wide = console.options.update(max_width=1000)  # A file is as wide as needed.
-        console.width = Measurement.get(console, wide, content).maximum
+    if isinstance(content, Table):
+        if not console.is_terminal:
+            console.width = 1000  # A file is as wide as needed.
+        content = fitted(content, console.width)
     console.print(content)
 
 

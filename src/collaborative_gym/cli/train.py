@@ -1,9 +1,6 @@
 """The command that trains."""
 
-import inspect
 import math
-import re
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from collaborative_gym.cli.terminal import Envs, Folder, Worlds, show
+from collaborative_gym.cli.terminal import Envs, Flag, Folder, Worlds, option, show
 from collaborative_gym.errors import check_count
 from collaborative_gym.learning.config import (
     Algorithm,
@@ -26,24 +23,8 @@ if TYPE_CHECKING:
     from collaborative_gym.learning.many import Outcome
     from collaborative_gym.learning.settings import Options
 
-_Own = tyro.conf.arg(help_behavior_hint="")
-"""An option whose help says by itself what holds if it is not given."""
-
 _MOST_SEEDS = 10_000
 """More runs of one kind than anybody trains."""
-
-_SUBJECTS = {
-    "device": "The machine",
-    "total_steps": "Length, and sizes of batches",
-    "discount": "Learning",
-    "replay_size": "SAC alone",
-    "initial_std": "Action noise, and grips",
-    "assistance": "Assistance, and penalties",
-    "imitation": "The expert's advice, and mishaps in training",
-    "population": "Populations and leagues",
-    "hidden_sizes": "Networks and validations",
-}
-"""What a hyperparameter and those after it are about."""
 
 _Flat = tyro.conf.arg(name="")
 
@@ -55,10 +36,10 @@ class _NotGiven:
 def _not_given() -> Hyperparameters:
     """Return the defaults, marked, because asking for a default overrules a recipe."""
     marked = {}
-    for option in fields(Hyperparameters):
-        kind = type(option.default)
+    for each in fields(Hyperparameters):
+        kind = type(each.default)
         mark: Any = type(kind.__name__, (_NotGiven, kind), {})
-        marked[option.name] = mark(option.default)
+        marked[each.name] = mark(each.default)
     return Hyperparameters(**marked)
 
 
@@ -73,18 +54,16 @@ class Train(Worlds):
 
     Attributes:
       envs: environment ids, or tasks' names; with --resume that of the run.
-      help_all: like --help, then what each hyperparameter does, by subject.
-      all: train the baselines of all environments, or of those named, each with
-        several seeds, and write their cards; continues the runs that exist already.
+      help_all: like --help, but with all hyperparameters.
+      all: train the baselines of all environments, or of those named, and write their
+        cards; continues the runs that exist already.
       modes: train in each of these; see --mode.
-      jobs: how many runs train at a time, each in a process of its own with one physics
-        thread (default: one per CPU). Ctrl-C ends all of them, and the same command
-        continues them.
+      jobs: how many runs train at a time, each in a process of its own (default: one
+        per CPU). The same command continues what Ctrl-C has ended.
       mode: who learns what. collaborative (MAPPO, default): a policy for each robot and
-        one critic that sees all observations; independent (IPPO): a policy and a critic
-        for each; shared: one policy and critic for robots with equal spaces (default
-        for such robots against given policies and in a league); centralized: one policy
-        for all robots. For several modes see --modes.
+        one critic; independent (IPPO): a policy and a critic for each; shared: one
+        policy for robots with equal spaces (default for such robots against given
+        policies and in a league); centralized: one policy for all robots.
       seed: seed of the run (default: 0); for several seeds see --seeds.
       seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
         environment and mode; with --all for each baseline (default: 0 1 2).
@@ -92,15 +71,12 @@ class Train(Worlds):
         league, population or guests); the folder of all of several runs (default:
         runs), or of all baselines (default: runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
-      opponent: who plays against the learner, if a task has several sides. The default
-        is self, self-play: the latest policies play all sides. If you name policies, as
-        in evaluate, each episode draws one of them; side_2=POLICY plays only that side.
-        league trains exploiters too, and keeps former versions; policies may follow the
-        word.
-      partner: who plays with the learner, if a task has one side; by default the latest
-        policies (self-play). If you name policies, each episode draws one of them, and
-        the learner plays the other robots; robot_2=POLICY plays only that robot. With
-        population, several policies for each robot learn, and all pairs of them play.
+      opponent: who plays against the learner, if a task has several sides: by default
+        self, the latest policies; policies, of which each episode draws one;
+        side_2=POLICY, which plays only that side; or league; see docs/leagues.md.
+      partner: who plays with the learner, if a task has one side: by default the latest
+        policies; policies, of which each episode draws one; robot_2=POLICY, which plays
+        only that robot; or population; see docs/strangers.md.
       start_from: trained policy to begin with, named as in evaluate, instead of random
         networks. It may come from another environment with spaces of the same sizes.
       backend: skrl (default), or ray to collect in several processes or machines.
@@ -108,32 +84,32 @@ class Train(Worlds):
       advised: learn with the scripted expert's advice, by hyperparameters that suit it,
         which you can still change; --imitation is their main one.
       checkpoint_interval: environment steps between two checkpoints.
-      resources: what the run may use.
       hyperparameters: how it learns.
+      resources: what the run may use.
     """
 
     envs: Envs = ()
-    help_all: tyro.conf.FlagCreatePairsOff[bool] = False
-    all: tyro.conf.FlagCreatePairsOff[bool] = False
-    mode: Annotated[Mode | None, tyro.conf.arg(metavar="MODE"), _Own] = None
-    seed: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
-    seeds: Annotated[tuple[str, ...], tyro.conf.arg(metavar="INT | A-B ..."), _Own] = ()
-    modes: Annotated[tuple[Mode, ...], tyro.conf.arg(metavar="MODE ..."), _Own] = ()
-    jobs: Annotated[int | None, tyro.conf.arg(metavar="INT"), _Own] = None
-    output: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER"), _Own] = None
+    help_all: Flag = False
+    all: Flag = False
+    mode: Annotated[Mode | None, option("MODE")] = None
+    seed: Annotated[int | None, option("INT")] = None
+    seeds: Annotated[tuple[str, ...], option("INT | A-B ...")] = ()
+    modes: Annotated[tuple[Mode, ...], option("MODE ...")] = ()
+    jobs: Annotated[int | None, option("INT")] = None
+    output: Annotated[Path | None, option("FOLDER")] = None
     resume: Folder = None
-    randomization: Annotated[str | None, tyro.conf.arg(metavar="PRESET"), _Own] = None
-    opponent: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
-    partner: Annotated[tuple[str, ...], tyro.conf.arg(metavar="WHO ..."), _Own] = ()
-    start_from: Annotated[str | None, tyro.conf.arg(metavar="POLICY"), _Own] = None
-    backend: Annotated[str | None, tyro.conf.arg(metavar="NAME"), _Own] = None
-    algorithm: Annotated[Algorithm | None, tyro.conf.arg(metavar="NAME"), _Own] = None
-    advised: tyro.conf.FlagCreatePairsOff[bool] = False
+    randomization: Annotated[str | None, option("PRESET")] = None
+    opponent: Annotated[tuple[str, ...], option("WHO ...")] = ()
+    partner: Annotated[tuple[str, ...], option("WHO ...")] = ()
+    start_from: Annotated[str | None, option("POLICY")] = None
+    backend: Annotated[str | None, option("NAME")] = None
+    algorithm: Annotated[Algorithm | None, option("NAME")] = None
+    advised: Flag = False
     checkpoint_interval: int = 100_000
-    resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
     hyperparameters: Annotated[Hyperparameters, _Flat] = field(
         default_factory=_not_given
     )
+    resources: Annotated[Resources, _Flat] = field(default_factory=Resources)
 
     def run(self) -> None:
         """Train, showing how it goes."""
@@ -214,9 +190,9 @@ class Train(Worlds):
 
     def _train_several(self) -> None:
         """Train several runs, and name those that failed at the end."""
-        for option, other in (("seed", "--seeds"), ("resume", "the same command")):
-            if getattr(self, option) is not None:
-                raise ValueError(f"--{option} is for one run; give {other} instead")
+        for name, other in (("seed", "--seeds"), ("resume", "the same command")):
+            if getattr(self, name) is not None:
+                raise ValueError(f"--{name} is for one run; give {other} instead")
         if self.mode is not None and self.modes:
             raise ValueError("give --mode or --modes, not both")
         if not self.envs:
@@ -234,10 +210,10 @@ class Train(Worlds):
         from collaborative_gym.learning.baselines import write_baseline
 
         own = "mode modes seed resume robots num_robots randomization action"
-        for option in (*own.split(), "opponent", "partner", "backend", "algorithm"):
-            if getattr(self, option) not in (None, ()):
+        for name in (*own.split(), "opponent", "partner", "backend", "algorithm"):
+            if getattr(self, name) not in (None, ()):
                 raise ValueError(
-                    f"{option} does not go with --all: all baselines are trained alike"
+                    f"{name} does not go with --all: all baselines are trained alike"
                 )
         envs, output = self.envs or list_envs(), self.output or Path("runs/baselines")
         outcomes = self._finish(envs, ("collaborative",), (0, 1, 2), output)
@@ -269,52 +245,6 @@ class Train(Worlds):
             progress=True,
             **self._options(),
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class BriefTrain(Train):
-    """The help of `train`: hyperparameters and resources by their names alone."""
-
-    resources: tyro.conf.Suppress[Resources] = field(default_factory=Resources)
-    hyperparameters: tyro.conf.Suppress[Hyperparameters] = field(
-        default_factory=Hyperparameters
-    )
-
-    @classmethod
-    def description(cls) -> str:
-        """Return the text above the options."""
-        text = inspect.cleandoc(Train.__doc__ or "").partition("\n\nAttributes:")[0]
-        for what, kind in (("resources", Resources), ("how to learn", Hyperparameters)):
-            names = [_option(each.name) for each in fields(kind)]
-            text += f"\n\nMore options, {what} (see --help-all): {', '.join(names)}."
-        return text
-
-
-def explain_hyperparameters() -> str:
-    """Return the hyperparameters by subject: a sentence about each, and its default."""
-    lines: list[str] = []
-    for kind in (Resources, Hyperparameters):
-        told = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")[2]
-        _, *parts = re.split(r"^  (\w+): ", told, flags=re.MULTILINE)
-        about = dict(zip(parts[::2], parts[1::2], strict=True))
-        for option in fields(kind):
-            if option.name in _SUBJECTS:
-                lines += ["", f"{_SUBJECTS[option.name]}:"]
-            usual = option.default
-            usual = " ".join(map(str, usual)) if isinstance(usual, tuple) else usual
-            sentence = re.split(r"\. (?=[A-Z(])", " ".join(about[option.name].split()))
-            lines += textwrap.wrap(
-                f"{sentence[0].rstrip('.')} ({usual})",
-                78,
-                initial_indent=f"  {_option(option.name):<24} ",
-                subsequent_indent=" " * 27,
-            )
-    more = "More about each: python -m pydoc collaborative_gym.Hyperparameters"
-    return "\n".join([*lines, "", more])
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def _raise_failures(outcomes: "Sequence[Outcome]") -> None:

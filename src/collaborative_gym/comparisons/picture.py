@@ -73,8 +73,7 @@ def comparison_figure(comparison: Comparison) -> "Figure":
     First come the learning curves, interquartile means of validations with their 95 %
     intervals: a panel for each environment, or one where only environments differ. Then
     come the performance profile, the share of runs that score at least so much; and the
-    probabilities of improvement. Where two names are too long for that panel, all names
-    are numbered.
+    probabilities of improvement. Long names are numbered.
 
     Raises:
       ImportError: if the extra `train` is not installed.

@@ -327,8 +327,7 @@ class Comparison:
 
         Its tasks are the environments, its algorithms the methods, and its runs have
         the seeds as names. Its `absolute_metrics` are those of the last validation. It
-        wants as many runs and validations everywhere, and all methods in all
-        environments.
+        wants equal numbers of runs and validations, and each method everywhere.
         """
         tasks: dict[str, Any] = {}
         for group in self.groups:

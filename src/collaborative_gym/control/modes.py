@@ -31,7 +31,7 @@ from collaborative_gym.timing import SUBSTEPS
 
 @dataclass(frozen=True)
 class Motion:
-    """What an expert wants an arm to do in one control step, whatever actions mean.
+    """What an expert wants an arm to do in one control step, in any action mode.
 
     Experts compute with NumPy.
 
@@ -66,8 +66,7 @@ class Command:
 
     Attributes:
       moves: what each joint is to do, as a share of the most, (num_envs, joints) in
-        [-1, 1]: changes of the angles, over the arm's `stride`, or torques, over their
-        limits.
+        [-1, 1]: changes of angles, over the arm's `stride`, or torques, over limits.
       grips: in which worlds the arm is to grip, (num_envs,) booleans.
     """
 
@@ -153,7 +152,7 @@ class ActionMode:
         raise NotImplementedError
 
     def moves(self, motions: Mapping[str, Motion]) -> Encoded:
-        """Return the components that make motions, and the factor of what is too much.
+        """Return the components of motions, and the factors by which they exceed 1.
 
         Returns:
           By agent, (num_envs, moves) components, and (num_envs,) by what to divide them
@@ -349,9 +348,3 @@ def get_mode(name: str) -> type[ActionMode]:
 def list_modes() -> tuple[str, ...]:
     """Return the names of all action modes."""
     return tuple(_MODES)
-
-
-def describe_modes() -> str:
-    """Return the meaning of actions in each mode, by its docstring's first line."""
-    lines = {n: str(m.__doc__).partition(".")[0] for n, m in _MODES.items()}
-    return "; ".join(f"{n}, {line[0].lower()}{line[1:]}" for n, line in lines.items())

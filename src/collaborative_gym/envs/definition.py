@@ -41,12 +41,8 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
       ValueError: if the task's methods return something that cannot be used, something
         starts inside something else, or no arm reaches a target; says what to change.
     """
-    if scene.grips and not task.gripping:
-        raise ValueError(
-            f"{type(task).__name__}.build() adds grips, but its `gripping` is False, so"
-            " that no action can grip; set `gripping = True`"
-        )
     trial, mode = _Trial(task, sim), task.action_mode
+    trial.check_grips(scene)
     sim.memory = task.remember(sim.num_envs)
     rng = EpisodeRandom(0 * trial.rows, trial.rows)
     draw_starts(task, sim, mode, trial.rows, rng)
@@ -93,6 +89,14 @@ class _Trial:
         self._name, self._task, self._sim = type(task).__name__, task, sim
         self.rows = np.arange(min(sim.num_envs, 2))
         self.sides = self._sides()
+
+    def check_grips(self, scene: Scene) -> None:
+        """Raise if no action can close the grips of a scene."""
+        if scene.grips and not self._task.gripping:
+            raise ValueError(
+                f"{self._name}.build() adds grips, but {self._name}.gripping is False,"
+                " so no action can grip; set `gripping = True`"
+            )
 
     def check_targets(self, scene: Scene) -> None:
         """Raise if a target is so far away that no arm can bring anything there."""

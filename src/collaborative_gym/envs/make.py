@@ -30,8 +30,7 @@ def make(
       randomization: how starts are drawn, "paper", "hard" or a value; None for
         "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: `num_robots`, how many arms of one kind, and other fields of the
-        task's config.
+      **settings: `num_robots`, how many arms of one kind, or fields of its config.
 
     Raises:
       KeyError: if there is no such environment, robot, preset or setting.

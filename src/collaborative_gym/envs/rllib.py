@@ -59,8 +59,7 @@ class RLlibEnv(MultiAgentEnv):
         """Do one control step; see `PettingZooEnv.step`.
 
         Args:
-          action_dict: by agent, (k,); what lies beyond [-1, 1] counts as the nearest
-            bound.
+          action_dict: by agent, (k,); what is beyond [-1, 1] counts as a bound.
 
         Returns:
           Observations, rewards, terminated, truncated and infos by agent; terminated

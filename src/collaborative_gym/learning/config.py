@@ -1,7 +1,9 @@
 """The settings of training."""
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from collaborative_gym.errors import MOST_THREADS, check_count, check_kind, look_up
@@ -17,7 +19,7 @@ Mode = Literal["collaborative", "independent", "shared", "centralized"]
   (IPPO).
 - shared: one policy and one critic for all robots, with the robot's index as an input;
   for robots with equal spaces.
-- centralized: one policy that sees all observations and commands all robots, with their
+- centralized: one policy sees all observations and commands all robots, with their
   mean reward.
 
 Where a task has several sides, "all" in collaborative and centralized means one side,
@@ -64,8 +66,7 @@ class Hyperparameters:
       rollout_steps: control steps in each world between two updates.
       epochs: PPO: passes over a rollout in an update.
       minibatch_size: rows of a gradient step, or as many as an update has. A row is a
-        control step of one robot; in the modes collaborative and centralized, of all
-        robots.
+        control step of one robot; in collaborative and centralized, of all robots.
       discount: discount factor of rewards, per control step.
       gae_lambda: PPO: trace decay of generalized advantage estimation.
       clip: PPO: clip range of the ratio of an action's new to its old probability.
@@ -93,8 +94,8 @@ class Hyperparameters:
       initial_grip_std: standard deviation of its grip component.
       final_noise: PPO: share of the action noise at the end. The noise shrinks after
         each rollout after which penalties grow; with 1 it stays as it is learned.
-      quiet_share: PPO: share of the total steps, the last ones, over which the noise
-        shrinks instead; 0 for none.
+      quiet_share: PPO: share of the total steps, at the end of the run, over which the
+        noise shrinks; 0 for none.
       grip_limit: greatest mean of a grip's command, 0 for no limit. With noise of half
         this size a robot that holds a thing still finds out what letting go gains.
       grip_persistence: share of the grip's noise that persists in the next action, from
@@ -143,9 +144,9 @@ class Hyperparameters:
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
-      league_self: share of the main policy's worlds in which it plays itself (0.35 in
-        AlphaStar's pseudocode, Vinyals et al. 2019; the next numbers are also theirs).
-      league_verify: share of its worlds in which it plays exploiters, or former
+      league_self: share of the main policy's worlds in which it plays against itself
+        (0.35 in AlphaStar's pseudocode, Vinyals et al. 2019, as the next numbers).
+      league_verify: share of its worlds in which it plays against exploiters, or former
         versions of itself, that it does not beat, if there are any (0.15).
       league_exploited: it verifies against an exploiter from which it gains less than
         this share of the points (0.3).
@@ -300,100 +301,14 @@ class Resources:
         return [n for n in ("num_collectors", "ray_address") if getattr(self, n)]
 
 
-_GENTLE: Mapping[str, Any] = {
-    "torque_penalty": 0.1,
-    "contact_penalty": 0.05,
-    "range_penalty": 1.0,
-    "delayed": 0.5,
-}
-"""Penalties that make robots gentle, and late actions that make them sturdy."""
+_READ = tomllib.loads(Path(__file__).with_name("recipes.toml").read_text())
+_USUAL, _ADVICE = _READ["usual"], _READ["advice"]
+"""An algorithm's usual hyperparameters, and those of all that learn with advice."""
 
-_OFTEN: Mapping[str, Any] = {"num_envs": 128}
-"""Half of the worlds give twice as many updates, each of which moves the policy as far
-as `target_kl` says, so that a policy succeeds sooner. 64 worlds are no better."""
-
-_PASSES = ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0")
-_PASSES += ("PassFrictionSawyers-v0",)
-
-_PASS: Mapping[str, Any] = {
-    "total_steps": 2_500_000,
-    **_OFTEN,
-    "target_kl": 0.02,
-    **_GENTLE,
-    "contact_penalty": 0.1,
-    "lost_grips": 0.003,
-    "missed_grips": 0.7,
-    "grip_limit": 0.6,
-}
-"""A hand that misses the cube rests beside it unless grips fail in training, the more
-so the dearer contacts are. A robot_1 whose grip noise cannot open never lets go."""
-
-_BALANCE: Mapping[str, Any] = {
-    "initial_std": 0.1,
-    "torque_penalty": 0.05,
-    "delayed": 0.25,
-}
-"""Larger noise shakes the board, and hides that the ball would rest off the middle."""
-
-_EXACT: Mapping[str, Any] = {
-    "target_kl": 0.02,
-    "final_noise": 0.25,
-    "quiet_share": 1.0,
-    "miss_penalty": 0.3,
-}
-"""Balance's reward is nearly the same for a ball beside the mark, and noise rolls it
-there. A penalty, and noise that shrinks from the first step on, make policies that need
-no noise for it."""
-
-_LIFT: Mapping[str, Any] = {
-    "initial_std": 0.15,
-    "assistance": 0.75,
-    **_GENTLE,
-    "torque_penalty": 1.0,
-    "action_penalty": 1.0,
-}
-"""More noise drops the pot, less does not lift it, and with an assistance of 0.5 one of
-two seeds did not either. Arms that ask for far more torque than they have do not learn;
-hence the penalty on actions."""
-
-RECIPES: Mapping[str, Mapping[str, Any]] = {
-    "PokeTaskSawyers-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
-    "PokeTaskPandaSawyer-v0": {"total_steps": 1_500_000, "final_noise": 0.5, **_GENTLE},
-    "BalanceTaskSawyers-v0": {"total_steps": 2_000_000, **_OFTEN, **_BALANCE, **_EXACT},
-    "BalanceTaskJacoSawyer-v0": {**_OFTEN, **_BALANCE, **_EXACT},
-    "LiftTaskSawyers-v0": {"total_steps": 5_000_000, **_LIFT},
-    "LiftTaskJacos-v0": {"total_steps": 2_500_000, **_LIFT, "range_penalty": 0.2},
-    **dict.fromkeys(_PASSES, _PASS),
-}
+RECIPES: dict[str, Mapping[str, Any]] = _READ["recipes"]
 """The hyperparameters that suit an environment best, if not the defaults."""
 
-_ADVISED: Mapping[str, Any] = {
-    "total_steps": 1_000_000,
-    **_OFTEN,
-    "imitation": 1000.0,
-    "minibatch_size": 256,
-    "epochs": 8,
-    "target_kl": 0.0,
-    "learning_rate": 0.0005,
-    "initial_std": 0.05,
-    "initial_grip_std": 0.1,
-    "final_noise": 0.4,
-    "quiet_share": 0.6,
-    "delayed": 0.25,
-}
-"""Advice needs many gradient steps at a rate that stays, and little noise."""
-
-_ADVISED_BALANCE: Mapping[str, Any] = {"miss_penalty": 0.0}
-_ADVISED_LIFT: Mapping[str, Any] = {"assistance": 0.0, "action_penalty": 0.0}
-_ADVISED_PASS: Mapping[str, Any] = {"grip_limit": 0.0, "lost_grips": 0.0}
-
-ADVISED: Mapping[str, Mapping[str, Any]] = {
-    "BalanceTaskSawyers-v0": _ADVISED_BALANCE,
-    "BalanceTaskJacoSawyer-v0": _ADVISED_BALANCE,
-    "LiftTaskSawyers-v0": _ADVISED_LIFT,
-    "LiftTaskJacos-v0": _ADVISED_LIFT,
-    **dict.fromkeys(_PASSES, _ADVISED_PASS),
-}
+ADVISED: dict[str, Mapping[str, Any]] = _READ["advised"]
 """Numbers of recipes that advice makes needless, taken back."""
 
 _OWN: Mapping[str, Sequence[str]] = {
@@ -414,18 +329,6 @@ _OWN: Mapping[str, Sequence[str]] = {
     "sac": ("replay_size", "warmup", "gradient_steps", "polyak", "target_std"),
 }
 """Hyperparameters that mean something to only one algorithm."""
-
-_USUAL: Mapping[str, Mapping[str, Any]] = {
-    "ppo": {},
-    # Fewer worlds, because it learns more from each step, and often.
-    "sac": {
-        "total_steps": 500_000,
-        "num_envs": 64,
-        "rollout_steps": 16,
-        "minibatch_size": 512,
-    },
-}
-"""An algorithm's usual hyperparameters, if they differ from the defaults."""
 
 
 def recipe(
@@ -459,7 +362,7 @@ def recipe(
         look_up("hyperparameter", name, vars(Hyperparameters()))
     unused = foreign(algorithm)
     own = {n: value for n, value in RECIPES.get(env, {}).items() if n not in unused}
-    of_advice = {**_ADVISED, **ADVISED.get(env, {})} if advised else {}
+    of_advice = {**_ADVICE, **ADVISED.get(env, {})} if advised else {}
     return Hyperparameters(**{**own, **usual, **of_advice, **changes})
 
 

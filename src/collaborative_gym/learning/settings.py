@@ -110,7 +110,7 @@ class Settings:
     Attributes:
       identity: of its environment.
       algorithm: "ppo" or "sac".
-      mode: who learns what.
+      mode: which policies and critics learn.
       seed: of the run.
       backend: "skrl", or "ray".
       layout: of observations and actions.
@@ -291,8 +291,7 @@ def _remembered(first: NetworkPolicy) -> dict[str, Any]:
 def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
     """Return the policy that a run begins with.
 
-    It may be for another environment, if its networks have the sizes of those that are
-    to learn.
+    It may be for another environment, if its networks have the sizes of those to learn.
 
     Raises:
       FileNotFoundError: if there is no such file.

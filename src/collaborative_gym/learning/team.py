@@ -147,7 +147,7 @@ def make_learners(
     """Return the learners of a mode; no reward adds up agents of several sides.
 
     Args:
-      mode: who learns what.
+      mode: which policies and critics learn.
       layout: of all agents' observations and actions.
       sides: agents that share a goal, from `Task.sides`; none for all.
       seats: the agents that learn together, by a name for them; None for sides.

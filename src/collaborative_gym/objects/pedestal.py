@@ -31,8 +31,7 @@ def pedestal(height: float, *, rgba: Sequence[float] = _BLACK) -> mujoco.MjSpec:
 
     Raises:
       TypeError: if `height` is not a number.
-      ValueError: if it is below 0.7, where the cabinet would stand in the arm's way, or
-        above 100.
+      ValueError: if it is above 100 or below 0.7, as the cabinet would be in the way.
     """
     check_number("height", height, at_least=0.7, at_most=100.0)
     spec, body = begin("pedestal")

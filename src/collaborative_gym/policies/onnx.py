@@ -82,8 +82,7 @@ class OnnxNetwork:
 
         Raises:
           TimeoutError: if it takes more than `MOST_SECONDS`, here or when it is called.
-          ValueError: if the network does not take their observations, or gives more or
-            fewer actions.
+          ValueError: if the network does not take their observations, or gives others.
         """
         layout = env.world.definition.layout
         sizes = {agent: layout.action_sizes[agent] for agent in agents}

@@ -75,7 +75,7 @@ class Gripper:
 
     @property
     def pad_force(self) -> float:
-        """What presses on a thing from each side, in N; 0 without fingers.
+        """The force of each finger on an object, in N; 0 without fingers.
 
         Where fingers turn, it follows from what their turn takes off the gap.
         """

@@ -59,8 +59,7 @@ class Scene:
       arms: after `compile`, each agent's arm in the compiled arrays.
       hands: after `compile`, what holds things in hands; missing without grips.
       postures: after `compile`, joint angles that each arm keeps to where actions leave
-        it open how it holds its tool, by agent, in rad; home unless a task's `setup`
-        sets others.
+        it open how it holds its tool, by agent, in rad; home if `setup` sets none.
     """
 
     hands: Hands

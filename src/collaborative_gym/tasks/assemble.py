@@ -5,18 +5,19 @@ The block (0.15 kg) lies on robot_1's table, the peg on robot_2's, the pin on ro
 Each arm can hold only its own part. robot_1 must hold the block at the target. The peg
 goes into the block's chamfered hole until the collar meets the block, and the pin
 through the hole that both then have. Holes are square, and 2 mm wider than their parts.
-The pin fits only while the peg is deep enough and turned right.
+The pin fits only while the peg is deep enough and at the right angle.
 
 By default, hands `pinch` parts and keep them in the pose in which they took them. A
-part that is pushed harder than two pads can bear slips. A magnet is refused, as it
-would let parts turn. Parts touch parts and arms, except for fingers that can hold them.
+part that is pushed harder than two pads can bear slips. The grasp `magnet` is refused,
+because it would let parts turn. Parts collide with other parts and with arms, except
+for fingers that can hold them.
 
 Randomised: the joints of the arms; the parts' positions on the tables (x and y) and
 their turns about the vertical; the target's position.
 
 All parts have the same pose once they are assembled. The block's goal is the target.
-The others' goal is the block's pose; the pin's is 0.14 m before it while the peg is not
-in.
+The goal of peg and pin is the block's pose. While the peg is not in, the pin's goal is
+0.14 m in front of this pose.
 
 Each arm observes, in the frame of its own base: its tool centre point; its part; the
 motion that its hand still needs to hold the part (`to_part`) and the part to be at its
@@ -32,7 +33,7 @@ Reward of each agent:
 - `bring`: minus the distance of its part from its goal, in m, at most 1, and 0.2 times
   the angle between them, in rad.
 - `grip`: 0.1 while it asks for a grip within `picking_threshold` (0.03 m) of the knob.
-- `insert`: how far in peg and pin are, 0 to 1 for each.
+- `insert`: the depths of peg and pin in the block, 0 to 1 for each.
 - `effort`: minus 0.01 times the Euclidean norm of the joints' part of the action; in
   other action modes, of what the action asks of the joints.
 - `success`: 1 while the goal is reached, else 0.
@@ -40,7 +41,8 @@ Reward of each agent:
 Success: for 0.5 s, peg and pin are in the block, to 4 mm of their full depth, and the
 block is within `success_radius` (0.05 m) of the target. A part's depth is measured from
 the mouth of its hole, and counts only while its axis is within 3 mm and 0.1 rad of the
-hole's. Parts lie far from the target, so an arm that is still keeps its part from it.
+hole's. Parts lie far from the target, so an arm that holds still keeps its part away
+from it.
 
 Coordination: `stage` is the greatest mean share that peg and pin were in; `idle` is the
 mean share of arms that waited, as in Lift.

@@ -21,8 +21,8 @@ holds it. Inverse kinematics finds the start angles from the nominal ones plus n
 Reward of each agent:
 
 - `distance`: minus the distance between the centres of ball and board, in m.
-- `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
-  counts as back.
+- `fell`: -1 once the ball has left the board, else 0. A ball that returns still counts
+  as fallen.
 
 Success: for 2 s, this distance is below 0.09 m and the ball is on the board. A ball
 that rolls across the middle by chance leaves sooner. The centres are 0.06 m apart when

@@ -6,8 +6,8 @@ Meanwhile it rises and sinks once. The ball must stay at the target, so the whol
 must rise and sink with it. An arm that holds still keeps its end of the board where it
 is. The other arm can tilt the board but cannot lift the far end, because the board is a
 lever of 1.6 m and an arm's wrist is weak. Teams of three to eight hold a round board,
-as in Balance. Of three Pandas none may idle or be limp; four carry a limp one, and six
-an idle one (`benchmarks/teams.py --tasks BalancePath --faults idle limp`).
+as in Balance. Three Pandas need every arm; four can carry a limp one, and six an idle
+one (`benchmarks/teams.py --tasks BalancePath --faults idle limp`).
 
 Randomised: what Balance randomises; the path's position (along every axis) and size
 (0.9 to 1); where on the path the target starts, and in which direction it runs.
@@ -15,11 +15,12 @@ Randomised: what Balance randomises; the path's position (along every axis) and 
 Reward of each agent:
 
 - `distance`: minus the distance between the centres of ball and target, in m.
-- `fell`: -1 once the ball has left the board, else 0. A ball that has left it never
-  counts as back.
+- `fell`: -1 once the ball has left the board, else 0. A ball that returns still counts
+  as fallen.
 
 Success: this distance has stayed below 0.06 m for a whole lap of 12 s, without a break,
-and the ball is on the board. From then on, performance counts how long that is so.
+and the ball is on the board. From then on, performance is the share of steps for which
+this remains true.
 
 Coordination: `stage` is the greatest share of a lap that this has lasted.
 """

@@ -24,29 +24,29 @@ Reward of each agent:
 
 - `goal`: 10 for a goal of its side, -10 for a goal of the other side. Over the sides
   this adds up to zero.
-- `drive`: 0.2 times the puck's speed towards the other goal, at most 2 m/s either way.
-  Shaping.
+- `drive`: 0.2 times the puck's speed towards the other goal, at most 2 m/s either way
+  (shaping).
 - `near`: -0.3 times the distance between puck and mallet in m, while the puck is on the
-  agent's half, else 0. Shaping.
-- `height`: -2 times the distance of the mallet from its hovering height, at most 0.3 m.
-  Shaping.
-- `upright`: -0.3 (1 - cos a), where a is the tilt of the mallet. Shaping.
+  agent's half, else 0 (shaping).
+- `height`: -2 times the distance of the mallet from its hovering height, at most 0.3 m
+  (shaping).
+- `upright`: -0.3 (1 - cos a), where a is the tilt of the mallet (shaping).
 - `effort`: -0.01 times the length of the action; in other action modes, of what it asks
-  of the joints. Shaping.
+  of the joints (shaping).
 
 Success of a side: it scores. Its completion says whether it scored in the episode; its
 performance is the share of the episode in which it led. The metric `score` counts its
 goals. The side with more goals at the end wins.
 
-An episode lasts 40 s. By then, most matches of the scripted player against itself are
-decided (of 1,696 with Pandas, side_1 won 528 and side_2 491, so 49 to 55 % of the
-decided ones), and two fouls fit in.
+An episode lasts 40 s. In this time, most matches of the expert against itself are
+decided: of 1,696 with Pandas, side_1 won 528 and side_2 491, so side_1 won 49 to 55 %
+of the decided ones.
 
-A thing that bounces reverses within one physics step, and keeps 0.8 of its speed. Until
-then, it may be as deep in the other thing as it moves in 0.01 s. Air drag takes some of
-the speed, and at a mallet the arm behind it takes some more. The table has the speed
-after a bounce divided by the speed before, and the depth (`python benchmarks/hockey.py
---worlds 8 --steps 60`):
+An object that bounces reverses its direction within one physics step and keeps 0.8 of
+its speed. Before that, it may enter the other object as far as it moves in 0.01 s. Air
+drag takes some of the speed, and so does the arm behind a mallet. The table has the
+speed after a bounce divided by the speed before, and the depth (`python
+benchmarks/hockey.py --worlds 8 --steps 60`):
 
 | m/s | off a cushion | off a mallet that is held | deepest, mm |
 | ---: | ---: | ---: | ---: |

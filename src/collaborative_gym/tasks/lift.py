@@ -9,8 +9,8 @@ around a round pot, `robot_1` at -y and the others counterclockwise. Each of the
 robots observes its own arm, its handle (turned as if it were the first) and the vector
 from the pot to the target, in the frame of its own base. For each mate, the block
 `mates` has: whether there is one, whether it grips, the distance from its tool centre
-point to its handle, and how far its handle is above the robot's own. None of this
-depends on the team's size, so all seats and teams observe alike.
+point to its handle, and how far its handle is above the robot's own. The observation
+has the same form in every seat and team size.
 
 Randomised: the arms' start, the pot's position and turn on the table, the target.
 
@@ -32,13 +32,14 @@ Coordination, until success: `stage` is the greatest share of arms that gripped.
 is the mean share of arms that waited, with an empty hand and no joint faster than 2 %
 of its limit. `handle_spread` is the greatest difference of the handles' heights, in m.
 
-The pot's mass depends on the arms: it is too heavy for any team without one of them.
-`lift_mass` and `team_mass` say how, and `benchmarks/lift_capacity.py` measures it in
-simulation for two arms. The distance alone is not enough for success: one of two arms
-can swing the pot past the target while the other only holds its handle. But then the
-pot is tilted or fast. The larger a team, the less it needs each arm. The pot's mass is
-the geometric mean of what all arms carry level and what the best team without one arm
-carries, and at least 0.6 of the former:
+The pot's mass depends on the arms, so that the pot is too heavy for the team without
+any one of them. `lift_mass` and `team_mass` compute the mass, and
+`benchmarks/lift_capacity.py` measures it in simulation for two arms. The distance alone
+is not enough for success: one of two arms can swing the pot past the target while the
+other only holds its handle. But then the pot is tilted or fast. The larger a team, the
+less it needs each arm. The pot's mass is the geometric mean of two loads: what all arms
+carry level, and what the best team without one arm carries. It is at least 0.6 of the
+first load:
 
 | Pandas | all carry | all but one | all / all but one | at best | pot |
 | --- | --- | --- | --- | --- | --- |
@@ -48,7 +49,7 @@ carries, and at least 0.6 of the former:
 | 8 | 137 kg | 119 kg | 1.15 | 1.33 | 128 kg |
 
 "At best" is the ratio for arms that carry the same everywhere. The expert never
-succeeds if one arm idles, grips and idles, is limp, or stops once it holds
+succeeds if one arm is idle, gripping or limp, or stops once it holds its handle
 (`benchmarks/teams.py --faults`).
 """
 

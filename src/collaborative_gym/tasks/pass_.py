@@ -14,8 +14,9 @@ is the one in its hand or else the first that it has not passed on; the vectors 
 cube, and from it to the hand-over or the target; the share of cubes left. For each
 mate, the block `mates` has: whether there is one, how many seats away it is (over 7),
 whether it grips, the vector from the arm's own tool centre point to the mate's, and the
-mate's distance from the arm's cube. Vectors to cube and goal and this distance, x in m,
-are seen as log(1 + 100 |x|) with their sign. All seats and relays observe alike.
+mate's distance from the arm's cube. The robot observes each component x, in m, of the
+vectors to cube and goal, and this distance, as log(1 + 100 |x|) with the sign of x. The
+observation has the same form in every seat and relay.
 
 Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
 
@@ -24,8 +25,8 @@ turns about the vertical, the targets' positions (in a relay, x and y).
 
 Reward of each agent: the next arm is "near" while its tool centre point is within
 `handover_threshold` (0.05 m) of the cube's centre. In a relay, "the cube" is the
-agent's own, distances count up to 1 m, and a cube that has gone farther than the next
-hand counts as near, at no distance.
+agent's own cube, and distances are capped at 1 m. If this cube is already beyond the
+next hand, the next arm counts as near, at a distance of 0.
 
 - `reach`: minus the distance from its tool centre point to the cube, in m; 0.2 while
   the next arm is near.
@@ -42,13 +43,14 @@ hand counts as near, at no distance.
 
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
 holds it. The thesis requires only the distance. The second condition rules out that
-robot_1 throws the cube there, as a search found. In every pair of Sawyer, Panda and
-Jaco, robot_1 cannot carry the cube there, by 0.27 m or more, and robot_2 cannot reach
-robot_1's table, by 0.18 m.
+robot_1 throws the cube to the target, a way that a search found. In every pair of
+Sawyer, Panda and Jaco, robot_1 cannot carry the cube there, by 0.27 m or more, and
+robot_2 cannot reach robot_1's table, by 0.18 m.
 
-In a relay, each cube must lie still within 0.06 m of its target, in no hand, after
-every arm has had it in order, and held it together with the arm before at the end of a
-control step. A cube thrown, or left on a table for the next arm, does not count.
+In a relay, each cube must lie still within 0.06 m of its target, in no hand. Before
+that, every arm must have held it, in order, and at the end of some control step
+together with the arm before it. A cube thrown, or left on a table for the next arm,
+does not count.
 
 Coordination: `stage` is the share of hands that the cubes have been through; `idle` is
 the mean share of arms that waited, as in Lift.

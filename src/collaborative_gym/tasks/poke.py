@@ -3,7 +3,8 @@
 robot_1 holds the stick (0.2 m long). robot_2 holds the ring, called donut (outer side
 0.24 m, hole 0.16 m). Both objects are fixed in the grippers, so nothing is gripped or
 released. The arms start turned aside, with each object out of the other arm's reach.
-They must meet half-way: robot_2 presents the ring; robot_1 aligns the stick with it.
+They must meet half-way: robot_2 presents the ring, and robot_1 aligns the stick with
+it.
 
 Randomised: where each object starts (position along every axis, turn about the
 vertical) and every joint angle.
@@ -18,11 +19,11 @@ Reward of each agent:
   below 0.2), else 0.
 
 Success: for 0.5 s, the distance is below 0.09 m and the stick's axis crosses the ring's
-plane within the hole. Arms that observe nothing may pass there by chance, but hardly
-stay. The distance alone is not enough, because a stick that lies flat on the ring is as
-near. The term `inside` need not test the crossing, because its bounds imply it: the
-axis then crosses the plane at most 0.067 m from the ring's centre, and at most as far
-from the stick's middle. The hole's sides are 0.08 m away, the stick's ends 0.1 m.
+plane within the hole. Arms that observe nothing may reach this state by chance, but
+rarely keep it. The distance alone is not enough, because it is as small when the stick
+lies flat on the ring. The term `inside` does not test the crossing, because its bounds
+imply it: the axis then crosses the plane within 0.067 m of both the ring's centre and
+the stick's middle. The hole's sides are 0.08 m away, the stick's ends 0.1 m.
 """
 
 from collections.abc import Mapping

@@ -4,8 +4,8 @@ The arms stand along the belt on alternating sides, `robot_1` first. Each has a 
 and a tote beside it that no other arm needs to reach. One or two cubes of each colour
 lie on the belt. The first comes in the lane on the arm's own side. All arms except
 `robot_1` have a second one, in the lane on the other side, where they do not reach. The
-arm before, which stands there, must move it to the middle of the belt, where both
-reach. The belt does not wait: a cube that has passed its arm is lost.
+arm before it, which stands on that side, must move this cube to the middle of the belt,
+which both arms reach. The belt does not wait: a cube that has passed its arm is lost.
 
 Randomised: the joints of the arms; the cubes' positions along and across the belt, and
 their turns about the vertical; which of the two cubes in a lane comes first.

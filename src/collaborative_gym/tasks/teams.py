@@ -108,7 +108,7 @@ def hands_block(
 
 
 def fine(way: Array) -> Array:
-    """Return ways in m, or turns in rad, so that networks see millimetres and metres.
+    """Return displacements in m, or turns in rad, on a signed logarithmic scale.
 
     It is log(1 + 100 |x|) with the sign of x (symlog, as in arXiv 2301.04104).
     """

@@ -7,10 +7,10 @@ arm.
 
 A knob at each end of the bar turns freely in the hand, so an arm chooses its posture
 while it pulls. The posture decides how hard it can pull: a joint pulls with its torque
-limit over its lever about the line of pull. An arm that is commanded to move loses a
-part of its load in every step, so it must keep pulling. An arm that is not commanded to
-move keeps its torques, up to the limits of its motors. The hands never lose the bar,
-because it pulls both with the same force: the weaker gripper would always tear first,
+limit over its lever about the line of pull. An arm that is commanded to move loses part
+of its torques in every step, so it must keep pulling. An arm that is not commanded to
+move keeps its torques, up to the limits of its motors. The hands never lose the bar. It
+pulls both with the same force, so otherwise the weaker gripper would always tear first,
 and a jerk would win.
 
 Randomised: where the bar starts (along every axis, and its turn about the vertical)
@@ -42,8 +42,9 @@ Torque limits do not predict it that well, and no single factor is right for all
 If chances must be even, use equal arms, or a Panda and a Sawyer.
 
 Against itself, the expert decides all of 1,000 episodes of two Pandas and 948 of two
-Sawyers, in 2 s (median). It wins 49.6 % of them from the first seat. Of a Panda and a
-Sawyer, the Panda's wins 49.9 % from the first seat and 47.3 % from the second.
+Sawyers, in 2 s (median). It wins 49.6 % of them from the first seat. Between a Panda
+and a Sawyer, the Panda's expert wins 49.9 % from the first seat and 47.3 % from the
+second.
 """
 
 from collections.abc import Mapping
