@@ -641,6 +641,12 @@ def _panel(
             for arms, each in runs.items()
             for run in each
         ]
+        lines += [
+            f'<text x="{at[arms]}" y="{top + 32}" text-anchor="middle"'
+            f' fill="{color}">{each[i]}</text>'
+            for arms, each in found.items()
+            if each[i].startswith("over")
+        ]
     return lines + [
         f'<text x="{x}" y="{top + 188}" text-anchor="middle">{arms}'
         f"{' arms' if arms == max(found) else ''}</text>"

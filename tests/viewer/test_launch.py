@@ -15,7 +15,7 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 class Face:
     """A viewer that ends what it shows."""
 
-    url, is_public, was_closed = "http://somewhere", False, False
+    url, is_public, was_closed = "http://somewhere:8080", False, False
 
     def __init__(self, session):
         self.session, self.refresh = session, session.end
@@ -68,7 +68,7 @@ def test_where_no_window_opens_it_serves_a_page_and_says_so(
     assert opened[0][2:] == (False, *HERE)
     assert told[1:] == [
         "there is no display; showing it in the browser instead",
-        "open http://somewhere in a browser; Ctrl-C ends it",
+        "open http://somewhere:8080 in a browser; Ctrl-C ends it",
     ]
 
 
@@ -79,6 +79,12 @@ def test_a_page_for_all_the_world_comes_with_a_warning(carry_id, opened, monkeyp
     launch.view(carry_id, told, warn=warned.append, address=("0.0.0.0", 8080))
     assert [kind for kind, *_ in opened] == ["page"]
     assert warned[1].startswith("WARNING: the viewer listens on 0.0.0.0. Everyone who")
+
+
+def test_a_port_that_is_in_use_is_named(carry_id, opened):
+    said = []
+    launch.view(carry_id, said.append, warn=pytest.fail, address=("127.0.0.1", 8079))
+    assert said[-1].startswith("port 8079 is in use; open http://somewhere:8080 in")
 
 
 @pytest.mark.parametrize("given", [{"address": ("::1", 1234)}, {"num_envs": 3}])

@@ -79,7 +79,9 @@ def view(
                     " machine can watch and control it; there is no password."
                 )
             if is_page:
-                say(f"open {face.url} in a browser; Ctrl-C ends it")
+                moved = port and not face.url.endswith(f":{port}")
+                said = f"port {port} is in use; " if moved else ""
+                say(f"{said}open {face.url} in a browser; Ctrl-C ends it")
             session.run(face.refresh)
 
 
