@@ -2,20 +2,7 @@
 
     python benchmarks/actions.py --output docs/tables/actions.md
 
-Completion, time and force are of episodes of seed 0 with `default` starts. The time is
-that to the first success. The force is the mean of what arms spend against each other
-on what they hold (`internal_force_mean`). The miss is the mean distance of the tools
-from where the joint changes of the expert's actions would have brought them, or those
-of its motions where actions are none, at the ends of the first 20 control steps of 64
-worlds. The stiffness is what holds the tools then against a push, in the softest and in
-the stiffest direction, the median over worlds and arms. "Too fast" is the share of the
-time in which a joint is above 1.1 times its speed limit, under uniformly random actions
-and under full ones at random ("bang-bang"), over 40 control steps of 64 worlds. The
-torque is the greatest that any motor exerts meanwhile, as a share of its limit. The
-speed is that of a control step of 256 worlds in one thread with the expert's actions,
-as a share of the speed with joint changes, by the time of the processor: the modes take
-turns, and each number is a median. Experts do not use what `impedance_stiffness` adds
-to `impedance`.
+The page's legend, `LEGEND`, says what the columns have.
 """
 
 import argparse
@@ -49,11 +36,41 @@ HEADS = (
     "force",
     "miss",
     "stiffness",
-    "too fast: random",
-    "bang-bang",
+    "too fast, random",
+    "too fast, bang-bang",
     "torque",
     "speed",
 )
+LEGEND = """\
+# Action modes
+
+What the experts do in each [action mode](../concepts.md#action-modes), which limits the
+mode keeps, and how fast it is (`python benchmarks/actions.py`). A dash marks what a
+mode or a task does not have.
+
+- **completed**, **time**: share of the expert's episodes that reach the goal, and the
+  mean time to the first success, over {episodes} episodes of seed 0 on `default`.
+- **force**: the mean force with which the arms work against each other on the object
+  that they hold (`internal_force_mean`).
+- **miss**: the mean distance of the tools from where the action should have brought
+  them, at the ends of the first 20 control steps of 64 worlds. With `torques`, it is
+  the distance from where the expert's motion should have brought them.
+- **stiffness**: how stiffly the tools are held against a push then, in the softest and
+  in the stiffest direction; the median over worlds and arms.
+- **too fast, random**: the share of the time in which a joint turns faster than 1.1
+  times its speed limit, under uniformly random actions, over 40 control steps of 64
+  worlds.
+- **too fast, bang-bang**: the same under actions that are all fully on, in random
+  directions.
+- **torque**: the greatest torque that a motor exerts in these random episodes, divided
+  by its limit.
+- **speed**: how fast control steps are, with the expert's actions in 256 worlds and one
+  thread, as a share of the speed with `joints`; a median over rounds.
+
+No expert uses the stiffness that `impedance_stiffness` adds to `impedance`.
+"""
+"""What is above the table."""
+
 MODES = tuple(mode for mode in list_modes() if mode != "impedance_stiffness")
 WORLDS, ROUNDS, STEPS = 256, 7, 4
 
@@ -77,7 +94,8 @@ def main() -> None:
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     show(table)
     if options.output:
-        options.output.write_text(table + "\n")
+        legend = LEGEND.format(episodes=options.episodes)
+        options.output.write_text(f"{legend}\n{table}\n")
 
 
 def completion(task: cg.Task, episodes: int) -> tuple[str, str, str]:

@@ -4,18 +4,11 @@
     python benchmarks/grasps.py --others --output docs/tables/grasps.md
     python benchmarks/grasps.py --felt
 
-Completion and time to success are the expert's, on episodes of seed 0 with `default`
-starts. In Pass, the first arm picks the cube up and stands still. "Creep" is how far
-the cube moves in its hand in 20 s then, the most of 4 worlds, and "depth" how deep a
-finger is in it. "Slips at" is the force, growing by 4 % in each control step, at which
-the hand loses the cube, or it has moved by 5 mm: along the approach, and across it. A
-magnet draws it back. "Formula" is what `scene.grasps` gives for these. "Speed" is that
-of a control step of 64 worlds with the expert's actions in one thread, as a share of
-the magnet's, by the processor's time: grasps take turns, and it is a median.
+The page's legends, `LEGEND` and `OTHERS_LEGEND`, say what the columns have.
 
 With `--others` it measures completion and time in other action modes, in Sort and in
-teams of Pass, and writes the file's second table. With `--felt` it prints the speed of
-256 worlds whose robots observe what they feel, as a share of that without.
+teams of Pass, and writes the page's second section. With `--felt` it prints the speed
+of 256 worlds whose robots observe what they feel, as a share of that without.
 """
 
 import argparse
@@ -61,6 +54,34 @@ FELT = (
 )
 """Environments, and settings by which robots observe what they feel."""
 
+LEGEND = """\
+# Grasps
+
+What each [grasp](../concepts.md#grasps) does (`python benchmarks/grasps.py`). A dash
+marks what does not apply to a grasp, and an empty cell what is measured in Pass alone.
+
+- **completed**, **time**: share of the expert's episodes that reach the goal, and the
+  mean time to the first success, over {episodes} episodes of seed 0 on `default`.
+- **creep in 20 s**: how far a cube moves in the hand of an arm that stands still for
+  20 s; the most of 4 worlds.
+- **depth**: how deep a finger is in the cube meanwhile, at most.
+- **slips at**: the force at which the hand loses the cube, or at which the cube has
+  moved by 5 mm. The first number is for a force along the approach, the second for a
+  force across it. The force grows by 4 % in each control step.
+- **formula**: the same two forces by the formulas of `scene.grasps`.
+- **speed**: how fast control steps are, with the expert's actions in 64 worlds and one
+  thread, as a share of the speed with `magnet`; a median over rounds.
+"""
+"""What is above the first table."""
+
+OTHERS_LEGEND = """\
+## Other action modes and teams
+
+The columns **completed** and **time** are the same as above, in other action modes, in
+Sort and in teams of Pass (`python benchmarks/grasps.py --others`).
+"""
+"""What is above the second table."""
+
 NOTE = (
     "Where Sort fails with `friction`, a cube slips from fingers as the arm lifts or"
     " swings it, and is past the arm before it is taken anew. Slower swings do not"
@@ -83,9 +104,13 @@ def main() -> None:
         return felt()
     table = (others if options.others else ladder)(options)
     if options.output:
-        kept = options.output.read_text().strip().split("\n\n")
-        tables = [kept[0], table] if options.others else [table, *kept[1:]]
-        options.output.write_text("\n\n".join(tables) + "\n")
+        heading = OTHERS_LEGEND.partition("\n")[0]
+        first, _, second = options.output.read_text().partition(heading)
+        if options.others:
+            second = OTHERS_LEGEND.removeprefix(heading) + f"\n{table}\n"
+        else:
+            first = LEGEND.format(episodes=options.episodes) + f"\n{table}\n\n"
+        options.output.write_text(first + heading + second)
 
 
 def felt() -> None:
@@ -124,7 +149,7 @@ def ladder(options: argparse.Namespace) -> str:
 
 
 def holds(env_id: str, grasp: str) -> bool:
-    """Return whether things of an environment can be held so."""
+    """Return whether objects of an environment can be held so."""
     return not (grasp == "friction" and env_id.startswith("Lift"))
 
 

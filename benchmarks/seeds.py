@@ -49,7 +49,25 @@ def main() -> None:
 
 
 COLUMNS = ("environment", "seed", "steps of its runs, M", "completion")
-COLUMNS += ("performance", "return", "late", "torque limits", "energy")
+COLUMNS += ("performance", "return", "late", "at torque limits", "energy")
+
+
+LEGEND = """\
+One recipe, many seeds (`python benchmarks/seeds.py RUN...`). Each row has one policy.
+"baseline" is the shipped one, and "advised" marks a seed that learned with the expert's
+advice.
+
+- **steps of its runs, M**: millions of environment steps; a sum where a run began with
+  the policy of another.
+- **completion**, **performance**, **return**, **energy**: means over {episodes:,}
+  held-out starts of `default`. If all {episodes:,} episodes are completed, the 95 %
+  interval of the completion is {least:.1f} to 100 % (Wilson).
+- **late**: completion of {late:,} episodes in which every action comes one control step
+  late.
+- **at torque limits**: the share of the time at or above 99 % of a joint's torque
+  limit, mean over joints (`torque_limit_share`).
+"""
+"""What is above the table."""
 
 
 def measured(env: str, policy: NetworkPolicy, episodes: int, late: int) -> dict:
@@ -87,14 +105,14 @@ def lines(rows: dict[str, dict[str, dict]]) -> Iterator[str]:
             table.append(line(env, seed, rows[env][seed]))
         reached = sum(is_enough(row) for row in rows[env].values())
         counts.append(f"{env}: {reached} of {len(rows[env])}")
+    episodes, late = next(iter(next(iter(rows.values())).values()))["episodes"]
+    least = 100 * wilson(1.0, episodes)[0]
+    yield LEGEND.format(episodes=episodes, late=late, least=least)
     yield markdown_table(COLUMNS, table, words=2)
     yield ""
-    episodes, late = next(iter(next(iter(rows.values())).values()))["episodes"]
     yield (
-        f"{episodes:,} held-out starts of `default` each, and {late} with late actions."
-        f" {episodes:,} of {episodes:,} mean {100 * wilson(1.0, episodes)[0]:.1f} % or"
-        f" more (Wilson, 95 %). Seeds that reach {100 * COMPLETION:.0f} % completion"
-        f" and {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
+        f"Seeds that reach {100 * COMPLETION:.0f} % completion and"
+        f" {100 * PERFORMANCE:.0f} % performance: " + "; ".join(counts) + "."
     )
 
 

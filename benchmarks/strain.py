@@ -1,4 +1,4 @@
-"""What arms do to one another, to things and to themselves, as a table.
+"""What arms do to one another, to objects and to themselves, as a table.
 
     python benchmarks/strain.py [--episodes N] [ENV_ID ...]
     python benchmarks/strain.py --cards LiftTaskSawyers-v0
@@ -19,25 +19,25 @@ from kept import keep
 
 ENVS = [each for each in cg.list_envs() if is_shipped("baseline", each)]
 TOUCH = {
-    "depth of things, mm": ("contact_depth_objects", 1e3, 1),
-    "force on things, N": ("contact_force_objects", 1.0, 0),
-    "clearance, mm": ("clearance", 1e3, 1),
-    "internal force, N": ("internal_force", 1.0, 0),
+    "`contact_depth_objects`, mm": ("contact_depth_objects", 1e3, 1),
+    "`contact_force_objects`, N": ("contact_force_objects", 1.0, 0),
+    "`clearance`, mm": ("clearance", 1e3, 1),
+    "`internal_force`, N": ("internal_force", 1.0, 0),
 }
 """Columns: a measure, what it is multiplied by, and its number of digits."""
 
 MOTORS = {
-    "torque / limit": ("torque_over_limit", 1.0, 2),
-    "speed / limit": ("speed_over_limit", 1.0, 2),
+    "`torque_over_limit`": ("torque_over_limit", 1.0, 2),
+    "`speed_over_limit`": ("speed_over_limit", 1.0, 2),
 }
 """Columns of the second table."""
 
-SHARE = {"torque limits, %": ("torque_limit_share", 100.0, 1)}
+SHARE = {"`torque_limit_share`, %": ("torque_limit_share", 100.0, 1)}
 """The first table's column of means alone."""
 
 ENERGIES = {
-    "energy, J": ("energy", 1.0, 0),
-    "commanded, J": ("energy_commanded", 1.0, 0),
+    "`energy`, J": ("energy", 1.0, 0),
+    "`energy_commanded`, J": ("energy_commanded", 1.0, 0),
 }
 """The second table's columns of means alone."""
 
@@ -95,17 +95,21 @@ def table(numbers: dict[str, dict[str, dict]]) -> str:
         for name in ("torque_over_limit", "speed_over_limit")
     )
     played = " or ".join(map(str, lengths))
-    return f"""{played} episodes of seed 0 on `default`: the mean of the episodes,
-and after the stroke the worst (`python benchmarks/strain.py`).
+    return f"""The [strain](../concepts.md#strain) of experts and baselines in
+{played} episodes of seed 0 on `default` (`python benchmarks/strain.py`). Each cell has
+the mean over the episodes and, after the slash, the worst episode. The last column of
+the first table and the last two of the second have only the mean.
+
+## Contacts and forces
 
 {columns(rows, TOUCH, SHARE)}
 
 {touches(rows)}
 
-What motors do: the worst torque that a physics step applied and the worst speed, over
-the limit; the mean energy by the torque that steps apply, and by that at their
-beginning. The greatest torque is {torque:.2f} times a limit, the greatest speed
-{speed:.2f} times.
+## Motors
+
+The greatest torque that a physics step applied is {torque:.2f} times a joint's limit,
+and the greatest speed {speed:.2f} times.
 
 {columns(rows, MOTORS, ENERGIES)}
 """

@@ -39,7 +39,7 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "PassPandas4-v0": "cube_2/cube",  # It is handed on last.
-    "SortPandas4-v0": "cube_6/cube",  # It is sorted last, after a hand-over.
+    "SortPandas4-v0": "robot_2/hand",  # It moves a mate's cube between its own two.
     "Assemble": "pin/pin",
 }
 """What the films of a task or an environment show from nearby."""

@@ -84,6 +84,9 @@ _MOMENT = {
 }
 """Moments of films, in % of their time, that show more than the half."""
 
+_MOST = 8
+"""Most parameters of a class that its line in the reference lists."""
+
 _EXPLAINED = {
     "control.list_modes": "../concepts.md#action-modes",
     "envs.wrists": "../concepts.md#force-and-torque-sensing",
@@ -382,16 +385,16 @@ def _short(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else repr(value)
 
 
-def _attributes(owner: type) -> dict[str, str]:
-    """Return what the docstring of a class says of its attributes, by name."""
+def _attributes(owner: object, kind: str = "attributes") -> dict[str, str]:
+    """Return what a docstring says of attributes, or of `parameters`, by name."""
     sections = griffe.Docstring(inspect.getdoc(owner) or "").parse(
         "google", warnings=False
     )
     return {
-        attribute.name: attribute.description.replace("\n", " ")
+        each.name: each.description.replace("\n", " ")
         for section in sections
-        if section.kind is griffe.DocstringSectionKind.attributes
-        for attribute in section.value
+        if section.kind.value == kind
+        for each in section.value
     }
 
 
@@ -490,15 +493,25 @@ def _name(name: str) -> str:
     """
     path = f"collaborative_gym.{name}"
     thing = pkgutil.resolve_name(path)
-    takes, says = "", f"the value {thing}"
-    if callable(thing) or inspect.ismodule(thing):
-        says = _begin(thing)
-    if callable(thing) and not inspect.isclass(thing):
-        takes = _takes(thing)
-    lines = [f'- <a id="{path}"></a>`{name}{takes}`: {says}']
+    takes, says, listed = "", f"the value {thing}", {}
     is_class = inspect.isclass(thing)
-    listed = _attributes(thing) | _comments(thing) if is_class else {}
-    lines += [f"    - `{own}`: {meaning}" for own, meaning in listed.items()]
+    if callable(thing) or inspect.ismodule(thing):
+        says = _begin(thing, whole=not inspect.ismodule(thing))
+    if callable(thing):
+        listed = _attributes(thing, "parameters") | _attributes(thing)
+        takes = _takes(thing)
+        if is_class and (takes.count(",") >= _MOST or "*args" in takes):
+            takes = ""
+    if is_class:
+        listed |= _comments(thing)
+    lines = [f'- <a id="{path}"></a>`{name}{takes}`: {says}']
+    usual = {
+        f.name: f.default for f in getattr(thing, "__dataclass_fields__", {}).values()
+    }
+    for own, meaning in listed.items():
+        default = usual.get(own)
+        is_plain = isinstance(default, bool | int | float | str) and not takes
+        lines.append(f"    - `{own}`{f' ({default})' if is_plain else ''}: {meaning}")
     for own in vars(thing) if is_class or inspect.ismodule(thing) else ():
         member = inspect.getattr_static(thing, own)
         if getattr(member, "__module__", path) != path and not is_class:
@@ -522,17 +535,31 @@ def _comments(thing: type) -> dict[str, str]:
     return {name: meaning for name, meaning in said if name in fields}
 
 
-def _begin(thing: object) -> str:
-    """Return the first paragraph of a docstring."""
-    return " ".join(inspect.getdoc(thing).partition("\n\n")[0].split())
+def _begin(thing: object, *, whole: bool = False) -> str:
+    """Return the first paragraph of a docstring, or all above its sections."""
+    text = inspect.getdoc(thing) or ""
+    text = re.split(r"\n\n(?:\w+:|\S+ = )\n?" if whole else r"\n\n", text)[0]
+    return " ".join(text.split())
+
+
+class _Other:
+    """A default that a line does not show."""
+
+    def __repr__(self) -> str:
+        return "..."
 
 
 def _takes(function: Callable[..., object]) -> str:
     """Return what a function takes, without its types."""
     empty, bare = inspect.Parameter.empty, []
-    for name, each in inspect.signature(function).parameters.items():
+    try:
+        parameters = inspect.signature(function).parameters
+    except ValueError:  # It is a type's name, such as that of a dictionary.
+        return ""
+    for name, each in parameters.items():
         is_plain = isinstance(each.default, (bool, int, float, str, type(None)))
-        default = each.default if is_plain else empty
+        is_needed = each.default is empty
+        default = each.default if is_plain or is_needed else _Other()
         if name not in ("self", "cls"):
             bare.append(each.replace(annotation=empty, default=default))
     return str(inspect.Signature(bare))

@@ -95,28 +95,28 @@ def test_of_equal_runs_the_one_whose_arms_keep_apart_is_better(alone, monkeypatc
 def test_a_card_says_if_the_expert_was_a_guide():
     first = {"seed": 0, "steps": 2e6, "hyperparameters": {"imitation": 2.0}}
     guide = "with the expert's advice"
-    assert baselines._beginning(first) == f"from scratch, {guide}"
+    assert baselines._beginning(first) == f"from scratch {guide}"
     start = {"start_from": "runs/a", "start": {"digest": "1f", "metadata": first}}
     text = baselines._beginning({"hyperparameters": {}, **start})
-    assert f"2.00 M steps of seed 0, {guide} (digest 1f); the last, without" in text
+    assert f"2.00 M steps of seed 0 {guide} (digest 1f). The last run, w" in text
     second = first | start
-    assert f"(digest 1f); the last, {guide}" in baselines._beginning(second)
+    assert f"(digest 1f). The last run, {guide}" in baselines._beginning(second)
     third = first | {"start_from": "b", "start": {"digest": "2a", "metadata": second}}
     text = baselines._beginning(third)
-    assert text.startswith("in 3 runs, each from the policy of the one before: 2.00")
+    assert text.startswith("in 3 runs, each from the policy of the run before. First")
     assert text.index("digest 1f") < text.index("digest 2a")
 
 
 def test_a_card_says_with_what_its_run_began(train_both, tmp_path, monkeypatch):
     card = train_both()
-    assert ", from scratch, without demonstrations; mode" in card.read_text()
+    assert " from scratch without demonstrations. The mode" in card.read_text()
     first = cg.load_policy(card.with_suffix(".safetensors"))
     monkeypatch.chdir(tmp_path)
     start = card.with_suffix(".safetensors").name
     card = train_both(output=tmp_path / "more", start_from=start, drawn="wide")
     text = card.read_text()
-    assert "in 2 runs, each from the policy of the one before: 0.00 M steps" in text
-    assert f", without demonstrations (digest {first.digest[:12]}); the last" in text
+    assert "in 2 runs, each from the policy of the run before. First came 0.00" in text
+    assert f" without demonstrations (digest {first.digest[:12]}). The last" in text
     # All runs that led to it can be trained again, one after another.
     commands = [line for line in text.splitlines() if line.startswith("- command")]
     assert [line.partition(":")[0] for line in commands] == [

@@ -107,6 +107,11 @@ def _binomial(most: int, episodes: int, share: float) -> float:
     )
 
 
+def _success(trial: Trial) -> tuple[float, int]:
+    """Return what is greatest in the best trial; among equals, in the surest."""
+    return trial.completion, trial.episodes
+
+
 @dataclass(frozen=True)
 class Certificate:
     """Results of trials to do a task while one arm is still, in the order of the work.
@@ -133,29 +138,30 @@ class Certificate:
 
     @property
     def best(self) -> dict[tuple[str, str, float], Trial]:
-        """The best trial against each still arm; among equals, the surest."""
-        return {
-            row: max(trials, key=lambda trial: (trial.completion, trial.episodes))
-            for row, trials in self.rows.items()
-        }
+        """The best trial against each still arm."""
+        return {row: max(trials, key=_success) for row, trials in self.rows.items()}
 
     @property
     def statement(self) -> str:
         """The results in one sentence."""
-        by_fraction: dict[float, list[Trial]] = {}
-        for trial in (each for row, each in self.best.items() if row != TEAM):
-            by_fraction.setdefault(trial.fraction, []).append(trial)
         found = []
-        for fraction, trials in sorted(by_fraction.items()):
-            most = max(trials, key=lambda trial: (trial.completion, trial.episodes))
+        of_arms = [trial for trial in self.trials if trial.row != TEAM]
+        for fraction in sorted({trial.fraction for trial in of_arms}):
+            trials = [trial for trial in of_arms if trial.fraction == fraction]
+            # A motion that was searched for a start is tried on few of them.
+            judged = [each for each in trials if each.player != "search"] or trials
+            most, of_all = (max(own, key=_success) for own in (judged, trials))
             since = f"{100 * fraction:.0f} % of the way" if fraction else "the start"
             by = f"{most.still}, " * (most.completed > 0)
-            found.append(f"{most.count} ({by}up to {most.bound:.1%}) from {since} on")
-        text = f"{self.title}: with one arm still {', '.join(found)}"
+            said = f"while one arm is still from {since} on, the others complete"
+            said += f" {most.count} starts ({by}up to {most.bound:.1%})"
+            if of_all.completion > most.completion:
+                said += f", and {of_all.count} by a motion searched for each"
+            found.append(said)
         if blind := self.best.get(TEAM):
-            text += f"; by a team that looks at nothing: {blind.count} (up to"
-            text += f" {blind.bound:.1%})"
-        return text
+            said = f"a team that looks at nothing completes {blind.count}"
+            found.append(f"{said} (up to {blind.bound:.1%})")
+        return f"{self.title}: {'; '.join(found)}"
 
     def to_json(self) -> str:
         """Return everything as JSON."""

@@ -69,7 +69,7 @@ class _Policy(Command):
     Attributes:
       policy: who commands the robots: expert, random, baseline, ego, idle, gripping,
         frozen, an environment id (its baseline), a policy file or a training folder; or
-        one for each robot, such as robot_1=baseline robot_2=limp. See docs/view.md.
+        one for each robot, such as robot_1=baseline robot_2=limp. See docs/concepts.md.
     """
 
     policy: Policies = ("expert",)

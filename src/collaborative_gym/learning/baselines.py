@@ -120,13 +120,10 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
     identity, machine = settings.identity, describe_machine()
     own = [f"{name} {_option(value)}" for name, value in changed(numbers).items()]
     episodes = "; ".join(f"{starts}: {n:,}" for starts, n in _EPISODES.items())
-    curriculum = "no curriculum"
-    if numbers.assistance:
-        curriculum = (
-            f"and a curriculum: the simulator carried {100 * numbers.assistance:g} % of"
-            " the weight at first, and less as success grew (nothing in what is"
-            " reported)"
-        )
+    curriculum = (
+        f" At first, the simulator carried {100 * numbers.assistance:g} % of the"
+        " weight, and less as success grew (nothing in what is reported)."
+    ) * (numbers.assistance > 0)
     among = (
         ", and among seeds by completion, performance, clearance and energy in"
         f" {_CHOICE_EPISODES} others"
@@ -135,9 +132,9 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
     return [
         f"# {identity.name}: baseline",
         "",
-        f"{who} ({', '.join(identity.robot_names)}), trained by PPO"
-        f" on the task's reward, {_beginning(settings.to_dict())}; mode"
-        f" {settings.mode}, {curriculum}. Returns contain no penalties.",
+        f"PPO trained {who} ({', '.join(identity.robot_names)}) on the task's reward"
+        f" {_beginning(settings.to_dict())}. The mode was {settings.mode}.{curriculum}"
+        " Returns contain no penalties.",
         "",
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.name, identity.config['randomization'])}`",
@@ -177,8 +174,8 @@ def _network(settings: Settings) -> tuple[str, str]:
     layers = " x ".join(map(str, numbers.hidden_sizes))
     if numbers.network == "set":
         layers = f"for sets, {layers} after the pooling"
-    who = "One policy for all robots"
-    return who if settings.mode == "shared" else "A policy for each robot", layers
+    who = "one policy for all robots"
+    return who if settings.mode == "shared" else "a policy for each robot", layers
 
 
 def _beginning(own: Mapping[str, Any]) -> str:
@@ -187,16 +184,16 @@ def _beginning(own: Mapping[str, Any]) -> str:
     while runs[-1].get("start_from"):
         runs.append(runs[-1]["start"]["metadata"])
     if len(runs) == 1:
-        return f"from scratch, {_guide(own)}"
+        return f"from scratch {_guide(own)}"
     parts = [
-        f"{before['steps'] / 1e6:.2f} M steps of seed {before['seed']},"
+        f"{before['steps'] / 1e6:.2f} M steps of seed {before['seed']}"
         f" {_guide(before)} (digest {after['start']['digest'][:12]})"
         for after, before in pairwise(runs)
     ]
     return (
-        f"in {len(runs)} runs, each from the policy of the one before:"
-        f" {'; '.join(reversed(parts))}; the last, {_guide(own)}, took the"
-        " table's steps and time"
+        f"in {len(runs)} runs, each from the policy of the run before. First came"
+        f" {', then '.join(reversed(parts))}. The last run, {_guide(own)}, took the"
+        " steps and the time of the table"
     )
 
 

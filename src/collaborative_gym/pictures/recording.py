@@ -102,8 +102,8 @@ def record(
         of a GIF 416 x 234.
       speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
         for slow motion, which draws more pictures of each second of the world.
-      slow_motion: whether 0.7 s about the first policy's last progress are shown at a
-        fifth of the speed, or at 0.1. Progress is the first measure in the task's
+      slow_motion: whether 0.7 s about the first policy's last large progress are shown
+        at a fifth of the speed, or at 0.1. Progress is the first measure in the task's
         `coordination` that is kept at its greatest, or else where success begins.
       close_up: a body of the world, such as `pot/pot`, that a square picture on the
         right shows from nearby.
@@ -338,8 +338,10 @@ class _Screen:
         else:
             late = self._env.task.success_for - 1  # Success began so long before.
             rows = np.maximum.accumulate([_is_success(each) for each in steps])
-        rises = np.flatnonzero(np.diff(rows, prepend=0) > 0) - late
-        return range(*(rises[-1] + _AROUND).tolist()) if rises.size else range(0)
+        rises = np.diff(rows, prepend=0)
+        # Of progress that creeps, the last large piece.
+        large = np.flatnonzero((rises > 0) & (rises > rises.max() / 2)) - late
+        return range(*(large[-1] + _AROUND).tolist()) if large.size else range(0)
 
     def _progress(self, step: _Step) -> float:
         """Return the task's measure of progress, the greatest up to a step."""

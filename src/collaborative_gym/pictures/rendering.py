@@ -18,9 +18,8 @@ from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
 
-_NEAR, _DOWN, _CUT = 0.65, -15.0, 0.45
-"""Distance to a body in a close-up, in m, the view's elevation, in degrees, and the
-distance from the camera below which nothing is drawn, in m."""
+_NEAR, _CUT = 0.7, 0.5
+"""Distance to a body in a close-up, and below which nothing is drawn, in m."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
@@ -105,7 +104,8 @@ class Camera:
         away = middle - far
         near = mujoco.MjvCamera()
         near.lookat, near.distance = self._data.xpos[body], _NEAR
-        near.azimuth, near.elevation = np.degrees(np.arctan2(away[1], away[0])), _DOWN
+        near.azimuth = np.degrees(np.arctan2(away[1], away[0]))
+        near.elevation = np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))
         return near
 
 

@@ -142,7 +142,10 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
     gripping = True
     success_for = 5
     config_class = AssembleConfig
-    units: ClassVar[Mapping[str, str]] = {"stage": "", "idle": ""}
+    units: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(("to_knob", "to_goal"), "m"),
+        **{"turn": "rad", "stage": "", "idle": ""},
+    }
     coordination: ClassVar[Mapping[str, Kept]] = {"stage": "greatest", "idle": "mean"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",

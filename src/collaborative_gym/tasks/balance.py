@@ -179,7 +179,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         scene.add_pose_sensor("board", f"{first}/board/board")
         scene.add_pose_sensor("ball", "ball/ball")
         scene.add_velocity_sensor("ball", "ball/ball")
-        teams.add_team_camera(scene, self.placements)
+        teams.add_team_camera(scene, self.placements, tall=0.35, steep=True)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

@@ -32,7 +32,7 @@ _FINE = 0.01  # m or rad, beside which what is more shows by its logarithm
 _STAND = 0.13  # m, radius of what an arm of a team stands on
 
 _TALL = 0.7  # m, of an arm at work in a picture
-_LOOKS = (0.35, 0.25), (0.9, 0.1)  # how steeply at a pair, and at a team; m around it
+_SLOPES, _MARGINS = (0.35, 0.9), (0.25, 0.1)  # of a pair, and of a team; m around it
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
 
@@ -211,9 +211,12 @@ def add_team_camera(
     placements: Mapping[str, Placement],
     below: float = 0.0,
     tall: float = _TALL,
+    *,
+    steep: bool = False,
 ) -> None:
     """Look at arms, and so many m below, from above through the widest gap between."""
-    slope, margin = _LOOKS[len(placements) > 2]
+    is_team = len(placements) > 2
+    slope, margin = _SLOPES[steep or is_team], _MARGINS[is_team]
     bases = np.array([each.position for each in placements.values()])
     bases, tops = bases - (0.0, 0.0, below), bases + np.array((0.0, 0.0, tall))
     middle = (bases.min(axis=0) + tops.max(axis=0)) / 2

@@ -79,10 +79,13 @@ def view(
                     " machine can watch and control it; there is no password."
                 )
             if is_page:
-                moved = port and not face.url.endswith(f":{port}")
-                said = f"port {port} is in use; " if moved else ""
-                say(f"{said}open {face.url} in a browser; Ctrl-C ends it")
+                say(_invitation(face.url, port))
             session.run(face.refresh)
+
+
+def _invitation(url: str, port: int) -> str:
+    taken = f"port {port} is in use; " * (port > 0 and not url.endswith(f":{port}"))
+    return f"{taken}open {url} in a browser; Ctrl-C ends it"
 
 
 def _page(session: Session, any_env: bool, host: str, port: int) -> Any:

@@ -248,8 +248,8 @@ class Panel:
         self.play(choice, wished)
 
 
-_LINK = """<a href="%s">Link to this start</a> <button onclick="navigator.clipboard
-.writeText(this.previousElementSibling.href)
+_LINK = """<a href="%s">Link to this start</a> <button class=copy onclick="
+navigator.clipboard.writeText(this.previousElementSibling.href)
 .then(() => this.textContent = 'Copied')">Copy</button>"""
 
 _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
@@ -273,21 +273,19 @@ def _heading(session: Session, instead: str) -> str:
         else f"{player}{': <b>success</b>' if reading.success[side] else done}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
-    lines = ["loading ..." if reading.is_loading else html.escape(goal)]
-    if reading.trouble:
-        lines.append(f"<b>stopped:</b> {html.escape(reading.trouble)}")
+    goal = "loading ..." if reading.is_loading else html.escape(goal)
+    lines = [f"<b>stopped:</b> {html.escape(reading.trouble)}"] * bool(reading.trouble)
     lines += [f"<b>{html.escape(instead)}</b>"] * bool(instead)
     # A line breaks between the sides first.
-    lines.append(
-        " : ".join(f"<span style=display:inline-block>{s}</span>" for s in sides)
-    )
+    spans = (f"<span style=display:inline-block>{side}</span>" for side in sides)
+    lines.append(" : ".join(spans))
     if reading.scores:
         lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
     worlds = session.readings
     if len(worlds) > 1 and not reading.scores:
         done = sum(any(each.success.values()) for each in worlds)
         lines.append(f"success in {done} of {len(worlds)} worlds")
-    return _STYLE % "<br>".join(lines)
+    return _STYLE % (f"<div class=goal>{goal}</div>" + "<br>".join(lines))
 
 
 def _table(rows: Iterable[tuple[str, str]], meanings: Mapping[str, str]) -> str:
