@@ -219,7 +219,7 @@ class Reproduce:
     Attributes:
       table: which table of the thesis: table11, its results.
       episodes: number of episodes for each environment and policy.
-      seed: number of a series of episodes; another seed gives other episodes.
+      seed: seed of the episodes; another seed gives others.
       num_threads: physics threads, 0 for one per CPU; the results do not depend on it.
       output: where table11.md and table11.json go.
     """

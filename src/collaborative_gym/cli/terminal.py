@@ -120,12 +120,12 @@ class Worlds(Command):
     Attributes:
       robots: robots in place of the environment's own, one per agent, or one for all.
       num_robots: number of robots of one kind, for tasks with teams of any size.
-      randomization: how much episodes differ: {default,paper,wide,lost,hard}; see
+      randomization: how starts are drawn: {default,paper,wide,lost,hard}; see
         docs/concepts.md.
       action: what actions mean: {joints,tcp,tcp_position,impedance,
         impedance_stiffness,torques}; see docs/concepts.md.
       settings: other settings of the task, as cg.make takes them, such as wrench=raw.
-      seed: number of a series of episodes; another seed gives other episodes.
+      seed: seed of the episodes; another seed gives others.
     """
 
     robots: Robots = ()

@@ -60,10 +60,10 @@ class Train(Worlds):
       modes: train in each of these; see --mode.
       jobs: how many runs train at a time, each in a process of its own (default: one
         per CPU). The same command continues what Ctrl-C has ended.
-      mode: who learns what. collaborative (MAPPO, default): a policy for each robot and
-        one critic; independent (IPPO): a policy and a critic for each; shared: one
-        policy for robots with equal spaces (default for such robots against given
-        policies and in a league); centralized: one policy for all robots.
+      mode: which policies and critics learn. collaborative (MAPPO, default): a policy
+        for each robot and one critic; independent (IPPO): a policy and a critic for
+        each; shared: one policy for robots with equal spaces (default for such robots
+        against given policies and in a league); centralized: one policy for all robots.
       seed: seed of the run (default: 0); for several seeds see --seeds.
       seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
         environment and mode; with --all for each baseline (default: 0 1 2).
@@ -81,8 +81,8 @@ class Train(Worlds):
         networks. It may come from another environment with spaces of the same sizes.
       backend: skrl (default), or ray to collect in several processes or machines.
       algorithm: ppo (default), or sac for tasks of one side and without partners.
-      advised: learn with the scripted expert's advice, by hyperparameters that suit it,
-        which you can still change; --imitation is their main one.
+      advised: learn with the scripted expert's advice, with hyperparameters for it,
+        which your options replace; the main one is --imitation.
       checkpoint_interval: environment steps between two checkpoints.
       hyperparameters: how it learns.
       resources: what the run may use.
