@@ -38,8 +38,7 @@ class Tournament(Measured):
 
     Attributes:
       env: environment id, or a task's name.
-      policies: two players or more, each as --policy of evaluate takes it; a player may
-        have a policy for each robot, such as robot_1=baseline robot_2=idle.
+      policies: two players or more, each as --policy of evaluate takes it.
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:
         all, or the names of some, which saves games with three robots or more.
@@ -112,8 +111,7 @@ class Tournament(Measured):
 class Report(Measured):
     """Write report cards: how good policies are, on a page for each environment.
 
-    A card has the results with intervals, how gently the arms act, the effect of each
-    disturbance, and cross-play.
+    A card has results, strain, the effect of each disturbance, and cross-play.
 
     Attributes:
       envs: environment ids, or tasks' names.

@@ -256,16 +256,19 @@ def certificates_table(certificates: Sequence[Certificate]) -> Table:
 
 def benchmark_table(benchmark: Benchmark) -> Table:
     """Return the speeds, one line per environment."""
-    rows = []
+    rows, kept = [], []
     for speed in benchmark.environments:
+        kept.append((speed.expert.ratio, speed.random.ratio))
         makes = "\n".join(f"{seconds:.2f}" for seconds in speed.make_s)
         single = f"{speed.single_rate:,.0f}", f"{speed.reset_ms:.2f}", makes
         rows.append([speed.environment, *[""] * 3, *single, f"{speed.kb_per_env:.0f}"])
         for who, rates in (("expert", speed.expert), ("random", speed.random)):
             per_second = f"{rates.bare:,.0f}", f"{rates.env:,.0f}"
             rows.append([f"  {who}", *per_second, f"{rates.ratio:.0%}"])
-    expert = median(speed.expert.ratio for speed in benchmark.environments)
-    random = median(speed.random.ratio for speed in benchmark.environments)
+    expert, random = (
+        f"{median(each):.0%}" + f" ({min(each):.0%} at least)" * (len(each) > 1)
+        for each in zip(*kept, strict=True)
+    )
     machine, threads = benchmark.machine, benchmark.num_threads
     in_median = ", in the median" * (len(benchmark.environments) > 1)
     heads = "bare\n1/s", "env\n1/s", "\nratio", "single\n1/s", "reset\nms", "make\ns"
@@ -274,8 +277,8 @@ def benchmark_table(benchmark: Benchmark) -> Table:
         rows,
         caption=f"Control steps per second (1/s) with {benchmark.num_envs} worlds on"
         f" {threads} {'thread' if threads == 1 else 'threads'}: of bare physics, and of"
-        f" the environment, which keeps {expert:.0%} with the expert's actions and"
-        f" {random:.0%} with random ones{in_median}; single: one PettingZoo"
+        f" the environment, which keeps {expert} with the expert's actions and"
+        f" {random} with random ones{in_median}; single: one PettingZoo"
         " environment; make: the first of a process, and the second.\n"
         f"{machine['cpu']}, {machine['cores']} cores,"
         f" Python {machine['python']}, MuJoCo {machine['mujoco']}",
