@@ -19,7 +19,7 @@ MOST_ENVS = 10**6
 MOST_THREADS = 1024
 """More threads than any machine runs well."""
 
-_LISTED = 12
+_LISTED = 16
 """Most names in an error; of more it lists those that are near, eight at most."""
 
 _REMEDIES = {

@@ -390,7 +390,7 @@ def test_keys_that_move_a_slider_leave_the_camera(serve, open_tab, wait_until):
     wait_until(lambda: session.reading.time == pytest.approx(0.3), timeout=PATIENCE)
     assert camera.position == pytest.approx(before)
     tab.mouse.click(200, 300)  # On the arms, where keys do move it.
-    tab.keyboard.press("ArrowRight", delay=1000)
+    tab.keyboard.press("ArrowLeft", delay=1000)
     wait_until(lambda: np.abs(camera.position - before).max() > 0.1, timeout=PATIENCE)
 
 
