@@ -502,12 +502,14 @@ def _name(name: str) -> str:
         takes = _takes(thing)
         if is_class and (takes.count(",") >= _MOST or "*args" in takes):
             takes = ""
-    if is_class:
-        listed |= _comments(thing)
+    is_value = is_class and dataclasses.is_dataclass(thing)
+    fields = dataclasses.fields(thing) if is_value else ()
+    usual = {field.name: field.default for field in fields}
+    if is_value:
+        source = inspect.getsource(thing)
+        comments = re.findall(r"^    (\w+):.*  # (.+)$", source, re.M)
+        listed |= {own: said for own, said in comments if own in usual}
     lines = [f'- <a id="{path}"></a>`{name}{takes}`: {says}']
-    usual = {
-        f.name: f.default for f in getattr(thing, "__dataclass_fields__", {}).values()
-    }
     for own, meaning in listed.items():
         default = usual.get(own)
         is_plain = isinstance(default, bool | int | float | str) and not takes
@@ -522,17 +524,6 @@ def _name(name: str) -> str:
             takes = _takes(bare) if callable(member) or bare is not member else ""
             lines.append(f"    - `{own}{takes}`: {_begin(bare)}")
     return "\n".join(lines)
-
-
-def _comments(thing: type) -> dict[str, str]:
-    """Return what comments say of a dataclass's fields, by name."""
-    fields = (
-        {f.name for f in dataclasses.fields(thing)}
-        if dataclasses.is_dataclass(thing)
-        else ()
-    )
-    said = re.findall(r"^    (\w+):.*  # (.+)$", inspect.getsource(thing), re.M)
-    return {name: meaning for name, meaning in said if name in fields}
 
 
 def _begin(thing: object, *, whole: bool = False) -> str:
