@@ -70,10 +70,11 @@ def main() -> None:
         about = (
             f"Control steps of {options.num_envs} worlds of Pandas, with the expert, on"
             " one thread (`python benchmarks/teams_speed.py`). Arm-steps are env-steps"
-            " times arms. The ratios are medians of pairs measured in turn, that of"
-            " strain of the speed while it is recorded over that without. `growth` is"
-            " what an arm's step costs over one of the smallest team, beyond bare"
-            " physics. Calls are those of our own functions in a control step."
+            " times arms. The ratios are medians of pairs measured in turn. That of"
+            " strain is the speed while it is recorded, divided by the speed without."
+            " `growth` is the cost of an arm's step beyond bare physics, divided by"
+            " that in the smallest team. Calls are those of our own functions in a"
+            " control step."
         )
         options.output.write_text(f"# Speed of teams\n\n{about}\n\n{table}\n")
     print(table)

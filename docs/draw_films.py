@@ -103,7 +103,7 @@ if __name__ == "__main__":
                 path,
                 policy=["expert", {"robot_1": "expert", "robot_2": "idle"}],
                 only_episodes=[0],
-                size=(576, 324),
+                size=SIZE,
             )
             path.with_suffix(".jpg").unlink(missing_ok=True)
         else:

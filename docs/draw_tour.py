@@ -25,7 +25,7 @@ TOUR = {
     "BalancePathPandas4-v0": (1.1, 0.48),
     "ReachPandas4-v0": (1.0, 0.5),
     "SortPandas4-v0": (1.9, 0.5),
-    "AssemblePandas3-v0": (1.45, 0.4),
+    "AssemblePandas3-v0": (1.15, 0.45),
     "HockeyPandas-v0": (1.3, 0.4),
     "TugPandas-v0": (1.15, 0.5),
 }

@@ -87,6 +87,9 @@ _MOMENT = {
 _MOST = 8
 """Most parameters of a class that its line in the reference lists."""
 
+_SAID = {"VectorEnv": " [What it returns](#what-vectorenv-returns) is below."}
+"""What the reference says of a class in place of all above its sections."""
+
 _EXPLAINED = {
     "control.list_modes": "../concepts.md#action-modes",
     "envs.wrists": "../concepts.md#force-and-torque-sensing",
@@ -316,7 +319,7 @@ def _observations(env: cg.VectorEnv) -> str:
                 f"{end - block.size} to {end - 1}" if block.size > 1 else f"{end - 1}",
                 block.name,
                 " x ".join(map(str, block.shape)),
-                block.unit,
+                "see above" if len(block.shape) > 1 else block.unit,
             )
             for block, end in zip(blocks.values(), ends, strict=True)
         ]
@@ -445,7 +448,7 @@ def _films(tasks: Sequence[str]) -> str:
     paragraphs, readme = [], (ROOT / "README.md").read_text()
     for name in tasks:
         goal = inspect.getdoc(_envs(name)[0][1].task).partition("\n")[0]
-        row = re.search(rf"^\| {name} \|.*\| (.*) \|$", readme, re.M)
+        row = re.search(rf"^\| \[{name}\].*\| (.*) \|$", readme, re.M)
         why = ""
         if name not in _AGAINST:
             why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
@@ -496,9 +499,10 @@ def _name(name: str) -> str:
     takes, says, listed = "", f"the value {thing}", {}
     is_class = inspect.isclass(thing)
     if callable(thing) or inspect.ismodule(thing):
-        says = _begin(thing, whole=not inspect.ismodule(thing))
+        says = _begin(thing, whole=not inspect.ismodule(thing) and name not in _SAID)
+        says += _SAID.get(name, "")
     if callable(thing):
-        listed = _attributes(thing, "parameters") | _attributes(thing)
+        listed = _attributes(thing) | _attributes(thing, "parameters")
         takes = _takes(thing)
         if is_class and (takes.count(",") >= _MOST or "*args" in takes):
             takes = ""
@@ -521,7 +525,8 @@ def _name(name: str) -> str:
         bare = getattr(member, "__func__", getattr(member, "func", member))
         is_open = not own.startswith("_") and inspect.getdoc(bare)
         if is_open and isinstance(bare, property | FunctionType):
-            takes = _takes(bare) if callable(member) or bare is not member else ""
+            is_called = callable(member) or isinstance(member, classmethod)
+            takes = _takes(bare) if is_called else ""
             lines.append(f"    - `{own}{takes}`: {_begin(bare)}")
     return "\n".join(lines)
 
@@ -730,7 +735,7 @@ def _arm(robot: cg.Robot) -> str:
             _picture(robot.title, f"media/robots/{robot.name}.jpg", 360),
             _first_comment(robot.model_file),
             _table(columns, rows),
-            f"The source of each number is in `{definition.as_posix()}`.",
+            f"`{definition.as_posix()}` names the sources of these numbers.",
         )
     )
 

@@ -93,7 +93,7 @@ def test_the_page_on_robustness_says_what_its_table_has():
         and own["none"][0] - own[what][0] > 0.0401
     }
     assert {what for _, what in lost} == {"starts"}
-    assert "only wider starts cost a baseline more than 4 points" in page
+    assert "only the wider starts cost a baseline more than 4 points" in page
     for (name, _), share in lost.items():
         assert re.search(rf"{name}'s? (falls )?to {share}", page), name
     worst = cells["LiftTaskSawyers-v0 baseline"]["all"][1]

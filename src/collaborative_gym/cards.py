@@ -60,7 +60,7 @@ class ReportCard:
         return to_json(self.plain())
 
     def plain(self) -> dict[str, Any]:
-        """Return all numbers, but those of single episodes, as plain dictionaries."""
+        """Return all numbers except those of single episodes, as plain dictionaries."""
         return {
             "environment": self.environment,
             "policies": {name: each.summary() for name, each in self.reports.items()},

@@ -77,7 +77,7 @@ class EpisodeRandom:
     Args:
       seeds: one per episode.
       episodes: their indices.
-      stream: use of the numbers.
+      stream: what the random numbers are for.
 
     Attributes:
       keys: the seed and the index of each episode.
@@ -117,7 +117,7 @@ class EpisodeDraws:
     Args:
       num_envs: number of worlds.
       size: shape of one episode's numbers.
-      stream: use of the numbers.
+      stream: what the random numbers are for.
     """
 
     def __init__(self, num_envs: int, size: tuple[int, ...], stream: Stream):

@@ -105,7 +105,7 @@ def test_markdown_shows_numbers_and_verdicts_side_by_side():
         f"| {ENV_ID} | completion | 100 % | 90.00 % FAIL | 100 % PASS | 100 % |"
     )
     assert lines[-1] == "FAIL: 1 of 5 cells"
-    assert "200 episodes of seed 3" in text and "ours are stricter" in text
+    assert "200 episodes of seed 3" in text and "success rules are stricter" in text
 
 
 def test_policies_are_those_that_evaluate_plays(small, random_network):

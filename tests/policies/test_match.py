@@ -21,7 +21,7 @@ def infos(*points, ended=False, success=False):
 def test_players_are_named_by_side():
     assert name_players("runs/league/main", ONE) == {"side_1": "main"}
     mixed = {"robot_1": "idle", "robot_2": "runs/main"}
-    assert name_players(mixed, ONE) == {"side_1": "robot_1=idle robot_2=main"}
+    assert name_players(mixed, ONE) == {"side_1": "robot_1 idle, robot_2 main"}
     named = {"side_1": "robot_1 idle", "side_2": "robot_2 main"}
     assert name_players(mixed, TWO) == named
     teams = {"side_1": "robot_1+robot_2 expert", "side_2": "robot_3+robot_4 expert"}

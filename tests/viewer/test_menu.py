@@ -42,6 +42,7 @@ def test_what_a_link_does_not_say_is_as_usual(menu):
     assert menu.read(f"{LINK}env={LIFT}&episode=4") == Choice(
         LIFT, SAWYERS, ("expert", "expert"), "default", 0, 4
     )
+    assert menu.read(f"{LINK}env={LIFT}&policies=idle").policies == ("idle", "idle")
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ def test_what_a_link_does_not_say_is_as_usual(menu):
         ("nonsense", "bad query field"),
         (f"env={LIFT}&robots=sawyer&robots=tank", "no robot 'tank'"),
         (f"env={LIFT}&robots=sawyer", "needs 2 to 8 robots, got 1"),
-        (f"env={LIFT}&policies=idle", "1 policies for 2 robots"),
+        (f"env={LIFT}&policies=idle" + 2 * "&policies=limp", "3 policies for 2 robots"),
         (f"env={LIFT}&policies=idle&policies=/etc/passwd", "no policy '/etc/passwd'"),
         (f"env={LIFT}&randomization=wild", "no randomization 'wild'"),
         (f"env={LIFT}&seed=x", "invalid literal"),

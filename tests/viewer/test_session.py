@@ -347,7 +347,7 @@ def test_another_world_and_policy_take_over(played, make_env, wait_until):
     session.change(lambda env: (other, load_policy(policies, other), policies), 7, 2)
     wait_until(lambda: session.env is other)
     assert (session.reading.seed, session.reading.episode) == (7, 2)
-    assert session.reading.players == {"side_1": "robot_1=idle robot_2=random"}
+    assert session.reading.players == {"side_1": "robot_1 idle, robot_2 random"}
     assert session.policies == policies
     session.step()
     # A step is done a moment before it is filmed.

@@ -59,13 +59,13 @@ def certify(
 
     Each agent in turn is still in several ways: idle; limp, without any torque; if the
     task has grips, idle but gripping what it meets, and absent, so that nothing touches
-    it; and frozen on the expert's way to the goal, with the grip as it was.
-    The other arms then play the task's expert; one motion for all starts, which a
-    search finds on other starts; a motion for each start, which a search finds on that
-    start; and, in the rows where nobody reached the goal and somebody came nearest, a
-    policy that is trained for this. Then all arms play blindly: one motion for all
-    starts, and the best of some recorded episodes. Except for the motions for each
-    start, all play the first episodes of the seed, the same as `evaluate` does.
+    it; and frozen on the expert's way to the goal, with the grip as it was. The other
+    arms then play the task's expert; one motion for all starts, which a search finds on
+    other starts; a motion for each start, which a search finds on that start; and,
+    where all of these failed but one came nearest to the goal, a policy that is trained
+    beside the still arm. Then all arms play blindly: one motion for all starts, and the
+    best of some recorded episodes. Except for the motions for each start, all play the
+    first episodes of the seed, the same as `evaluate` does.
 
     Args:
       env: an environment id, a task's name, or a task.

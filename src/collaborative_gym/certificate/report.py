@@ -205,12 +205,12 @@ def _checked(content: dict[str, Any]) -> Trial:
 
 
 CERTIFICATE_NOTE = (
-    "How often the goal was reached while one arm was still, by who commanded the other"
-    " arms; up to: one-sided upper 95 % bound for the best of them; nearest: the"
-    " least median distance from the goal. A motion for each is searched for on the"
-    " very start that it is played on. A blind team plays one motion, or the best of"
-    " some recorded episodes, from every start. †: the search spent its rounds before"
-    " it converged."
+    "The table counts how often the goal was reached while one arm was still; its"
+    ' columns name what commanded the other arms. "Up to" is the one-sided upper 95 %'
+    ' bound for the best of them, and "nearest" the least median distance from the'
+    ' goal. "A motion for each" was searched for on the start on which it is played. A'
+    " blind team plays one motion, or the best of some recorded episodes, from every"
+    " start. † marks a search that spent its rounds before it converged."
 )
 """Note above the table."""
 

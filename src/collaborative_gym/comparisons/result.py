@@ -86,11 +86,11 @@ class Reached:
 class Comparison:
     """Results of groups of training runs.
 
-    The score of a run is the mean of its last validation, of those that all runs of its
-    group have. Intervals are of 95 % and over runs, within each environment: Student's
-    t for means, Yuen's for interquartile means, Wilson's for shares of runs and where
-    all runs score alike, DeLong's for probabilities, and for medians those between two
-    runs. A group of one run has none, and a median none of fewer than five.
+    The score of a run is its mean in the last validation that all runs of its group
+    have. Intervals are 95 % intervals over the runs of one environment: Student's t for
+    means, Yuen's for interquartile means, order statistics for medians, Wilson's for
+    shares of runs and for equal scores, DeLong's for probabilities. A group of one run
+    has no interval, and a median needs five runs for one.
 
     Attributes:
       grouping: the groups, and their differences.

@@ -36,9 +36,10 @@ class Motion:
     Experts compute with NumPy.
 
     Attributes:
-      change: of the joint angles, (num_envs, joints), in rad. Where it is more than the
-        arm can do, all of it is scaled down, so that the motion keeps its direction.
-        Where actions move the tool, it moves as this change would move it.
+      change: changes of the joint angles, (num_envs, joints), in rad. If the arm cannot
+        make a change in one step, the whole change is scaled down, so that the motion
+        keeps its direction. In modes that move the tool, the tool moves as this change
+        would move it.
       grips: in which worlds to grip, (num_envs,) booleans, or one for all.
       in_step: whether this arm slows down with the slowest of all arms that are in
         step. Arms that hold one thing must do so.
@@ -107,7 +108,7 @@ class ActionMode:
         raise NotImplementedError
 
     def num_moves(self, agent: str) -> int:
-        """Return how many components of an agent's action move its arm: its joints."""
+        """Return how many components of an agent's action move its arm."""
         return self.arms[agent].num_joints
 
     def torques(self, sim: Sim, agent: str) -> Array:

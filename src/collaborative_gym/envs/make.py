@@ -23,12 +23,13 @@ def make(
 
     Args:
       env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
-        `cg.task`, which has all that follows here but `render_mode` and `strain`.
+        `cg.task`. With a task, give only `render_mode` and `strain` besides; the task
+        has the rest.
       robots: the arms in the order of the agents, by name or value, or one for all;
         None for the environment's own.
       render_mode: "rgb_array" lets `render` return pictures.
-      randomization: how starts are drawn, "paper", "hard" or a value; None for
-        "default".
+      randomization: how starts are drawn: a preset ("default", "paper", "wide", "hard",
+        "lost") or a value; None for "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
       **settings: `num_robots`, how many arms of one kind, or fields of its config.
 

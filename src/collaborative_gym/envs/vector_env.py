@@ -76,7 +76,7 @@ class VectorEnv:
 
     Attributes:
       world: the compiled world, which other environments may share.
-      task: the task, which knows it.
+      task: the task of these worlds.
       num_envs: how many worlds.
       agents: the agents' names.
       sides: the agents of each side, by its name: "side_1" and so on.

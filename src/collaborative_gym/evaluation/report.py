@@ -192,7 +192,7 @@ class Report:
 
     @property
     def at_goal(self) -> Statistic:
-        """Share of steps at the goal of the only side; where several, see `sides`."""
+        """Share of steps that the only side is at the goal; else see `sides`."""
         return self._score.at_goal
 
     @property

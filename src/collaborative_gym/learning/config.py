@@ -93,14 +93,15 @@ class Hyperparameters:
       initial_std: standard deviation of the action noise at first.
       initial_grip_std: standard deviation of its grip component.
       final_noise: PPO: share of the action noise at the end. The noise shrinks after
-        each rollout after which penalties grow; with 1 it stays as it is learned.
+        each rollout in which half of the episodes are completed. With 1, it does not
+        shrink.
       quiet_share: PPO: share of the total steps, at the end of the run, over which the
         noise shrinks; 0 for none.
-      grip_limit: greatest mean of a grip's command, 0 for no limit. With noise of half
-        this size a robot that holds a thing still finds out what letting go gains.
+      grip_limit: greatest mean of a grip's command, 0 for no limit. Noise of half this
+        size still makes a robot let go sometimes, so it learns what this gains.
       grip_persistence: share of the grip's noise that persists in the next action, from
         0 to below 1. Noise that opens a grip in single steps makes a robot drop what it
-        carries; noise that lasts tries long holds and long releases.
+        carries; lasting noise tries long holds and long releases.
       assistance: share of the weight of loose things that the simulator carries at
         first. It falls by 0.01 after each rollout in which half of the episodes are
         completed. Validations have none.
@@ -119,15 +120,15 @@ class Hyperparameters:
       range_penalty: penalty on joints at the ends of their ranges, from the beginning.
         In each control step a robot pays this times the mean square of how far its
         joints are in the outer tenth of their ranges.
-      action_penalty: PPO: penalty on actions, from the beginning. The loss has this
-        times the mean square of the policy's mean actions, without grips. A joint at
-        its torque limit moves no less if the policy asks for less, so rewards do not
-        teach that it asks for too much.
-      imitation: PPO: weight of the scripted expert's advice. The loss has this times
-        the mean square of the difference between the policy's mean actions and the
-        expert's in these worlds (as in Kickstarting, Schmitt et al. 2018, arXiv
-        1803.03835). Beside a partner or opponent that does not learn, its own policy
-        for the learner's place advises instead, if it has one.
+      action_penalty: PPO: penalty on actions, from the beginning. The loss includes
+        this weight times the mean square of the policy's mean actions, without grips. A
+        joint at its torque limit moves the same whether the policy asks for the limit
+        or for more, so the reward cannot teach the policy to ask for less.
+      imitation: PPO: weight of the scripted expert's advice. The loss includes this
+        weight times the mean squared difference between the expert's action and the
+        policy's mean action (as in Kickstarting, Schmitt et al. 2018, arXiv
+        1803.03835). If the partner or opponent is a fixed policy that can also play the
+        learner's seat, this policy advises instead of the expert.
       refined: 1 to split physics steps in which arms crash into short ones, as all
         other worlds do; 0 not to, which learns as well and is faster.
       delayed: share of the worlds in which each action comes one control step late;
@@ -136,20 +137,21 @@ class Hyperparameters:
         randomization `lost`), from which robots then learn to come back; never in
         validations. A task without mishaps refuses it.
       lost_grips: probability that a robot loses what it holds in a control step,
-        whatever its action; 0.005 means about once in an episode. So it learns to grip
-        again. Never in validations, and never a guest's.
+        whatever its action; 0.005 means about once in an episode. The robot thus learns
+        to grip again. This never happens in validations or to guests.
       missed_grips: probability that a robot that holds nothing fails to grip in a
-        control step, whatever its action. So it learns to bring its hand well within
-        reach and to keep it there. Never in validations, and never a guest's.
+        control step, whatever its action. The robot thus learns to bring its hand well
+        within reach and to keep it there. This never happens in validations or to
+        guests.
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
       league_self: share of the main policy's worlds in which it plays against itself
         (0.35 in AlphaStar's pseudocode, Vinyals et al. 2019, as the next numbers).
-      league_verify: share of its worlds in which it plays against exploiters, or former
-        versions of itself, that it does not beat, if there are any (0.15).
-      league_exploited: it verifies against an exploiter from which it gains less than
-        this share of the points (0.3).
+      league_verify: share of the main policy's worlds in which it plays against
+        exploiters, or former versions of itself, that it does not yet beat (0.15).
+      league_exploited: the main policy verifies against an exploiter if it gains less
+        than this share of the points from it (0.3).
       league_hopeless: an exploiter that gains less than this share of the points from
         the main policy plays former versions of it instead (0.1).
       league_win_rate: a member leaves a copy when it gains more than this share of the

@@ -215,7 +215,7 @@ def simulated(
 class Chains:
     """The kinematics of several arms of a world, in closed form.
 
-    They are many times as fast as `simulated`, and the same but for rounding. Arms with
+    They are many times as fast as MuJoCo's, and differ only by rounding. Arms with
     fewer joints than others get joints that move nothing.
 
     Attributes:

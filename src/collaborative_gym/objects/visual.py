@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 
 import mujoco
+import numpy as np
+
+_CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 
 _SEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 """Settings of a geom that is only seen."""
@@ -33,6 +36,15 @@ def add_visual(
     )
     if fromto is not None:
         geom.fromto = fromto
+
+
+def add_wire_path(
+    body: mujoco.MjsBody, points: np.ndarray, rgba: Sequence[float]
+) -> None:
+    """Add a closed line through points, (n, 3) in m."""
+    for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
+        ends = *start, *end
+        add_visual(body, _CAPSULE, size=(_WIRE,), rgba=rgba, fromto=ends)
 
 
 def add_wire_sphere(

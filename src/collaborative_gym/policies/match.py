@@ -20,7 +20,7 @@ def name_players(policy: AnyPolicy, sides: Sides) -> dict[str, str]:
         given = [policy[a] if isinstance(policy, Mapping) else policy for a in agents]
         names = [Path(name_policy(each)).name for each in given]
         if len(set(names)) > 1:
-            players[side] = " ".join(map("{}={}".format, agents, names))
+            players[side] = ", ".join(map("{} {}".format, agents, names))
         else:
             players[side] = f"{'+'.join(agents)} " * (len(sides) > 1) + names[0]
     return players

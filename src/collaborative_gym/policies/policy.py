@@ -52,22 +52,13 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
 
     Args:
       policy: one of these, or a dictionary with one for each agent, such as
-        `{"robot_1": "baseline", "robot_2": "runs/mine"}`: "baseline", the trained
-        policy that is shipped for `env`; an environment id, for the baseline of that
-        environment; "ego", the shipped one for some environments that has learned to
-        work with partners of many kinds; a path to a policy file, to the folder of a
-        training run, or to one of its players, as in "runs/league/main-3"; a path to a
-        network of another library in ONNX (`.onnx`), from the observations of the
-        robots side by side, in the order of the agents, to their actions; "expert", the
-        task's scripted expert, which looks at the state of the worlds and not at the
-        observations; "expert:late" and the like, the expert in another style ("late"
-        and "slow" for every task, and those of `Task.styles`); "random", uniform
-        actions, the same for an episode of a seed in any batch; "idle", "gripping" and
-        "frozen", which hold still with an open hand, one that closes on what it meets,
-        and what they hold; "limp" and "absent" for one agent, which the worlds'
-        randomization must name too (`evaluate` and other calls that make worlds see to
-        it); a function from observations to actions; or a model of Stable-Baselines3
-        that commands all robots.
+        `{"robot_1": "baseline", "robot_2": "runs/mine"}`: a name, such as "expert",
+        "baseline", "ego", "random", "idle" or an environment's id, of which
+        docs/concepts.md has a list; a path to a policy file, to the folder of a
+        training run or of one of its players ("runs/league/main-3"), or to a network in
+        ONNX (docs/clients.md); a function from observations to actions; or a model of
+        Stable-Baselines3 that commands all robots. "limp" and "absent" are for one
+        agent, whom the worlds' randomization must name too, as `evaluate` sees to.
       env: the environment to play: a `VectorEnv`, or an environment of this package
         under the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose
         observations and actions the policy then takes and returns. Without it, you can

@@ -28,7 +28,7 @@ from collaborative_gym.errors import (
 from collaborative_gym.math import Array
 from collaborative_gym.objects.pedestal import pedestal
 from collaborative_gym.objects.table import table
-from collaborative_gym.objects.visual import add_wire_sphere
+from collaborative_gym.objects.visual import add_wire_path, add_wire_sphere
 from collaborative_gym.robots.model_file import finger_bodies, fix_joints
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.collisions import exclude_grips, set_collisions, set_stops
@@ -40,6 +40,9 @@ from collaborative_gym.scene.look import dress
 from collaborative_gym.scene.surroundings import CAMERA, add_overview, add_surroundings
 from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import SIM_DT
+
+_GREEN, _BRIGHT = (0.0, 0.7, 0.2, 1.0), (0.75, 1.0, 0.35, 1.0)
+"""Colours of a goal and of the path on which it moves."""
 
 
 class Scene:
@@ -58,8 +61,8 @@ class Scene:
         things otherwise.
       arms: after `compile`, each agent's arm in the compiled arrays.
       hands: after `compile`, what holds things in hands; missing without grips.
-      postures: after `compile`, joint angles that each arm keeps to where actions leave
-        it open how it holds its tool, by agent, in rad; home if `setup` sets none.
+      postures: after `compile`, by agent, the joint angles in rad that an arm prefers
+        when actions fix only its tool's pose; home unless `setup` sets others.
     """
 
     hands: Hands
@@ -171,7 +174,7 @@ class Scene:
         self.tools.setdefault(agent, []).append(name)
 
     def add_target(
-        self, name: str, radius: float, *, rgba: Sequence[float] = (0.0, 0.7, 0.2, 1)
+        self, name: str, radius: float, *, rgba: Sequence[float] = _GREEN
     ) -> None:
         """Add a marker of a goal; `place` moves it and `Sim.pose` reads it.
 
@@ -185,11 +188,15 @@ class Scene:
         """
         self._check_free("name", name)
         radius = check_number("radius", radius, at_least=0.001, at_most=100.0)
-        body = self.spec.worldbody.add_body(name=name, mocap=True)
+        body = self._add_marker(name)
         add_wire_sphere(self.spec, body, radius, rgba)
         body.add_site(name=name)
         self.add_pose_sensor(name, name)
-        self._targets.append(name)
+
+    def add_path(self, name: str, points: np.ndarray) -> None:
+        """Add a closed line through points, (n, 3) in m, which `place` moves."""
+        self._check_free("name", name)
+        add_wire_path(self._add_marker(name), points, _BRIGHT)
 
     def add_grip(
         self,
@@ -395,6 +402,11 @@ class Scene:
             self.hands = self.grasp.resolve(self.grips, model, self.arms)
         self._mocap = {name: int(model.body(name).mocapid[0]) for name in self._targets}
         self._free = find_free(model, self._objects)
+
+    def _add_marker(self, name: str) -> mujoco.MjsBody:
+        """Add a body that `place` moves, and nothing else."""
+        self._targets.append(name)
+        return self.spec.worldbody.add_body(name=name, mocap=True)
 
     def _check_free(self, argument: str, name: str) -> None:
         """Raise unless an agent, object or target can have this name."""

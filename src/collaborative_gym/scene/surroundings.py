@@ -1,6 +1,7 @@
 """Floor, wall and light of every world."""
 
 import mujoco
+import numpy as np
 
 CAMERA = "overview"
 """The camera that every task adds, from which its pictures are taken."""
@@ -8,7 +9,7 @@ CAMERA = "overview"
 LARGEST = 1920, 1080
 """Largest width and height of an off-screen picture, in pixels."""
 
-_WALL = (0.70, 0.74, 0.79)
+_WALL = (0.80, 0.84, 0.88)
 
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
@@ -18,7 +19,7 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.78, 0.82, 0.86],
+        rgb1=[0.55, 0.66, 0.78],
         rgb2=_WALL,
         width=512,
         height=512,
@@ -28,8 +29,8 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         # Squares that differ more, or are smaller, flicker where they are far away.
-        rgb1=[0.475, 0.50, 0.535],
-        rgb2=[0.46, 0.485, 0.52],
+        rgb1=[0.40, 0.42, 0.45],
+        rgb2=[0.38, 0.40, 0.43],
         width=256,
         height=256,
     )
@@ -49,16 +50,16 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
 
 def _add_lights(spec: mujoco.MjSpec) -> None:
     # A lamp above the camera throws the shadows; weaker ones fill them.
-    for position, direction, diffuse in (
-        ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.5),
-        ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.25),
-        ((-3.0, 0.0, 3.0), (0.7, 0.0, -0.7), 0.15),
+    for position, direction, diffuse, tint in (
+        ((2.5, -2.0, 4.0), (-0.5, 0.4, -0.8), 0.7, (1.0, 0.95, 0.87)),
+        ((2.0, 3.0, 4.0), (-0.4, -0.6, -0.8), 0.2, (0.8, 0.9, 1.0)),
+        ((-3.0, 0.0, 3.0), (0.7, 0.0, -0.7), 0.2, (0.8, 0.9, 1.0)),
     ):
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=position,
             dir=direction,
-            diffuse=[diffuse] * 3,
+            diffuse=diffuse * np.array(tint),
             specular=[0.25] * 3,
             castshadow=diffuse > 0.4,
         )
@@ -68,13 +69,17 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     # Haze hides where the floor ends.
     visual.rgba.haze = [*_WALL, 1.0]
     light = visual.headlight
-    light.ambient, light.diffuse, light.specular = [0.38] * 3, [0.2] * 3, [0.05] * 3
+    light.ambient, light.diffuse, light.specular = (
+        [0.28, 0.29, 0.31],
+        [0.15] * 3,
+        [0.05] * 3,
+    )
     visual.global_.offwidth, visual.global_.offheight = LARGEST
     visual.quality.shadowsize, visual.quality.offsamples = 4096, 4
     visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.
-    visual.map.shadowclip, visual.map.znear = 3.0, 0.02
+    visual.map.shadowclip, visual.map.znear = 4.5, 0.02
 
 
 def add_overview(spec: mujoco.MjSpec) -> None:

@@ -56,7 +56,7 @@ class Sim(Protocol):
     The array attributes are live: reading them gives the state after the last call,
     writing all but `sensordata` sets that of the next. MuJoCo's names and units are
     kept. Velocities, positions and depths of contacts in `sensordata` are current after
-    every call; forces only after `feel`, and for those who judge steps.
+    every call; forces only after `feel`, and while a physics step is checked.
 
     Attributes:
       model: the compiled world.

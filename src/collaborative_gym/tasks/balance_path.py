@@ -55,6 +55,7 @@ from collaborative_gym.tasks.task import Blocks, Kept
 from collaborative_gym.timing import CONTROL_DT, SIM_DT
 
 _SMALLEST = 0.9  # share of the path's size
+_CORNERS = 60  # of the line that shows it
 _ROUNDS = (2.0, 1.0, 1.0)  # in a lap, along x, y and z
 _START = (0.0, 0.0, np.pi / 2)  # rad, so that the target turns highest at y = 0
 
@@ -107,6 +108,10 @@ class BalancePath(Balance):
     def build(self, scene: Scene) -> None:
         super().build(scene)
         scene.add_target("target", self.config.success_distance)
+        size = self.config.path_x, self.config.path_y, self.config.path_z
+        angles = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)[:, None]
+        drawn = (1 + _SMALLEST) / 2 * np.array(size)  # As large as paths on average.
+        scene.add_path("path", drawn * np.sin(angles * _ROUNDS + _START))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
@@ -136,6 +141,8 @@ class BalancePath(Balance):
         sim.memory["path"][env_ids] = sim.xp.asarray(path)
         start = self._at(sim, sim.time)[0][env_ids]
         self.scene.place(sim, env_ids, name="target", position=start)
+        middle = self._middle + sim.xp.asarray(moved)
+        self.scene.place(sim, env_ids, name="path", position=middle)
 
     def disturb(self, sim: Sim, steps: np.ndarray) -> None:
         super().disturb(sim, steps)

@@ -14,7 +14,8 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five are of the start; the others disturb it. No policy observes them.
+    first five define the start; the others disturb the episode. No policy observes what
+    is drawn.
 
     Attributes:
       joint_noise: of every arm joint, in rad.

@@ -134,7 +134,8 @@ class Task(Generic[ConfigT, FactsT]):
       gripping: whether actions have a grip component.
       config_class: the class of its settings.
       success_after: the goal counts as reached only after this many control steps.
-      success_for: and only when it has been met for this many of them in a row.
+      success_for: the goal counts as reached only once it has been met for this many
+        control steps in a row.
       styles: other ways of the expert, a sentence for each by its name.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
@@ -417,9 +418,9 @@ class Task(Generic[ConfigT, FactsT]):
         return self.xp.where(self.success(facts), 0.0, 1.0)
 
     def performing(self, facts: FactsT) -> Array | tuple[Array, ...] | None:
-        """Return in which worlds this step counts towards performance, as `success`.
+        """Return in which worlds this step counts towards performance, like `success`.
 
-        Return None, as here, if that is where the goal is reached.
+        None, as here, counts the steps at which the goal is reached.
         """
         return None
 

@@ -166,6 +166,8 @@ class Menu:
             episode=check_count("episode", int(parts.get("episode", ["0"])[0]), 0),
         )
         names, able = parts.get("policies", choice.policies), self.policies(choice)
+        if len(names) == 1:
+            names *= len(robots)
         if len(names) != len(robots):
             raise ValueError(
                 f"the link names {len(names)} policies for {len(robots)} robots"

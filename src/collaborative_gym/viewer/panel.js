@@ -29,6 +29,15 @@ if (!window.isKnown) {
     e.preventDefault();
     e.stopPropagation();  // So that an arrow does not turn the camera.
   }, true);
+  // Controls stay where they are while what is below them scrolls, but not on phones.
+  const fit = () => {
+    const tabs = document.querySelector("[role=tablist]"), below = tabs?.nextSibling;
+    if (!below || matchMedia("(max-width: 36em)").matches) return;
+    const room = innerHeight - tabs.getBoundingClientRect().bottom;
+    below.style = `max-height: ${room}px; overflow-y: auto`;
+  };
+  new ResizeObserver(fit).observe(document.querySelector(".goal").parentElement);
+  window.addEventListener("resize", fit);
   // Keys that move a slider do not move the camera.
   document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
   window.isKnown = true;

@@ -26,6 +26,12 @@ _COLORS = "#333", "#c22", "#17c", "#294", "#e50", "#64d", "#089", "#a15"
 _MIXED = "mixed"
 """Choice of a team whose members differ."""
 
+_POLICIES = (
+    "expert: scripted. baseline: trained for this. ego: trained for unknown partners."
+    " idle, gripping, limp, absent: arms that do not help."
+)
+"""What the names of policies mean."""
+
 _LONG = 30
 """Length of a value that the table breaks into lines."""
 
@@ -222,7 +228,7 @@ class Panel:
         )
         return [
             self._ask(arms, menu.robots, arm, menu.armed, *which),
-            self._ask(policies, able, policy, menu.led, *which),
+            self._ask(policies, able, policy, menu.led, *which, hint=_POLICIES),
         ]
 
     def _ask(
@@ -232,10 +238,11 @@ class Panel:
         value: str,
         change: Callable[..., Choice],
         *agents: int,
+        hint: str | None = None,
     ) -> Any:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
-        box = self._gui.add_dropdown(label, names, initial_value=value)
+        box = self._gui.add_dropdown(label, names, initial_value=value, hint=hint)
         _on_user(box, lambda name: self._take(lambda now: change(now, name, *agents)))
         return box
 

@@ -13,16 +13,16 @@ from collaborative_gym.policies import name_policy
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import surfaces
 
-_SKY, _FOG = (188, 199, 210), (125, 140, 155)
+_SKY, _FOG = (171, 190, 211), (150, 165, 180)
 """Colours of a page's sky and of its haze, which a page draws lighter, like the sky."""
 
-_HAZE = (15.0, 40.0)
+_HAZE = (20.0, 80.0)
 """Distances at which things begin to fade and have faded, in m."""
 
 _ABOVE = 0.2
 """Height of a label above its arm, in m."""
 
-_GAMMA = 2.0
+_GAMMA = 2.2
 """Exponent that keeps colours strong, since pages draw them lighter than MuJoCo."""
 
 _FORCE = (210, 40, 30)
@@ -159,7 +159,8 @@ class Stage:
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
-                title.text = f"{i + 1}{': success' if is_met else ''}"
+                mark = "\u25b8 " if i == session.world else ""  # This one is read.
+                title.text = f"{mark}{i + 1}{': success' if is_met else ''}"
             for agent, label in self._labels.items():
                 label.visible = names_arms
                 if names_arms:
