@@ -61,22 +61,20 @@ def check_task(
             try:
                 check(tested)
             except AssertionError as fault:
-                faults.append(str(fault))
+                follows = bool(faults) and check in _MAY_FOLLOW
+                faults.append("perhaps by the same fault, " * follows + str(fault))
             except Exception as error:
-                promise = str(check.__doc__).splitlines()[0]
-                faults.append(f"it failed in checking: {promise} ({error!r})")
                 errors.append(error)
+                told = f"{type(error).__name__} in a check: {error}"
+                faults += [told] * (told not in faults)
     finally:
         tested.close()
     name = type(tested.task).__name__
     listed = "\n".join(f"- {fault}" for fault in faults)
     if errors:
-        raise RuntimeError(
-            f"{name} fails in {len(errors)} checks, and breaks"
-            f" {len(faults) - len(errors)} promises:\n{listed}"
-        ) from errors[0]
+        raise RuntimeError(f"{name} fails check_task:\n{listed}") from errors[0]
     if faults:
-        raise AssertionError(f"{name} breaks {len(faults)} of its promises:\n{listed}")
+        raise AssertionError(f"{name} fails check_task:\n{listed}")
 
 
 def check_robot(
@@ -455,6 +453,9 @@ CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
     check_expert,
 )
 """Checks of `check_task`; each raises AssertionError with a remedy."""
+
+_MAY_FOLLOW = check_isolation, check_saving, check_measuring, check_expert
+"""Checks that also fail where rows are mixed or things are kept on the task."""
 
 
 def _check_finite(what: str, values: Any, steps: int, where: str) -> None:

@@ -354,7 +354,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),
         ("evaluate Carry --randomization none", "default, hard, lost, paper, wide"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
-        ("record Carry --output a.avi", ".gif, .mp4"),
+        ("record Carry --output a.avi", ".gif or .mp4"),
         ("certify", "environments to certify, or pass --all"),
         ("certify Cary", "did you mean 'Carry'?"),
         ("certify Carry --episodes 0", "episodes must be at least 1"),

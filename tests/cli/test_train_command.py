@@ -184,7 +184,7 @@ def test_a_killed_run_goes_on_as_if_nothing_had_been(curve, carry_id, tmp_path):
     assert not list(cut.glob(".*"))
 
 
-def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
+def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch, capsys):
     folder, totals = tmp_path / "run", []
     arguments = ["train", carry_id, "--output", str(folder), "--total-steps", "64"]
     assert main([*arguments, *TINY]) == 0
@@ -197,7 +197,10 @@ def test_resume_shows_the_runs_own_length(carry_id, tmp_path, monkeypatch):
     monkeypatch.setattr(Display, "__init__", made)
     resume = ["train", "--resume", str(folder), *THREADS]
     assert main(resume) == 0
+    complete = "the run was complete; to go on, give more --total-steps"
+    assert complete in capsys.readouterr().out
     assert main([*resume, "--total-steps", "96"]) == 0
+    assert complete not in capsys.readouterr().out
     assert totals == [(carry_id, 64), (carry_id, 96)]
     assert Checkpoint.load(folder / LAST).backend["steps"] == 96
 

@@ -96,7 +96,7 @@ def test_arms_in_step_go_at_the_pace_of_the_slowest(env):
         ({"robot_1": np.zeros((2, 8))}, "motion of robot_1 is of type ndarray"),
         (
             {"robot_1": Motion(np.zeros((2, 7)))},
-            "motion of robot_2 is of type NoneType",
+            "motion of robot_2 is missing",
         ),
         ({"robot_1": Motion(np.zeros((2, 8)))}, r"\(2, 8\), not \(2, 7\)"),
     ],

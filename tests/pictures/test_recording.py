@@ -298,7 +298,7 @@ def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
         seconds=1.0,
         size=SIZE,
     )
-    assert {text[7:] for text in named} == {"robot_1=idle robot_2=random", "expert"}
+    assert {text[7:] for text in named} == {"robot_1 idle, robot_2 random", "expert"}
     with Image.open(path) as video:
         assert video.size == (2 * SIZE[0], SIZE[1])
 
@@ -389,7 +389,7 @@ def test_contact_sheet_is_a_labelled_grid(tmp_path):
 
 
 def test_bad_input_says_what_is_allowed(carry, tmp_path):
-    with pytest.raises(ValueError, match=r"formats: .gif, .mp4"):
+    with pytest.raises(ValueError, match=r"end its name with .gif or .mp4"):
         recording.record(carry(), tmp_path / "a.mp3")
     with pytest.raises(ValueError, match="must be even, got 63 x 48"):
         recording.record(carry(), tmp_path / "a.mp4", size=(63, 48))

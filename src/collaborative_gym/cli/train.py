@@ -122,7 +122,7 @@ class Train(Worlds):
             return
         from collaborative_gym.learning.train import train
 
-        env, hyperparameters = self._what()
+        env, hyperparameters, done = self._what()
         result = train(
             self._task(env),
             self.mode,
@@ -135,28 +135,34 @@ class Train(Worlds):
         )
         total, update = hyperparameters.total_steps, hyperparameters.steps_per_update
         trained = math.ceil(total / update) * update
-        if trained > 1.01 * total:
+        if done >= total:
+            show("the run was complete; to go on, give more --total-steps")
+        elif trained > 1.01 * total:
             show(
                 f"trained {trained:,} steps, not {total:,}: an update takes {update:,}"
                 " steps, which are --num-envs times --rollout-steps"
             )
         show(f"wrote {result.folder / 'policy.safetensors'}")
 
-    def _what(self) -> tuple[str, Hyperparameters]:
-        """Return the environment and how to learn; a run that goes on knows its own."""
+    def _what(self) -> tuple[str, Hyperparameters, float]:
+        """Return the environment, how to learn, and the steps done so far.
+
+        A run that goes on knows them itself.
+        """
         from collaborative_gym.learning.checkpoint import Checkpoint
         from collaborative_gym.learning.folder import LAST
 
-        envs, own = self.envs, None
+        envs, own, done = self.envs, None, 0.0
         if self.resume is not None:
-            settings = Checkpoint.load(self.resume / LAST).settings
+            run = Checkpoint.load(self.resume / LAST)
+            settings, done = run.settings, run.rows[-1]["steps"]
             envs = envs or (settings.identity.name,)
             own = settings.hyperparameters
         if len(envs) != 1:
             raise ValueError("name environments to train, or pass --all")
         algorithm = self.algorithm or "ppo"
         usual = own or recipe(envs[0], algorithm, advised=self.advised)
-        return envs[0], replace(usual, **self._given())
+        return envs[0], replace(usual, **self._given()), done
 
     def _task(self, env: str) -> str | Task:
         """Return what to learn; without options, a run that goes on knows it itself."""

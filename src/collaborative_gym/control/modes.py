@@ -258,9 +258,11 @@ class ActionMode:
         for agent, arm in self.arms.items():
             motion = motions.get(agent) if isinstance(motions, Mapping) else motions
             if not isinstance(motion, Motion):
+                kind = type(motion).__name__
+                found = "missing" if motion is None else f"of type {kind}"
                 raise ValueError(
-                    f"the motion of {agent} is of type {type(motion).__name__}; return"
-                    " a Motion (joint changes, grips) for each agent"
+                    f"the motion of {agent} is {found}; return a Motion (joint changes,"
+                    " grips) for each agent"
                 )
             given, shape = motion.change.shape, (self._sim.num_envs, arm.num_joints)
             if given != shape:

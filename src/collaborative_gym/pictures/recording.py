@@ -23,7 +23,6 @@ from collaborative_gym.errors import (
     check_number,
     how_to_install,
     shown,
-    unknown,
 )
 from collaborative_gym.evaluation.play import OnProgress
 from collaborative_gym.files import naming, replacing
@@ -134,7 +133,7 @@ def record(
     suffix = output.suffix.lower()
     if suffix not in _FORMATS:
         raise ValueError(
-            f"cannot record to {output.name!r}: {unknown('format', suffix, _FORMATS)}"
+            f"cannot record to {output.name!r}; end its name with .gif or .mp4"
         )
     write, shots, usual = _FORMATS[suffix]
     speed = check_number("speed", speed, at_least=_SLOWEST, at_most=_FASTEST)

@@ -463,7 +463,7 @@ class Scene:
 
 def _check_child(name: str, child: mujoco.MjSpec) -> None:
     """Raise unless a model can be put into a scene."""
-    check_kind("child", child, mujoco.MjSpec, "an MjSpec")
+    check_kind(f"the child {name!r}", child, mujoco.MjSpec, "an MjSpec")
     if child.parent is not None:
         raise ValueError(
             f"the child given as {name!r} is in a scene already; call the function"

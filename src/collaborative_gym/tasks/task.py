@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 import numpy as np
 
 from collaborative_gym.control import ActionMode, Command, Motion, get_mode
-from collaborative_gym.errors import check_count, check_kind, look_up
+from collaborative_gym.errors import check_count, check_flag, check_kind, look_up
 from collaborative_gym.math import Array
 from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
@@ -205,7 +205,8 @@ class Task(Generic[ConfigT, FactsT]):
                 f"{type(self).__name__} has no mishap() after which episodes could"
                 ' begin; give another randomization, such as "default", or lost=0.0'
             )
-        if config.grasp != TaskConfig.grasp and not self.gripping:
+        gripping = check_flag(f"{type(self).__name__}.gripping", self.gripping)
+        if config.grasp != TaskConfig.grasp and not gripping:
             raise ValueError(
                 f"{type(self).__name__} has no grips, so grasp={config.grasp!r} would"
                 " change nothing; leave it out"
