@@ -155,7 +155,7 @@ class Train(Worlds):
         envs, own, done = self.envs, None, 0.0
         if self.resume is not None:
             run = Checkpoint.load(self.resume / LAST)
-            settings, done = run.settings, run.rows[-1]["steps"]
+            settings, done = run.settings, run.backend["steps"]
             envs = envs or (settings.identity.name,)
             own = settings.hyperparameters
         if len(envs) != 1:
