@@ -13,7 +13,7 @@ _MAX_GROUP = 2
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 """A geom of this colour takes its material's."""
 
-_FLOOR = 40.0
+_FLOOR = 60.0
 """Half width of the drawn part of an endless plane, in m."""
 
 _SQUARE = 1.0

@@ -13,10 +13,10 @@ from collaborative_gym.policies import name_policy
 from collaborative_gym.viewer.session import Session
 from collaborative_gym.viewer.shapes import surfaces
 
-_SKY, _FOG = (171, 190, 211), (150, 165, 180)
+_SKY, _FOG = (171, 190, 211), (165, 185, 208)
 """Colours of a page's sky and of its haze, which a page draws lighter, like the sky."""
 
-_HAZE = (20.0, 80.0)
+_HAZE = (30.0, 60.0)
 """Distances at which things begin to fade and have faded, in m."""
 
 _ABOVE = 0.2
