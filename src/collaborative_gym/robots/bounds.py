@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from collaborative_gym.robots.data import RobotData, robot_error
+from collaborative_gym.robots.data import RobotData
 
 _OWNERS = {
     "body": "body",
@@ -99,10 +99,9 @@ def _refuse(
     prefix, _, number = name.partition("_")
     owner = _OWNERS[prefix]
     whose = f"{owner} {_owner(model, prefix, index[0])!r}"
-    raise robot_error(
-        robot,
+    raise ValueError(
         f"in its model file {robot.model_file.name}, {number or 'qpos'} of {whose} must"
-        f" be {must}, got {getattr(model, name)[index]:g}",
+        f" be {must}, got {getattr(model, name)[index]:g}"
     )
 
 

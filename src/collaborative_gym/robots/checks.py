@@ -1,4 +1,4 @@
-"""Checks of an arm, when its value is made."""
+"""Checks of an arm, when its value is made; their callers add its name to errors."""
 
 from itertools import pairwise
 
@@ -7,13 +7,7 @@ import numpy as np
 
 from collaborative_gym.quiet import quiet
 from collaborative_gym.robots.bounds import check_numbers, check_places
-from collaborative_gym.robots.data import (
-    GRAVITY,
-    SLACK,
-    RobotData,
-    compile_error,
-    robot_error,
-)
+from collaborative_gym.robots.data import GRAVITY, SLACK, RobotData, compile_error
 
 _MOUNTING = 0.5  # greatest distance of base and first axis from the origin, over reach
 _REACHES = 0.6, 1.25  # least and greatest reach, over how far the tcp comes
@@ -85,11 +79,10 @@ def overlaps(robot: RobotData, model: mujoco.MjModel) -> tuple[tuple[str, str], 
                     "let them pass one another: <contact><exclude"
                     f' body1="{names[0]}" body2="{names[1]}"/></contact>'
                 )
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"its bodies {names[0]!r} and {names[1]!r} touch at home; give a home"
                 " where they do not, make their collision shapes smaller, or"
-                f" {remedy}",
+                f" {remedy}"
             )
         found.add(names)
     return tuple(sorted(found))
@@ -120,30 +113,26 @@ def _check_joints(robot: RobotData, model: mujoco.MjModel) -> None:
         kind = mujoco.mjtJoint(int(model.joint(name).type[0]))
         if kind != hinge and (kind != slide or name in robot.joints):
             given = kind.name.removeprefix("mjJNT_").lower()
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"joint {name!r} is a {given}; arm joints must be hinges (revolute),"
-                " those of fingers hinges or slides (prismatic)",
+                " those of fingers hinges or slides (prismatic)"
             )
     for name in robot.joints:
         low, high = model.joint(name).range
         if low > high:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"joint {name!r} has its range the wrong way round, {low:g} to"
-                f" {high:g}; give the lower end first",
+                f" {high:g}; give the lower end first"
             )
         if not model.joint(name).limited[0]:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"joint {name!r} has no range; give it one in the model file, two turns"
-                " (-6.2832 to 6.2832 rad) if it turns freely",
+                " (-6.2832 to 6.2832 rad) if it turns freely"
             )
         if max(-low, high) > _TURNS:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"joint {name!r} has the range {low:g} to {high:g}; give rad, not"
-                " degrees, and two turns (-6.2832 to 6.2832 rad) if it turns freely",
+                " degrees, and two turns (-6.2832 to 6.2832 rad) if it turns freely"
             )
 
 
@@ -156,11 +145,10 @@ def _check_ranges(robot: RobotData, model: mujoco.MjModel) -> None:
     for field, name, value in placed:
         low, high = model.joint(name).range
         if model.joint(name).limited[0] and not low - SLACK <= value <= high + SLACK:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"{field} puts joint {name!r} at {value:g}, outside of its range"
                 f" {low:g} to {high:g} in the model file; give angles in rad, not in"
-                " degrees, and lengths in m",
+                " degrees, and lengths in m"
             )
 
 
@@ -171,18 +159,16 @@ def _check_chain(robot: RobotData, model: mujoco.MjModel) -> None:
     tips.append(int(model.site(robot.tcp).bodyid[0]))
     for carrier, body in (*pairwise(chain), *((chain[-1], tip) for tip in tips)):
         if not _carries(model, carrier, body):
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"its body {model.body(body).name!r} is not carried by"
                 f" {model.body(carrier).name!r}; list joints from the base to the tool,"
-                " and choose a tcp and fingers beyond the last",
+                " and choose a tcp and fingers beyond the last"
             )
     places = [int(model.joint(name).qposadr[0]) for name in robot.joints]
     if places != list(range(places[0], places[0] + len(places))):
-        raise robot_error(
-            robot,
+        raise ValueError(
             "other joints come between those of the arm; in the model file, put"
-            " branches of the arm after the link that continues it",
+            " branches of the arm after the link that continues it"
         )
 
 
@@ -192,38 +178,34 @@ def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) ->
     points.append(data.site(robot.tcp).xpos)
     length = sum(np.linalg.norm(b - a) for a, b in pairwise(points))
     if length > _LONGEST:
-        raise robot_error(
-            robot,
+        raise ValueError(
             "in the model file the way along its joints to the tcp is"
-            f" {length:.0f} m long; give m, not mm",
+            f" {length:.0f} m long; give m, not mm"
         )
     far = _farthest(robot, model)
     if not _REACHES[0] * far <= robot.reach <= _REACHES[1] * far:
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"its reach is {robot.reach:g} m, but in the model file its tcp comes"
             f" {far:.2f} m away from the axis of its first joint; give the reach in m,"
-            " from the shoulder to the flange",
+            " from the shoulder to the flange"
         )
     base = data.xpos[model.body_rootid[model.site_bodyid[model.site(robot.tcp).id]]]
     # Where on its axis a joint has its anchor is the model file's choice.
     aside = _off_axis(data, model.joint(robot.joints[0]).id, np.zeros(3))
     for what, place in ("base", base), ("axis of the first joint", aside):
         if np.linalg.norm(place) > _MOUNTING * robot.reach:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"its {what} is {np.linalg.norm(place):.2f} m away from the origin of"
                 f" the model file, too far for a reach of {robot.reach:g} m; move the"
-                " base to the origin, its mounting plate at z = 0",
+                " base to the origin, its mounting plate at z = 0"
             )
     # Meshes of CAD programs often are in mm.
     radius = model.geom_rbound.max(initial=0.0)
     if radius > _BULKIEST * robot.reach:
         body = model.body(int(model.geom_bodyid[model.geom_rbound.argmax()])).name
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"a shape of its body {body!r} is {2 * radius:.0f} m wide;"
-            ' give m, not mm; a mesh in mm takes scale="0.001 0.001 0.001"',
+            ' give m, not mm; a mesh in mm takes scale="0.001 0.001 0.001"'
         )
 
 
@@ -254,12 +236,11 @@ def check_payload(robot: RobotData, pull: float) -> None:
     """
     weight = GRAVITY * robot.payload
     if min(robot.gripper.holding_force, pull) < weight:
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"its payload of {robot.payload:g} kg weighs {weight:.1f} N, but its"
             f" gripper's holding_force is {robot.gripper.holding_force:g} N, and its"
             f" greatest torque limit {max(robot.torque_limits):g} N m; correct the"
-            " one that is wrong",
+            " one that is wrong"
         )
 
 
@@ -283,11 +264,10 @@ def _check_tcp(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> 
     if length > 0.02 and along[2] < 0.5 * length:
         axis = int(np.abs(along).argmax())
         name = ("-" if along[axis] < 0 else "") + "xyz"[axis]
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"the z axis of its tcp {robot.tcp!r} must point along the approach, away"
             f" from the wrist, where now its {name} axis points; turn that frame in the"
-            " model file, or add one",
+            " model file, or add one"
         )
 
 
@@ -301,15 +281,13 @@ def _check_fingers(robot: RobotData, model: mujoco.MjModel) -> None:
         places.append((data.xipos[bodies] - tcp.xpos) @ tcp.xmat.reshape(3, 3))
     moved = np.abs(places[1] - places[0]).sum(axis=0)
     if moved[0] > moved[1]:
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"its fingers close along x of its tcp {robot.tcp!r}, but must close along"
-            " y; turn that frame about z by 90 degrees in the model file, or add one",
+            " y; turn that frame about z by 90 degrees in the model file, or add one"
         )
     spread = [np.ptp(place[:, 1]) for place in places]
     if spread[1] >= spread[0]:
-        raise robot_error(
-            robot,
+        raise ValueError(
             "its fingers move apart from gripper.open_position to"
-            " gripper.closed_position; swap the two",
+            " gripper.closed_position; swap the two"
         )

@@ -13,6 +13,7 @@ from collaborative_gym.errors import (
     check_number,
     check_numbers,
     check_word,
+    naming,
     told_by_mujoco,
     unknown,
 )
@@ -151,16 +152,11 @@ class RobotData:
         return {"pedestal": 1.0, "table": 0.65, "none": 0.0}[self.stand]
 
 
-def robot_error(robot: RobotData, what: str) -> ValueError:
-    """Return the error that says what is wrong with an arm, and what to change."""
-    return ValueError(f"robot {robot.name!r}: {what}")
-
-
 def compile_error(robot: RobotData, error: ValueError) -> Exception:
     """Return the error that says why MuJoCo cannot compile an arm's model."""
     file, told = robot.model_file.name, told_by_mujoco(error)
     kind = FileNotFoundError if "opening file" in told else ValueError
-    return kind(f"robot {robot.name!r}: MuJoCo cannot compile {file}: {told}")
+    return kind(f"MuJoCo cannot compile {file}: {told}")
 
 
 def _check_gripper(gripper: Gripper) -> None:
@@ -194,13 +190,14 @@ def _check_gripper(gripper: Gripper) -> None:
 
 def _check_values(robot: RobotData) -> None:
     """Raise ValueError if a value cannot be right whatever the model file holds."""
-    if robot.stand not in _STANDS:
-        raise robot_error(robot, unknown("stand", robot.stand, _STANDS))
-    count = len(robot.joints)
-    if not count or len(set(robot.joints)) < count:
-        raise robot_error(
-            robot, f"joints must name each arm joint once, got {robot.joints}"
-        )
+    who, count = f"robot {robot.name!r}", len(robot.joints)
+    with naming(who):
+        if robot.stand not in _STANDS:
+            raise ValueError(unknown("stand", robot.stand, _STANDS))
+        if not count or len(set(robot.joints)) < count:
+            raise ValueError(
+                f"joints must name each arm joint once, got {robot.joints}"
+            )
     optional = ("torque_limits", "armature", "damping", "stiffness")
     for name in ("home", "velocity_limits", *optional):
         values = getattr(robot, name)
@@ -208,10 +205,11 @@ def _check_values(robot: RobotData) -> None:
             continue
         if len(values) != count:
             raise ValueError(
-                f"robot {robot.name!r} has {count} joints but {len(values)} values in"
-                f" {name}; give one per joint"
+                f"{who} has {count} joints but {len(values)} values in {name}; give one"
+                " per joint"
             )
-        check_per_joint(robot, name)
+        with naming(who):
+            check_per_joint(robot, name)
 
 
 def check_per_joint(robot: RobotData, name: str) -> None:
@@ -220,10 +218,9 @@ def check_per_joint(robot: RobotData, name: str) -> None:
     hint = "; give rad/s, not degrees" if name == "velocity_limits" else ""
     for joint, value in zip(robot.joints, getattr(robot, name), strict=True):
         if not low <= value <= high:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"{name} of joint {joint!r} must be {low:g} to {high:g}{unit}, got"
-                f" {value:g}{hint}",
+                f" {value:g}{hint}"
             )
 
 

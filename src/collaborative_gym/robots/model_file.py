@@ -7,7 +7,7 @@ import numpy as np
 
 from collaborative_gym.errors import naming, told_by_mujoco, unknown
 from collaborative_gym.quiet import quiet
-from collaborative_gym.robots.data import SLACK, RobotData, compile_error, robot_error
+from collaborative_gym.robots.data import SLACK, RobotData, compile_error
 from collaborative_gym.robots.urdf import read_urdf
 
 _FINGER_INERTIA = 0.002
@@ -88,10 +88,10 @@ def _read(robot: RobotData) -> mujoco.MjSpec:
     path = robot.model_file
     if not path.is_file():
         raise FileNotFoundError(
-            f"robot {robot.name!r}: there is no model file {path}; model_file is the"
-            " path of an MJCF (.xml) or URDF (.urdf) file"
+            f"there is no model file {path}; model_file is the path of an MJCF (.xml)"
+            " or URDF (.urdf) file"
         )
-    with naming(f"robot {robot.name!r}: {path.name} cannot be loaded"), quiet():
+    with naming(f"{path.name} cannot be loaded"), quiet():
         if path.suffix.lower() == ".urdf":
             return read_urdf(path)
         if path.suffix.lower() != ".xml":
@@ -161,7 +161,7 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
     ):
         for name in wanted:
             if name not in names:
-                raise robot_error(robot, f"{file} has {unknown(kind, name, names)}")
+                raise ValueError(f"{file} has {unknown(kind, name, names)}")
     driven = {*robot.joints, *fingers}
     driven |= {eq.name1 for eq in spec.equalities if follows(eq, fingers)}
     for joint in spec.joints:
@@ -169,17 +169,15 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
             named = repr(joint.name)
             if not joint.name:
                 named = f"without a name, of body {joint.parent.name!r},"
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"{file} has a joint {named} that nothing would drive; name an arm's"
                 " in joints and a finger's by gripper=cg.Gripper(joints=...), or fix it"
-                ' (type="fixed" in URDF, no <joint> in MJCF)',
+                ' (type="fixed" in URDF, no <joint> in MJCF)'
             )
     if spec.worldbody.geoms:
-        raise robot_error(
-            robot,
+        raise ValueError(
             f"{file} has a geom {spec.worldbody.geoms[0].name!r} outside of all bodies;"
-            " leave floors out, and give the base a body for its geoms",
+            " leave floors out, and give the base a body for its geoms"
         )
 
 

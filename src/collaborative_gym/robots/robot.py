@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
+from collaborative_gym.errors import naming
 from collaborative_gym.robots.checks import check_payload, compile_alone, overlaps
 from collaborative_gym.robots.data import RobotData, check_per_joint, freeze
 from collaborative_gym.robots.model_file import load_model
@@ -68,15 +69,16 @@ class Robot(RobotData):
     def __post_init__(self) -> None:
         super().__post_init__()
         spec = self.spec()
-        if not self.torque_limits:
-            freeze(self, torque_limits=torque_limits(self, spec))
-            check_per_joint(self, "torque_limits")
-        pull = _HOLDING * max(self.torque_limits) / self.reach
-        if not self.gripper.holding_force:
-            freeze(self, gripper=replace(self.gripper, holding_force=pull))
-        model = compile_alone(self, spec)
-        check_payload(self, pull)
-        freeze(self, _overlaps=overlaps(self, model))
+        with naming(f"robot {self.name!r}"):
+            if not self.torque_limits:
+                freeze(self, torque_limits=torque_limits(self, spec))
+                check_per_joint(self, "torque_limits")
+            pull = _HOLDING * max(self.torque_limits) / self.reach
+            if not self.gripper.holding_force:
+                freeze(self, gripper=replace(self.gripper, holding_force=pull))
+            model = compile_alone(self, spec)
+            check_payload(self, pull)
+            freeze(self, _overlaps=overlaps(self, model))
         if not (self.armature and self.damping):
             armature, damping = gains(self, model)
             freeze(self, armature=armature, damping=self.damping or damping)
@@ -85,7 +87,8 @@ class Robot(RobotData):
 
     def spec(self) -> mujoco.MjSpec:
         """Return the arm's model, fresh for every caller to edit."""
-        spec = load_model(self)
+        with naming(f"robot {self.name!r}"):
+            spec = load_model(self)
         for first, second in self._overlaps:
             spec.add_exclude(bodyname1=first, bodyname2=second)
         return spec

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.robots.checks import at_home
-from collaborative_gym.robots.data import RobotData, robot_error
+from collaborative_gym.robots.data import RobotData
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE, SIM_DT
 
 _RISE = 0.02
@@ -32,11 +32,10 @@ def torque_limits(robot: RobotData, spec: mujoco.MjSpec) -> tuple[float, ...]:
         low, high = spec.joint(name).actfrcrange
         limits.append(float(min(-low, high)))
         if not limits[-1] > 0:
-            raise robot_error(
-                robot,
+            raise ValueError(
                 f"its model file has no torque limit for joint {name!r}; pass"
                 ' torque_limits, or give it in the file (<limit effort="..."> in URDF,'
-                " actuatorfrcrange of the joint or forcerange of its actuator in MJCF)",
+                " actuatorfrcrange of the joint or forcerange of its actuator in MJCF)"
             )
     return tuple(limits)
 
