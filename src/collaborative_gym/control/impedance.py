@@ -6,14 +6,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from collaborative_gym.control import modes
 from collaborative_gym.control.drives import Gains, Servo
-from collaborative_gym.control.modes import (
-    Command,
-    Commands,
-    Encoded,
-    Motion,
-    register_mode,
-)
 from collaborative_gym.control.tcp import TcpChanges
 from collaborative_gym.math import Array
 from collaborative_gym.scene import Scene
@@ -59,11 +53,11 @@ class Impedance(TcpChanges):
         # The task asks of any worlds, so nothing is kept.
         return self._servos[agent].torques(sim, self._gains(sim)[agent])
 
-    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
+    def moves(self, motions: Mapping[str, modes.Motion]) -> modes.Encoded:
         self._soften()
         return super().moves(motions)
 
-    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+    def drive(self, controls: Array, commands: Mapping[str, modes.Command]) -> None:
         self._soften()
         gain, bias = self._numbers
         for agent, arm in self.arms.items():
@@ -95,7 +89,7 @@ class Impedance(TcpChanges):
 
 
 @dataclass(frozen=True)
-class _Stiffened(Command):
+class _Stiffened(modes.Command):
     stiffness: Array
 
 
@@ -118,16 +112,16 @@ class ImpedanceStiffness(Impedance):
     def num_moves(self, agent: str) -> int:
         return super().num_moves(agent) + 1
 
-    def commands(self, actions: Mapping[str, Array]) -> Commands:
+    def commands(self, actions: Mapping[str, Array]) -> modes.Commands:
         shares = {agent: self.split(own)[0][:, -1] for agent, own in actions.items()}
         commands = super().commands(actions).items()
         return {a: _Stiffened(own.moves, own.grips, shares[a]) for a, own in commands}
 
-    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
+    def moves(self, motions: Mapping[str, modes.Motion]) -> modes.Encoded:
         moves, most = super().moves(motions)
         return {a: np.pad(rows, ((0, 0), (0, 1))) for a, rows in moves.items()}, most
 
-    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+    def drive(self, controls: Array, commands: Mapping[str, modes.Command]) -> None:
         for i, command in enumerate(commands.values()):
             assert isinstance(command, _Stiffened)
             self._sim.userdata[:, self._first + i] = command.stiffness
@@ -147,5 +141,5 @@ def _inertias(scene: Scene, model: mujoco.MjModel) -> np.ndarray:
     return np.diag(full)
 
 
-register_mode("impedance", Impedance)
-register_mode("impedance_stiffness", ImpedanceStiffness)
+modes.register_mode("impedance", Impedance)
+modes.register_mode("impedance_stiffness", ImpedanceStiffness)

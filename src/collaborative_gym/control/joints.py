@@ -5,14 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from array_api_compat import array_namespace
 
+from collaborative_gym.control import modes
 from collaborative_gym.control.drives import Servo, add_fingers, add_servos, lost_load
-from collaborative_gym.control.modes import (
-    ActionMode,
-    Command,
-    Encoded,
-    Motion,
-    register_mode,
-)
 from collaborative_gym.math import Array
 from collaborative_gym.robots.data import GRAVITY
 from collaborative_gym.scene import Scene
@@ -20,7 +14,7 @@ from collaborative_gym.sim.sim import EnvIds, Sim
 from collaborative_gym.timing import CONTROL_DT
 
 
-class ServoMode(ActionMode):
+class ServoMode(modes.ActionMode):
     """Modes with a `Servo` for each joint; they say by how much an action turns it."""
 
     servo = Servo  # the class of an arm's servos
@@ -40,7 +34,7 @@ class ServoMode(ActionMode):
         for servo in self._servos.values():
             servo.hold(self._sim, env_ids)
 
-    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+    def drive(self, controls: Array, commands: Mapping[str, modes.Command]) -> None:
         for agent, servo in self._servos.items():
             change = commands[agent].moves * servo.full * CONTROL_DT
             servo.command(self._sim, controls, change)
@@ -57,7 +51,7 @@ class ServoMode(ActionMode):
             parts.append(servo.yields(before[..., own], speed[..., own], dt, env_ids))
         return array_namespace(speed).concat(parts, axis=-1)
 
-    def _borne(self, agent: str, motion: Motion) -> np.ndarray:
+    def _borne(self, agent: str, motion: modes.Motion) -> np.ndarray:
         """Return a motion's change, and what makes up for a load that servos let go."""
         if not np.any(motion.mass):
             return motion.change
@@ -71,7 +65,7 @@ class ServoMode(ActionMode):
 class JointChanges(ServoMode):
     """A change of each joint's angle, as a share of the largest in one control step."""
 
-    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
+    def moves(self, motions: Mapping[str, modes.Motion]) -> modes.Encoded:
         moves = {
             agent: self._borne(agent, motions[agent]) / arm.stride
             for agent, arm in self.arms.items()
@@ -79,4 +73,4 @@ class JointChanges(ServoMode):
         return moves, {agent: np.abs(each).max(axis=1) for agent, each in moves.items()}
 
 
-register_mode("joints", JointChanges)
+modes.register_mode("joints", JointChanges)

@@ -8,14 +8,8 @@ import mujoco
 import numpy as np
 from array_api_compat import array_namespace
 
+from collaborative_gym.control import modes
 from collaborative_gym.control.drives import add_fingers
-from collaborative_gym.control.modes import (
-    ActionMode,
-    Command,
-    Encoded,
-    Motion,
-    register_mode,
-)
 from collaborative_gym.errors import check_number
 from collaborative_gym.math import Array
 from collaborative_gym.quiet import quiet
@@ -44,7 +38,7 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # all that decides a world's 
 _FEEDFORWARD = 4  # MuJoCo's bit for a motor's only input, a torque
 
 
-class Torques(ActionMode):
+class Torques(modes.ActionMode):
     """A torque of each joint, as a share of its limit, held over the control step.
 
     The mode compensates gravity of the arm's links and fingers, as torque control of
@@ -69,7 +63,7 @@ class Torques(ActionMode):
                 scene.spec.body(f"{agent}/{body.name}").gravcomp = 1.0
             add_fingers(scene.spec, agent, robot)
 
-    def drive(self, controls: Array, commands: Mapping[str, Command]) -> None:
+    def drive(self, controls: Array, commands: Mapping[str, modes.Command]) -> None:
         for agent, arm in self.arms.items():
             torque = commands[agent].moves * self._motors[agent].limit
             controls[:, :, arm.servos] = torque[:, None]
@@ -90,7 +84,7 @@ class Torques(ActionMode):
         return array_namespace(speed).concat(parts, axis=-1)
 
     def encode(
-        self, motions: Mapping[str, Motion], pace: float = 1.0
+        self, motions: Mapping[str, modes.Motion], pace: float = 1.0
     ) -> dict[str, np.ndarray]:
         pace = check_number("pace", pace, at_least=0.0, at_most=1.0)
         self._check_motions(motions)
@@ -107,7 +101,7 @@ class Torques(ActionMode):
             slowed[agent] = replace(motion, change=share * motion.change)
         return super().encode(slowed)
 
-    def moves(self, motions: Mapping[str, Motion]) -> Encoded:
+    def moves(self, motions: Mapping[str, modes.Motion]) -> modes.Encoded:
         """Return torques by inverse dynamics, clipped; see `ActionMode.moves`."""
         sim, moves = self._sim, {}
         felt = [self._felt(i, state) for i, state in enumerate(sim.get_state())]
@@ -208,4 +202,4 @@ class _Motors:
         return self._steep * low, self._steep * high
 
 
-register_mode("torques", Torques)
+modes.register_mode("torques", Torques)

@@ -15,13 +15,7 @@ from ray.tune.registry import register_env as register_with_ray
 
 from collaborative_gym.envs.pettingzoo import ByAgent, PettingZooEnv
 from collaborative_gym.math import Array
-from collaborative_gym.tasks.registry import (
-    EnvSpec,
-    get_env,
-    list_envs,
-    make_task,
-    register_env,
-)
+from collaborative_gym.tasks import registry
 from collaborative_gym.tasks.task import Task
 
 
@@ -84,17 +78,18 @@ def register_envs() -> None:
 
     Call it again after registering environments of your own.
     """
-    for env_id in list_envs():
-        register_with_ray(env_id, partial(_make, get_env(env_id)))
+    for env_id in registry.list_envs():
+        register_with_ray(env_id, partial(_make, registry.get_env(env_id)))
 
 
-def _make(spec: EnvSpec, settings: Mapping[str, Any]) -> RLlibEnv:
+def _make(spec: registry.EnvSpec, settings: Mapping[str, Any]) -> RLlibEnv:
     # Another process of Ray does not know what was registered in this one.
-    if spec.env_id not in list_envs():
-        register_env(spec)
+    if spec.env_id not in registry.list_envs():
+        registry.register_env(spec)
     options = {**settings}
     render_mode = options.pop("render_mode", None)
-    return RLlibEnv(make_task(spec.env_id, **options), render_mode, spec.env_id)
+    task = registry.make_task(spec.env_id, **options)
+    return RLlibEnv(task, render_mode, spec.env_id)
 
 
 register_envs()

@@ -15,17 +15,10 @@ from skrl.resources.preprocessors.torch import RunningStandardScaler
 from torch import nn
 
 from collaborative_gym.blocks import Layout, SetColumns
+from collaborative_gym.learning import networks
 from collaborative_gym.learning.casting import Casting
 from collaborative_gym.learning.collector import ActorState, Rollout
 from collaborative_gym.learning.config import Hyperparameters
-from collaborative_gym.learning.networks import (
-    LOG_STD_LIMITS,
-    MEMORY,
-    Actor,
-    Bounded,
-    TeamNetwork,
-    perceptron,
-)
 from collaborative_gym.learning.team import Learner
 from collaborative_gym.policies.network import OBSERVATION_LIMIT, NetworkPolicy, Weights
 
@@ -62,7 +55,7 @@ class SkrlLearner(ABC):
             "action_space": Box(-1.0, 1.0, (learner.action_size(layout),), np.float32),
         }
         self._seen = tuple(learner.seen(layout).values())
-        actor = Actor(learner, layout, hyperparameters)
+        actor = networks.Actor(learner, layout, hyperparameters)
         self._policy = Policy(actor, hyperparameters, device, self._spaces)
         self._agent = self._make_agent()
         self._agent.init()
@@ -186,13 +179,13 @@ class Policy(GaussianMixin, Model):
 
     def __init__(
         self,
-        actor: Actor,
+        actor: networks.Actor,
         hyperparameters: Hyperparameters,
         device: str,
         spaces: Mapping[str, Box],
     ):
         Model.__init__(self, device=device, **spaces)
-        low, high = LOG_STD_LIMITS
+        low, high = networks.LOG_STD_LIMITS
         GaussianMixin.__init__(self, min_log_std=low, max_log_std=high)
         self.actor = actor
         self._entropy = hyperparameters.entropy
@@ -207,7 +200,7 @@ class Policy(GaussianMixin, Model):
             both = given["taken_actions"].tensor_split([self.num_actions], dim=1)
             given["taken_actions"], self._advice = both
         actions, outputs = super().act(given, role=role)
-        return Bounded.apply(actions), outputs
+        return networks.Bounded.apply(actions), outputs
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         """Return mean actions, and the logarithm of their standard deviation."""
@@ -253,9 +246,9 @@ class Critic(DeterministicMixin, Model):
         size = sum(widths[name] for name in names)
         sets = [(width, at) for width, at in seen if at is not None]
         if sets:
-            self.net = TeamNetwork(sets, 1, hyperparameters)
+            self.net = networks.TeamNetwork(sets, 1, hyperparameters)
         else:
-            self.net = perceptron(size, 1, hyperparameters, gain=1.0)
+            self.net = networks.perceptron(size, 1, hyperparameters, gain=1.0)
 
     def compute(self, inputs: Mapping[str, torch.Tensor], role: str = ""):
         """Return the value of each row."""
@@ -301,7 +294,7 @@ class Scaler(RunningStandardScaler):
             mean, variance = _pooled(mean, variance, at)
         super()._parallel_variance(mean, variance, count)
         self.seen = self.seen + count
-        most = (self.seen / 2.0).clamp(min=MEMORY)
+        most = (self.seen / 2.0).clamp(min=networks.MEMORY)
         self.current_count = torch.minimum(self.current_count, most)
 
 

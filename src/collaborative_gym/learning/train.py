@@ -5,12 +5,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Unpack
 
-from collaborative_gym.errors import (
-    check_callback,
-    check_flag,
-    check_kind,
-    how_to_install,
-)
+from collaborative_gym import errors
 
 try:
     import skrl  # noqa: F401  # Shows here what is missing.
@@ -18,7 +13,7 @@ try:
 except ImportError as error:
     raise ImportError(
         f"training needs {error.name}, which is not installed;"
-        f" {how_to_install('train')}"
+        f" {errors.how_to_install('train')}"
     ) from error
 
 from collaborative_gym.evaluation.machine import cores
@@ -83,8 +78,8 @@ def train(
     """
     interval = take_interval(options)
     resources = _checked(options.pop("resources", None))
-    check_callback("on_row", on_row)
-    progress = check_flag("progress", progress)
+    errors.check_callback("on_row", on_row)
+    progress = errors.check_flag("progress", progress)
     if output is not None and resume is not None:
         raise ValueError("give either output, for a new run, or resume")
     with ExitStack() as stack:
@@ -126,7 +121,7 @@ def train(
 def _checked(resources: Resources | None) -> Resources:
     """Return the resources, if torch has the device."""
     resources = Resources() if resources is None else resources
-    check_kind("resources", resources, Resources, "Resources(...)")
+    errors.check_kind("resources", resources, Resources, "Resources(...)")
     try:
         kind = torch.device(resources.device).type
     except RuntimeError:
@@ -139,7 +134,7 @@ def _checked(resources: Resources | None) -> Resources:
 
 
 def _folder(name: str, given: str | Path) -> Path:
-    check_kind(name, given, (str, Path), "a folder's name")
+    errors.check_kind(name, given, (str, Path), "a folder's name")
     if not str(given) or "\0" in str(given):
         raise ValueError(f"{name} must be a folder's name, got {given!r}")
     return Path(given)

@@ -11,14 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from collaborative_gym.motion.loads import (
-    Positions,
-    Way,
-    from_base,
-    greatest_load,
-    mounted_way,
-    rounded,
-)
+from collaborative_gym.motion import loads
 from collaborative_gym.objects.pot import GRIP_RADIUS
 from collaborative_gym.robots import Robot
 from collaborative_gym.robots.data import GRAVITY
@@ -48,7 +41,7 @@ _GREATEST_SHARE = 0.65  # greatest share of the pot's weight on one handle
 class Weighing:
     """Loads of arms. Tuples have an entry for each arm."""
 
-    ways: tuple[Way, ...]  # of their handles, with approaches in the world frame
+    ways: tuple[loads.Way, ...]  # of their handles, with approaches in the world frame
     fewer: tuple[float, ...]  # kg that the others hold near the target without it
     together: float  # kg that all can hold all the way to the target
     shares: tuple[float, ...]  # of the pot's weight on each handle
@@ -102,9 +95,9 @@ def weigh(
     for robot, placement, line, held in zip(
         robots, placements, ends, grasps, strict=True
     ):
-        [middle] = from_base(placement, target[None])
-        ways.append(mounted_way(robot, placement, line).at_most(IN_MOTION * held))
-        lifted = greatest_load(robot, _places(np.array(middle), radius))
+        [middle] = loads.from_base(placement, target[None])
+        ways.append(loads.mounted_way(robot, placement, line).at_most(IN_MOTION * held))
+        lifted = loads.greatest_load(robot, _places(np.array(middle), radius))
         alone.append(min(lifted, held))
     first, second = (way.load for way in ways)
     # The contents lie nearer to the stronger arm, but still inside the pot.
@@ -117,7 +110,7 @@ def weigh(
     return Weighing(tuple(ways), tuple(alone[::-1]), together, shares, (0.0, balance))
 
 
-def _places(target: np.ndarray, radius: float) -> Positions:
+def _places(target: np.ndarray, radius: float) -> loads.Positions:
     """Return where one arm, at the origin, would hold a pot that counts as lifted.
 
     The pot hangs from its handle, on the near side of the ball around the target.
@@ -129,4 +122,4 @@ def _places(target: np.ndarray, radius: float) -> Positions:
         target + radius * (np.cos(a) * nearer + np.sin(a) * up) + GRIP_RADIUS * up
         for a in np.radians([-60.0, -30.0, 0.0, 30.0, 60.0])
     ]
-    return rounded(np.array(places))
+    return loads.rounded(np.array(places))

@@ -4,12 +4,7 @@ import numpy as np
 
 from collaborative_gym import math
 from collaborative_gym.math import Array
-from collaborative_gym.motion.solver import (
-    joint_change,
-    rotation_error,
-    tcp_jacobian,
-    without_spin,
-)
+from collaborative_gym.motion import solver
 from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
@@ -62,11 +57,11 @@ def reach(
     """
     position, orientation = goal
     missing = shortened(position - tcp[0], _FARTHEST)
-    turn = shortened(rotation_error(tcp[1], orientation), 3 * _FARTHEST)
-    jacobian = tcp_jacobian(sim, arm, tcp[0])
+    turn = shortened(solver.rotation_error(tcp[1], orientation), 3 * _FARTHEST)
+    jacobian = solver.tcp_jacobian(sim, arm, tcp[0])
     error = np.concatenate([missing, turn], axis=1)
     if orientation.shape[-1] == 3:
-        jacobian, error = without_spin(jacobian, error, math.axis_z(tcp[1]))
+        jacobian, error = solver.without_spin(jacobian, error, math.axis_z(tcp[1]))
     size = np.maximum(math.norm(missing), math.norm(turn) / 3)
     share = _REACHING * np.minimum(1.0, size / _NEAR)
     change = _with_posture(sim, arm, jacobian, error, posture, share)
@@ -95,7 +90,7 @@ def _with_posture(
     low, high = arm.joint_range
     nullspace = np.clip(share[:, None] * (posture - angle), -arm.stride, arm.stride)
     room = low - angle, high - angle
-    return joint_change(jacobian, error, nullspace=nullspace, room=room)
+    return solver.joint_change(jacobian, error, nullspace=nullspace, room=room)
 
 
 def standoff(

@@ -12,15 +12,9 @@ from collaborative_gym.envs.gymnasium import SingleAgent
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import UnknownName, check_flag, look_up, shown, unknown
 from collaborative_gym.math import Array
+from collaborative_gym.policies import scripted
 from collaborative_gym.policies.network import NetworkPolicy
 from collaborative_gym.policies.onnx import SUFFIX, OnnxNetwork
-from collaborative_gym.policies.scripted import (
-    RandomPolicy,
-    expert_policy,
-    frozen_policy,
-    gripping_policy,
-    idle_policy,
-)
 from collaborative_gym.tasks.registry import disturbed, find_env, list_envs
 from collaborative_gym.tasks.task import Task
 
@@ -207,7 +201,7 @@ def commanding(
         if policy in STATES:
             _check_state(policy, agents, env)
         style = _style(policy)
-        return expert_policy(env, style) if style else _BY_ENV[policy](env)
+        return scripted.expert_policy(env, style) if style else _BY_ENV[policy](env)
     if isinstance(policy, OnnxNetwork):
         return policy.commanding(agents, env)
     if isinstance(policy, NetworkPolicy):
@@ -378,17 +372,17 @@ def _joined(policy: Policy, env: VectorEnv) -> Callable[[np.ndarray], np.ndarray
 
 
 _BY_ENV: dict[str, Callable[[VectorEnv], Policy]] = {
-    "expert": expert_policy,
-    "random": RandomPolicy,
-    "idle": idle_policy,
-    "gripping": gripping_policy,
-    "frozen": frozen_policy,
+    "expert": scripted.expert_policy,
+    "random": scripted.RandomPolicy,
+    "idle": scripted.idle_policy,
+    "gripping": scripted.gripping_policy,
+    "frozen": scripted.frozen_policy,
 }
 
 SCRIPTED = tuple(_BY_ENV)
 """Names of every task's policies."""
 
-STATES = {"limp": gripping_policy, "absent": idle_policy}
+STATES = {"limp": scripted.gripping_policy, "absent": scripted.idle_policy}
 """Policies of arms in a state that no action puts them into, but the randomization."""
 
 _BY_ENV |= STATES

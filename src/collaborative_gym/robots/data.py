@@ -7,16 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from collaborative_gym.errors import (
-    check_kind,
-    check_name,
-    check_number,
-    check_numbers,
-    check_word,
-    naming,
-    told_by_mujoco,
-    unknown,
-)
+from collaborative_gym import errors
 
 _STANDS = ("pedestal", "table", "none")  # what an arm can stand on
 _FASTEST = 30.0  # rad/s; joint speeds above this, five turns a second, are degrees
@@ -70,7 +61,7 @@ class Gripper:
         freeze(self, joints=_names(self.joints))
         for each in fields(self)[1:]:
             given = getattr(self, each.name)
-            value = check_number(each.name, given, at_least=-1e6, at_most=1e6)
+            value = errors.check_number(each.name, given, at_least=-1e6, at_most=1e6)
             freeze(self, **{each.name: value})
         _check_gripper(self)
 
@@ -87,7 +78,7 @@ class Gripper:
 
     def position(self, gap: float) -> float:
         """Return the joint position at which the fingers are `gap` metres apart."""
-        gap = check_number("gap", gap)
+        gap = errors.check_number("gap", gap)
         if not self.joints:
             return self.open_position
         gap = min(max(gap, self.closed_gap), self.open_gap)
@@ -121,13 +112,13 @@ class RobotData:
     )
 
     def __post_init__(self) -> None:
-        check_word("name", self.name)
-        check_kind("model_file", self.model_file, (str, Path), "a path")
-        check_kind("title", self.title, str, "a string")
-        check_kind("gripper", self.gripper, Gripper, "a Gripper")
-        check_name("tcp", self.tcp)
+        errors.check_word("name", self.name)
+        errors.check_kind("model_file", self.model_file, (str, Path), "a path")
+        errors.check_kind("title", self.title, str, "a string")
+        errors.check_kind("gripper", self.gripper, Gripper, "a Gripper")
+        errors.check_name("tcp", self.tcp)
         if self.look is not None:
-            check_kind("look", self.look, (str, Path), "a path")
+            errors.check_kind("look", self.look, (str, Path), "a path")
             freeze(self, look=Path(self.look).absolute())
         freeze(
             self,
@@ -138,10 +129,12 @@ class RobotData:
         )
         who = f"robot {self.name!r}: "
         for name in _PER_JOINT:
-            values = check_numbers(who + name, getattr(self, name))
+            values = errors.check_numbers(who + name, getattr(self, name))
             freeze(self, **{name: values})
         for name in ("payload", "reach"):
-            value = check_number(who + name, getattr(self, name), above=0, at_most=1e4)
+            value = errors.check_number(
+                who + name, getattr(self, name), above=0, at_most=1e4
+            )
             freeze(self, **{name: value})
         _check_values(self)
 
@@ -154,7 +147,7 @@ class RobotData:
 
 def compile_error(robot: RobotData, error: ValueError) -> Exception:
     """Return the error that says why MuJoCo cannot compile an arm's model."""
-    file, told = robot.model_file.name, told_by_mujoco(error)
+    file, told = robot.model_file.name, errors.told_by_mujoco(error)
     kind = FileNotFoundError if "opening file" in told else ValueError
     return kind(f"MuJoCo cannot compile {file}: {told}")
 
@@ -191,9 +184,9 @@ def _check_gripper(gripper: Gripper) -> None:
 def _check_values(robot: RobotData) -> None:
     """Raise ValueError if a value cannot be right whatever the model file holds."""
     who, count = f"robot {robot.name!r}", len(robot.joints)
-    with naming(who):
+    with errors.naming(who):
         if robot.stand not in _STANDS:
-            raise ValueError(unknown("stand", robot.stand, _STANDS))
+            raise ValueError(errors.unknown("stand", robot.stand, _STANDS))
         if not count or len(set(robot.joints)) < count:
             raise ValueError(
                 f"joints must name each arm joint once, got {robot.joints}"
@@ -208,7 +201,7 @@ def _check_values(robot: RobotData) -> None:
                 f"{who} has {count} joints but {len(values)} values in {name}; give one"
                 " per joint"
             )
-        with naming(who):
+        with errors.naming(who):
             check_per_joint(robot, name)
 
 
@@ -231,7 +224,7 @@ def freeze(value: Any, **contents: Any) -> None:
 
 
 def _names(given: Sequence[str]) -> tuple[str, ...]:
-    check_kind("joints", given, (tuple, list), "a sequence of names")
+    errors.check_kind("joints", given, (tuple, list), "a sequence of names")
     for name in given:
-        check_name("each of joints", name)
+        errors.check_name("each of joints", name)
     return tuple(given)

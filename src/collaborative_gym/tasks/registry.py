@@ -7,18 +7,7 @@ from typing import Any
 
 import gymnasium
 
-from collaborative_gym.errors import (
-    UnknownOption,
-    check_count,
-    check_kind,
-    check_name,
-    check_word,
-    counted,
-    look_up,
-    look_up_registered,
-    shown,
-    unknown,
-)
+from collaborative_gym import errors
 from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots import Robot, get_robot
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
@@ -52,7 +41,7 @@ def register_task(name: str, task: type[Task]) -> None:
     Raises:
       ValueError: if the name is taken, or not one word.
     """
-    check_word("name", name)
+    errors.check_word("name", name)
     _check_task(task)
     if name in _TASKS:
         raise ValueError(f"task {name!r} is registered already")
@@ -66,13 +55,13 @@ def register_env(spec: EnvSpec) -> None:
     Raises:
       ValueError: if the id is taken, or not of the form `Name-v0`.
     """
-    check_kind("environment", spec, EnvSpec, "an EnvSpec")
-    check_name("the id", spec.env_id)
+    errors.check_kind("environment", spec, EnvSpec, "an EnvSpec")
+    errors.check_name("the id", spec.env_id)
     _check_task(spec.task)
-    check_kind("robots", spec.robots, (tuple, list), "a sequence of names")
+    errors.check_kind("robots", spec.robots, (tuple, list), "a sequence of names")
     for robot in spec.robots:
-        check_name("each of robots", robot)
-    check_kind("settings", spec.settings, Mapping, "a dictionary")
+        errors.check_name("each of robots", robot)
+    errors.check_kind("settings", spec.settings, Mapping, "a dictionary")
     if not re.fullmatch(r"([\w:.-]+/)?[\w:.-]+-v\d+", spec.env_id):
         raise ValueError(
             f"environment id {spec.env_id!r} is not a name and a version, as in"
@@ -121,7 +110,7 @@ def get_env(env_id: str) -> EnvSpec:
     Raises:
       KeyError: if there is none of that id.
     """
-    return look_up("environment", env_id, _ENVS)
+    return errors.look_up("environment", env_id, _ENVS)
 
 
 def find_env(task: Task) -> str | None:
@@ -166,7 +155,7 @@ def make_task(
         name: EnvSpec(name, task, ("panda",) * task.robot_counts[0])
         for name, task in _TASKS.items()
     }
-    spec = look_up_registered("environment", name, {**_ENVS, **tasks})
+    spec = errors.look_up_registered("environment", name, {**_ENVS, **tasks})
     arms = _arms(spec, robots, num_robots)
     is_own = robots is None and num_robots is None
     remedy = "; name as many in its EnvSpec" if is_own else ""
@@ -187,7 +176,7 @@ def _check_number(
     """Raise ValueError if a task takes another number of robots."""
     counts = task.robot_counts
     if len(arms) not in counts:
-        given = counted(arm.name for arm in arms)
+        given = errors.counted(arm.name for arm in arms)
         numbers = " or ".join(map(str, counts))
         if len(counts) > 2:
             numbers = f"{min(counts)} to {max(counts)}"
@@ -208,13 +197,13 @@ def _arms(
     # The order of a set would be chance.
     if isinstance(chosen, bytes) or not isinstance(chosen, Sequence):
         raise TypeError(
-            f"robots must be a name, or a sequence of names, got {shown(chosen)}"
+            f"robots must be a name, or a sequence of names, got {errors.shown(chosen)}"
         )
     arms = tuple(get_robot(robot) for robot in chosen)
     count = usual if num_robots is None else num_robots
     if count is None:
         return arms
-    check_count("num_robots", count, 1, 100)
+    errors.check_count("num_robots", count, 1, 100)
     if any(arm != arms[0] for arm in arms):
         raise ValueError(
             f"num_robots={count} needs one kind of robot, got"
@@ -274,14 +263,14 @@ def resized(task: Task, count: int) -> Task:
 
 def _check_task(task: Any) -> None:
     if not (isinstance(task, type) and issubclass(task, Task)):
-        raise TypeError(f"task must be a subclass of Task, got {shown(task)}")
+        raise TypeError(f"task must be a subclass of Task, got {errors.shown(task)}")
     kind = task.config_class
     # Without a decorator of its own, it would have the fields of its base alone.
     is_config = isinstance(kind, type) and issubclass(kind, TaskConfig)
     if not is_config or "__dataclass_params__" not in vars(kind):
         raise TypeError(
             f"{task.__name__}.config_class must be a dataclass derived from TaskConfig,"
-            f" with @dataclass(frozen=True) above it, got {shown(kind)}"
+            f" with @dataclass(frozen=True) above it, got {errors.shown(kind)}"
         )
 
 
@@ -290,8 +279,8 @@ def _configure(task: type[Task], settings: dict[str, Any]):
     for option in settings:
         if option not in valid:
             names = [*valid, "robots"]
-            wrong = unknown("option", option, names)
-            raise UnknownOption(f"{task.__name__} has {wrong}")
+            wrong = errors.unknown("option", option, names)
+            raise errors.UnknownOption(f"{task.__name__} has {wrong}")
     return task.config_class(**settings)
 
 
@@ -302,5 +291,5 @@ def _randomization(
         return given
     a = "a preset's name, or a value such as Randomization(joint_noise=0.1)"
     preset = "default" if given is None else given
-    check_kind("randomization", preset, str, a)
-    return look_up("randomization", preset, presets)
+    errors.check_kind("randomization", preset, str, a)
+    return errors.look_up("randomization", preset, presets)

@@ -11,16 +11,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from collaborative_gym import errors
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import (
-    check_callback,
-    check_count,
-    check_flag,
-    check_kind,
-    look_up,
-    naming,
-    shown,
-)
 from collaborative_gym.evaluation.play import (
     OnProgress,
     parts_of,
@@ -148,10 +140,11 @@ def tournament(
         of the pairings, the task has one robot, or the folder has pairings of something
         else or a damaged file; says what differs.
     """
-    episodes, seed = check_count("episodes", episodes, at_least=1), check_seed(seed)
-    check_callback("on_pairing", on_pairing)
-    check_callback("on_progress", on_progress)
-    any_env = check_flag("any_env", any_env)
+    episodes = errors.check_count("episodes", episodes, at_least=1)
+    seed = check_seed(seed)
+    errors.check_callback("on_pairing", on_pairing)
+    errors.check_callback("on_progress", on_progress)
+    any_env = errors.check_flag("any_env", any_env)
     task = as_task(env)
     world = VectorEnv(task, worlds_for(episodes, num_envs), num_threads=num_threads)
     with closing(world):
@@ -178,15 +171,9 @@ def tournament(
                     on_pairing(played)
             if part is not None:
                 part(1.0)
+    found = tuple(filter(None, pairings))
     return Tournament(
-        world.task.name,
-        settings,
-        all_seats,
-        turns,
-        names,
-        tuple(filter(None, pairings)),
-        kinds,
-        left_out,
+        task.name, settings, all_seats, turns, names, found, kinds, left_out
     )
 
 
@@ -204,14 +191,15 @@ def _seats(env: VectorEnv) -> dict[str, tuple[str, ...]]:
 def _turns(seats: Any, all_seats: Mapping[str, Any]) -> tuple[str, ...]:
     if isinstance(seats, str):
         seats = (seats,)
-    check_kind("seats", seats, Sequence, '"all", or names of seats')
+    errors.check_kind("seats", seats, Sequence, '"all", or names of seats')
     if tuple(seats) == ("all",):
         return tuple(all_seats)
     for seat in seats:
-        look_up("seat", seat, all_seats)
+        errors.look_up("seat", seat, all_seats)
     if not seats or len(set(seats)) < len(seats):
         raise ValueError(
-            f'seats must be "all", or names of some, each once, got {shown(seats)}'
+            'seats must be "all", or names of some, each once, got'
+            f" {errors.shown(seats)}"
         )
     return tuple(seats)
 
@@ -226,14 +214,15 @@ def _groups(groups: Any, names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
                 folders.setdefault(str(run.parent), []).append(name)
         folders.pop(".", None)
         return {k: tuple(runs) for k, runs in folders.items() if len(runs) > 1}
-    check_kind("groups", groups, Mapping, "a dictionary of players' names")
+    errors.check_kind("groups", groups, Mapping, "a dictionary of players' names")
     for kind, runs in groups.items():
         if isinstance(runs, str) or not isinstance(runs, Sequence) or len(runs) < 2:
             raise ValueError(
-                f"groups[{kind!r}] must list two players or more, got {shown(runs)}"
+                f"groups[{kind!r}] must list two players or more, got"
+                f" {errors.shown(runs)}"
             )
         for run in runs:
-            look_up("player", run, dict.fromkeys(names))
+            errors.look_up("player", run, dict.fromkeys(names))
     return {str(kind): tuple(runs) for kind, runs in groups.items()}
 
 
@@ -310,7 +299,7 @@ class _Kept:
     def __init__(self, folder: str | Path | None, settings: Mapping[str, Any]):
         self._folder, self._settings = None, settings
         if folder is not None:
-            check_kind("output", folder, (str, Path), "a folder's name")
+            errors.check_kind("output", folder, (str, Path), "a folder's name")
             self._folder = Path(folder) / PAIRINGS
             check_writable(self._folder / "any.json")
 
@@ -399,7 +388,7 @@ def enter(
         if not 0 < len(name) <= _LONGEST_NAME:
             raise ValueError(
                 "a player's name, which its policy gives or you, must have 1 to"
-                f" {_LONGEST_NAME} letters, got {shown(name)}"
+                f" {_LONGEST_NAME} letters, got {errors.shown(name)}"
             )
     return [_enter(name, policy, env, any_env) for name, policy in named.items()]
 
@@ -407,7 +396,7 @@ def enter(
 def _enter(name: str, policy: AnyPolicy, env: VectorEnv, any_env: bool) -> Player:
     policies: dict[str, Any] = {}
     marks: dict[str, str | None] = {}
-    with naming(f"player {name!r}"):
+    with errors.naming(f"player {name!r}"):
         for given, agents in group_agents(policy, env):
             own = read_policy(given, env)
             if isinstance(own, NetworkPolicy):
