@@ -36,7 +36,7 @@ the board starts at 0.95 m.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar
 
@@ -63,15 +63,8 @@ from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
-from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import (
-    Blocks,
-    Task,
-    TaskConfig,
-    Terms,
-    columns,
-    face_to_face,
-)
+from collaborative_gym.tasks.settings import bounded, filled
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along a board of two
 _TEAM_BALL_START = np.array([0.3, 0.3])  # m, along a round one
@@ -136,9 +129,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
     expert = player.expert
 
     def _take(self, config: BalanceConfig) -> None:
-        if config.egocentric is None:
-            config = replace(config, egocentric=len(self.agents) > 2)
-        super()._take(config)
+        super()._take(filled(config, egocentric=len(self.agents) > 2))
 
     def mounts(self) -> tuple[Placement, ...]:
         """Return bases 0.7 of each reach behind the handles, facing the middle."""
@@ -292,7 +283,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         if self.config.egocentric:
             return {agent: self._seen_by(agent, facts) for agent in self.agents}
         blocks = {
-            **columns("joints", facts.joints),
+            **teams.columns("joints", facts.joints),
             "ball": math.pose(*facts.ball),
             "ball linear velocity": facts.ball_velocity[0],
             "ball angular velocity": facts.ball_velocity[1],
@@ -350,8 +341,8 @@ def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-_SAWYERS = {"push": 10.0, "placements": face_to_face((1.8, 1.8), (1.0, 1.0))}
-_WITH_JACO = {"placements": face_to_face((1.4, 1.8), (0.65, 1.0))}
+_SAWYERS = {"push": 10.0, "placements": teams.face_to_face((1.8, 1.8), (1.0, 1.0))}
+_WITH_JACO = {"placements": teams.face_to_face((1.4, 1.8), (0.65, 1.0))}
 register_task("Balance", Balance)
 register_env(EnvSpec("BalanceTaskSawyers-v0", Balance, ("sawyer", "sawyer"), _SAWYERS))
 register_env(

@@ -86,25 +86,15 @@ from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import lift as player
 from collaborative_gym.tasks.experts.lift import START
 from collaborative_gym.tasks.holding import start_holding
+from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.registry import (
     EnvSpec,
     register_env,
     register_task,
     register_teams,
 )
-from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import (
-    LEVEL,
-    Blocks,
-    Kept,
-    Randomization,
-    Task,
-    TaskConfig,
-    Terms,
-    columns,
-    face_to_face,
-    presets,
-)
+from collaborative_gym.tasks.settings import bounded, filled
+from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
 
 _TABLE_HEIGHT = 0.64  # m
 _STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
@@ -205,12 +195,9 @@ class Lift(Task[LiftConfig, LiftFacts]):
     def _take(self, config: LiftConfig) -> None:
         """Take settings, with those that are None set by the number of arms."""
         count = len(self.agents)
-        names = "success_radius", "success_tilt", "egocentric"
-        usual = zip(
-            names, (*_SUCCESS.get(count, _TEAM_SUCCESS), count > 2), strict=True
-        )
-        missing = {n: value for n, value in usual if getattr(config, n) is None}
-        super()._take(replace(config, **missing))
+        radius, tilt = _SUCCESS.get(count, _TEAM_SUCCESS)
+        own = {"success_radius": radius, "success_tilt": tilt, "egocentric": count > 2}
+        super()._take(filled(config, **own))
         self.handles = handle_places(count)
 
     def mounts(self) -> tuple[Placement, ...]:
@@ -400,10 +387,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
         handles = {agent: math.pose(*pose) for agent, pose in facts.handles.items()}
         tcps = {agent: math.pose(*pose) for agent, pose in facts.tcps.items()}
         blocks = {
-            **columns("joints", facts.joints),
-            **columns("gripping", grips),
-            **columns("handle", handles),
-            **columns("tcp", tcps),
+            **teams.columns("joints", facts.joints),
+            **teams.columns("gripping", grips),
+            **teams.columns("handle", handles),
+            **teams.columns("tcp", tcps),
             "pot": math.pose(*facts.pot),
             "target": facts.target,
         }
@@ -473,7 +460,7 @@ _SAWYERS = {
     "picking_threshold": 0.02,
 }
 _JACOS = {
-    "placements": face_to_face((0.9, 0.9), (0.65, 0.6)),
+    "placements": teams.face_to_face((0.9, 0.9), (0.65, 0.6)),
     "target": (0.0, 0.0, 1.2),
     "picking_threshold": 0.04,
 }

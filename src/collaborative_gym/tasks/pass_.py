@@ -57,7 +57,7 @@ the mean share of arms that waited, as in Lift.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -72,38 +72,19 @@ from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import handing, teams
 from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
-from collaborative_gym.tasks.handing import (
-    GIVING,
-    PICKING,
-    TAKING,
-    Row,
-    either_way,
-    handed_on,
-    of,
-    own_thing,
-    stand_in_row,
-)
+from collaborative_gym.tasks.handing import GIVING, PICKING, TAKING, either_way, of
+from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.registry import (
     EnvSpec,
     register_env,
     register_task,
     register_teams,
 )
-from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import (
-    LEVEL,
-    Blocks,
-    Kept,
-    Randomization,
-    Task,
-    TaskConfig,
-    Terms,
-    columns,
-    presets,
-)
-from collaborative_gym.tasks.teams import MOST_MATES, Frames, alike, fine, hands_block
+from collaborative_gym.tasks.settings import bounded, filled
+from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
@@ -181,7 +162,7 @@ class Pass(Task[PassConfig, PassFacts]):
       thresholds: by agent, the greatest distance at which it can grip a cube, in m.
     """
 
-    robot_counts = range(2, MOST_MATES + 2)
+    robot_counts = range(2, teams.MOST_MATES + 2)
     gripping = True
     randomizations = presets(Randomization(joint_noise=0.1))
     config_class = PassConfig
@@ -203,21 +184,16 @@ class Pass(Task[PassConfig, PassFacts]):
         cubes = 2 if relay and count >= _ARMS_FOR_TWO else 1
         steps = max(200, _STEPS_PER_ARM * (count + cubes - 1) if relay else 0)
         radius = 0.06 if relay else 0.12
-        usual = (
-            ("relay", relay),
-            ("max_episode_steps", steps),
-            ("success_radius", radius),
-        )
-        missing = {name: each for name, each in usual if getattr(config, name) is None}
-        super()._take(replace(config, **missing))
+        usual = {"max_episode_steps": steps, "success_radius": radius, "relay": relay}
+        super()._take(filled(config, **usual))
         names = ("cube", "target"), ("cube_2", "target_2")
         self.cubes, self._goals = zip(*names[:cubes], strict=True)
 
     def mounts(self) -> tuple[Placement, ...]:
-        return stand_in_row(self.robots.values())
+        return handing.stand_in_row(self.robots.values())
 
     def build(self, scene: Scene) -> None:
-        self._row = row = Row(self.robots, self.placements, _CUBE_SIZE)
+        self._row = row = handing.Row(self.robots, self.placements, _CUBE_SIZE)
         row.add_to(scene)
         config, first, last = self.config, self.agents[0], self.agents[-1]
         aside = [_APART * i for i in range(len(self.cubes))]
@@ -245,7 +221,7 @@ class Pass(Task[PassConfig, PassFacts]):
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
-        self._frames = Frames(self.placements)
+        self._frames = teams.Frames(self.placements)
         across = [place.position[1] for place in self.placements.values()]
         spots = [self.cube_start, *(np.array([1.2, y, 1.3]) for y in across[1:])]
         self.meetings = self._row.meetings(spots)
@@ -353,14 +329,15 @@ class Pass(Task[PassConfig, PassFacts]):
             for a in agents
         }
         holds = {agent: xp.any(held, axis=1) for agent, held in grips.items()}
-        memory["handed"] = handed = handed_on(memory["handed"], [*grips.values()])
+        handed = handing.handed_on(memory["handed"], [*grips.values()])
+        memory["handed"] = handed
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
         near = ~is_held & (to_targets < self.config.success_radius)
         put = near & (handed == len(agents)) & self._lies(sim, places, targets)
         own, to_cube, to_next = [], {}, {}
         for i, agent in enumerate(agents):
             follows = handed > i + 1 if i + 1 < len(agents) else put
-            own.append(own_thing(grips[agent], follows))
+            own.append(handing.own_thing(grips[agent], follows))
             place = of(places, own[i])
             to_cube[agent] = math.distance(tcp[agent][0], place)
             if i + 1 < len(agents):
@@ -398,8 +375,8 @@ class Pass(Task[PassConfig, PassFacts]):
         hands = {agent: math.pose(*pose) for agent, pose in facts.tcp.items()}
         places, quats = facts.cubes
         shared = {
-            **columns("end effector", hands),
-            **columns("gripping", grips),
+            **teams.columns("end effector", hands),
+            **teams.columns("gripping", grips),
             "cube": math.pose(places[:, 0], quats[:, 0]),
             "target": facts.targets[:, 0],
         }
@@ -414,17 +391,17 @@ class Pass(Task[PassConfig, PassFacts]):
         if i < len(self.meetings):
             goal = goal * 0.0 + xp.asarray(self.meetings[i], dtype=goal.dtype)
         gaps = {
-            mate: fine(math.distance(there, own[0])[:, None])
+            mate: teams.fine(math.distance(there, own[0])[:, None])
             for mate, (there, _) in facts.tcp.items()
         }
-        mates = hands_block(frames, agent, tcps=facts.tcp, grips=grips, more=gaps)
+        mates = teams.hands_block(frames, agent, tcps=facts.tcp, grips=grips, more=gaps)
         return {
-            "joints": alike(facts.joints[agent]),
+            "joints": teams.alike(facts.joints[agent]),
             "gripping": grips[agent],
             "tcp": math.pose(*frames.pose(agent, tcp)),
             "cube": math.pose(*frames.pose(agent, (own[0], own[1]))),
-            "to_cube": fine(frames.direction(agent, own[0] - tcp[0])),
-            "to_goal": fine(frames.direction(agent, goal - own[0])),
+            "to_cube": teams.fine(frames.direction(agent, own[0] - tcp[0])),
+            "to_goal": teams.fine(frames.direction(agent, goal - own[0])),
             "cubes left": self._left(i, facts)[:, None] / len(self.cubes),
             "mates": mates,
         }
@@ -440,14 +417,14 @@ class Pass(Task[PassConfig, PassFacts]):
             is_last = i == len(self.meetings)
             onwards = facts.to_target if is_last else facts.to_next[agent]
             far = xp.minimum(onwards, farthest)
-            handing = gone if is_last else gone | (far < config.handover_threshold)
+            passes = gone if is_last else gone | (far < config.handover_threshold)
             grip = xp.where(command.grips, zero + 0.1, zero)
             incentive = xp.where(near < self.thresholds[agent], grip, zero)
             terms[agent] = {
                 # Near the next hand, letting go never costs an arm anything.
-                "reach": xp.where(handing, zero + 0.2, -near),
+                "reach": xp.where(passes, zero + 0.2, -near),
                 "carry" if is_last else "handover": xp.where(gone, zero, -far),
-                "grip": xp.where(handing, -grip, incentive),
+                "grip": xp.where(passes, -grip, incentive),
                 "effort": -0.01 * math.norm(command.moves),
                 "success": arrived,
             }

@@ -46,23 +46,11 @@ from collaborative_gym.scene import Arm, Placement, Scene
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import poke as player
-from collaborative_gym.tasks.experts.poke import (
-    DONUT,
-    DONUT_AHEAD,
-    STICK,
-    STICK_AHEAD,
-    WAIT,
-)
+from collaborative_gym.tasks.experts.poke import DONUT, DONUT_AHEAD, STICK, STICK_AHEAD
 from collaborative_gym.tasks.holding import start_holding
+from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
-from collaborative_gym.tasks.task import (
-    Blocks,
-    Randomization,
-    Task,
-    TaskConfig,
-    Terms,
-    presets,
-)
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
 _SUCCESS_DISTANCE = 0.09  # m
 _INSIDE_DISTANCE, _INSIDE_COSINE = 0.065, 0.2  # m, and of the angle to the plane
@@ -155,7 +143,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         self.postures[STICK] = solve_pose(
             sim.model,
             scene.arms[STICK],
-            goal=(place - WAIT * into, into),
+            goal=(place - player.WAIT * into, into),
             start=self.postures[STICK],
         )
         # The stick's orientation in the ring's frame there.

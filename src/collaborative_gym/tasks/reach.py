@@ -64,18 +64,10 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import reach as player
 from collaborative_gym.tasks.experts.reach import approach
+from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.registry import register_task, register_teams
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import (
-    LEVEL,
-    Blocks,
-    Kept,
-    Randomization,
-    Task,
-    TaskConfig,
-    Terms,
-    presets,
-)
+from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
 
 _STARTS = Randomization(target_position=0.15)
 

@@ -1,6 +1,6 @@
 """Numbers that a setting may have."""
 
-from dataclasses import field, fields
+from dataclasses import field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,12 @@ from collaborative_gym.errors import check_count, check_flag, check_number
 def bounded(default: float | None, at_least: float, at_most: float) -> Any:
     """Return a field of settings: a number in bounds, or None if it is None."""
     return field(default=default, metadata={"at_least": at_least, "at_most": at_most})
+
+
+def filled(settings: Any, **usual: Any) -> Any:
+    """Return settings with the usual value of each of these that is None."""
+    missing = {n: own for n, own in usual.items() if getattr(settings, n) is None}
+    return replace(settings, **missing)
 
 
 def check_settings(settings: Any) -> None:

@@ -1,7 +1,6 @@
 """The base of tasks: a world to build, facts to measure, rewards and a goal."""
 
 import difflib
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -100,21 +99,6 @@ def name_agents(count: int) -> tuple[str, ...]:
 def named_facts(facts: Any) -> Mapping[str, Any]:
     """Return a task's facts by their names, or none if they have no names."""
     return facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
-
-
-def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
-    """Return one array of each agent as blocks, such as "robot_1 joints"."""
-    return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
-
-
-def face_to_face(
-    distances: Sequence[float], heights: Sequence[float]
-) -> tuple[Placement, Placement]:
-    """Return bases, at these distances (m) along -y and +y, that face each other."""
-    return (
-        Placement((0.0, -distances[0], heights[0]), math.pi / 2),
-        Placement((0.0, distances[1], heights[1]), -math.pi / 2),
-    )
 
 
 ConfigT = TypeVar("ConfigT", bound=TaskConfig)

@@ -1,4 +1,4 @@
-"""Observations in teams of any size: a robot's own frame, and its team as a set."""
+"""What teams of all sizes need: places, blocks, own frames, and a team as a set."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -35,6 +35,11 @@ _TALL = 0.7  # m, of an arm at work in a picture
 _SLOPES, _MARGINS = (0.35, 0.9), (0.25, 0.1)  # of a pair, and of a team; m around it
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
+
+
+def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
+    """Return one array of each agent as blocks, such as "robot_1 joints"."""
+    return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
 
 
 def alike(joints: Array) -> Array:
@@ -130,6 +135,16 @@ def around(
         yaw = angle - np.pi if angle > 0.0 else angle + np.pi
         placements.append(Placement((x, y, heights[i]), yaw))
     return tuple(placements)
+
+
+def face_to_face(
+    distances: Sequence[float], heights: Sequence[float]
+) -> tuple[Placement, Placement]:
+    """Return bases, at these distances (m) along -y and +y, that face each other."""
+    return (
+        Placement((0.0, -distances[0], heights[0]), np.pi / 2),
+        Placement((0.0, distances[1], heights[1]), -np.pi / 2),
+    )
 
 
 def add_stand(scene: Scene, agent: str, placement: Placement) -> None:

@@ -70,7 +70,7 @@ from collaborative_gym.tasks.experts import tug as player
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, face_to_face
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
 
 _CENTRE = np.array([0.0, 0.0, 1.0])
 """Where the bar's middle starts, at the height of all arms' shoulders, in m."""
@@ -150,7 +150,7 @@ class Tug(Task[TugConfig, TugFacts]):
     def mounts(self) -> tuple[Placement, ...]:
         """Return arms face to face, their shoulders at the height of the bar."""
         far = [LENGTH / 2 + _FAR * robot.reach for robot in self.robots.values()]
-        return face_to_face(far, [float(_CENTRE[2] - SHOULDER[2])] * 2)
+        return teams.face_to_face(far, [float(_CENTRE[2] - SHOULDER[2])] * 2)
 
     def build(self, scene: Scene) -> None:
         self._check_placements()
