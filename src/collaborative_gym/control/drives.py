@@ -45,10 +45,18 @@ def add_servos(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         robot.joints, robot.torque_limits, robot.stiffness, robot.damping, strict=True
     )
     for name, torque, stiffness, damping in rows:
-        joint, bias = f"{agent}/{name}", (0.0, -stiffness, -damping)
-        servo = _add(spec, joint, joint, bias, (-torque, torque))
-        servo.gainprm = [stiffness] + [0.0] * 9
-        servo.dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+        spec.add_actuator(
+            name=f"{agent}/{name}",
+            target=f"{agent}/{name}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+            gainprm=[stiffness] + [0.0] * 9,
+            biasprm=[0.0, -stiffness, -damping] + [0.0] * 7,
+            forcelimited=True,
+            forcerange=(-torque, torque),
+        )
 
 
 def add_fingers(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
@@ -67,27 +75,6 @@ def add_fingers(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
         finger.set_to_position(kp=force / FULL, dampratio=1.0)
         finger.forcelimited = True
         finger.forcerange = [-force, force]
-
-
-def _add(
-    spec: mujoco.MjSpec,
-    joint: str,
-    name: str,
-    bias: tuple[float, float, float],
-    torques: tuple[float, float],
-) -> mujoco.MjsActuator:
-    """Add what turns a joint by a bias, as MuJoCo's manual defines it."""
-    return spec.add_actuator(
-        name=name,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        gainprm=[0.0] * 10,
-        biasprm=[*bias] + [0.0] * 7,
-        forcelimited=True,
-        forcerange=torques,
-    )
 
 
 Gains = tuple[Array, Array]

@@ -56,11 +56,7 @@ def check_episodes(episodes: Any, count: int) -> np.ndarray:
             f"episodes has shape {first.shape}; give one index for each of the"
             f" {count} worlds"
         )
-    if (
-        first.dtype.kind not in "iu"
-        or (first < 0).any()
-        or (first > _LAST_EPISODE).any()
-    ):
+    if first.dtype.kind not in "iu" or ((first < 0) | (first > _LAST_EPISODE)).any():
         raise ValueError(
             f"episodes are counted 0, 1, 2 ... up to 2**62; got {shown(first.tolist())}"
         )

@@ -51,11 +51,8 @@ class Disturbances:
         self._shakes = feels > 0 and any(getattr(bounds, name) for name in _OF_WRISTS)
         self.has_noise = self._blurs or self._shakes
         self.changes_actions = bounds.delay > 0 or bounds.lost_actions > 0
-        self._is_on = (
-            self._changes_models
-            or self._shakes
-            or any(getattr(bounds, name) for name in _OF_STEPS)
-        )
+        is_on = any(getattr(bounds, name) for name in _OF_STEPS)
+        self._is_on = is_on or self._changes_models or self._shakes
         if not self._is_on:
             return
         for agent in (*bounds.limp, *bounds.absent):

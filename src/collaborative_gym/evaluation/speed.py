@@ -18,11 +18,13 @@ from collaborative_gym.errors import T, check_callback
 from collaborative_gym.evaluation.machine import cores, describe_machine
 from collaborative_gym.evaluation.play import OnProgress
 from collaborative_gym.evaluation.table import to_json
+from collaborative_gym.math import Array
 from collaborative_gym.plugins import load_modules, loaded_files
 from collaborative_gym.tasks.registry import make_task
 from collaborative_gym.tasks.task import Task
 
 Actions = dict[str, np.ndarray]
+_Clock = Callable[[], float]
 
 _ROUNDS = 11
 """Rounds in which bare physics and environment take turns; their median counts."""
@@ -120,7 +122,7 @@ def _measure(env_id: str, num_envs: int, num_threads: int) -> Speed:
 def compare_rates(
     env: VectorEnv,
     act: Callable[[np.random.Generator], Actions],
-    clock: Callable[[], float] = time.perf_counter,
+    clock: _Clock = time.perf_counter,
 ) -> Rates:
     """Return the rates of the bare physics and of an environment, and their ratio.
 
@@ -165,18 +167,10 @@ def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions
     }
 
 
-def _roll(
-    env: VectorEnv,
-    state: np.ndarray,
-    controls: np.ndarray,
-    *,
-    clock: Callable[[], float],
-) -> float:
+def _roll(env: VectorEnv, state: Array, controls: Array, *, clock: _Clock) -> float:
     """Return the time of the physics steps of a control step, in s."""
     env.sim.set_state(state)
-    started = clock()
-    env.sim.roll(controls)
-    return clock() - started
+    return _time(lambda: env.sim.roll(controls), clock)
 
 
 def _single_rate(env: PettingZooEnv) -> float:
@@ -192,10 +186,10 @@ def _single_rate(env: PettingZooEnv) -> float:
     return count / (time.perf_counter() - started)
 
 
-def _time(call: Callable[[], object]) -> float:
-    started = time.perf_counter()
+def _time(call: Callable[[], object], clock: _Clock = time.perf_counter) -> float:
+    started = clock()
     call()
-    return time.perf_counter() - started
+    return clock() - started
 
 
 def _times_to_make(env_id: str) -> tuple[float, float]:

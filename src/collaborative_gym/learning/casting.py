@@ -186,10 +186,7 @@ def _league(
     casts: list[Cast] = [(MAIN,) * len(seats)] if self_play else []
     shares = [main * self_play] if self_play else []
     others = (1.0 - main) / len(EXPLOITERS)
-    beside_guests = {
-        MAIN: main * (1.0 - self_play),
-        **dict.fromkeys(EXPLOITERS, others),
-    }
+    beside_guests = {MAIN: main * (1.0 - self_play)} | dict.fromkeys(EXPLOITERS, others)
     for member, share in beside_guests.items():
         casts += _each_alone(member, seats)
         shares += [share / len(seats)] * len(seats)

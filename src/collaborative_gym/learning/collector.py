@@ -198,21 +198,14 @@ class Player:
 
     def finish(self, observations: Observations) -> Rollout:
         """Return the rollout until these last observations, and begin a new one."""
-        rows, actions, log_prob, advice = zip(*self._steps, strict=True)
-        last = self._seen(observations)
+        rows, *acted = zip(*self._steps, strict=True)
+        actions, log_prob, advice = map(np.stack, acted)
         earned, over, late = map(np.stack, zip(*self._results, strict=True))
+        last = self._seen(observations)
+        seen = np.stack([*rows, last])
         finals = np.concatenate([last[:0], *self._finals])
         self._steps, self._results, self._finals = [], [], []
-        return Rollout(
-            np.stack([*rows, last]),
-            np.stack(actions),
-            np.stack(log_prob),
-            earned,
-            over,
-            late,
-            finals,
-            np.stack(advice),
-        )
+        return Rollout(seen, actions, log_prob, earned, over, late, finals, advice)
 
     def _seen(self, observations: Observations) -> np.ndarray:
         """Return the rows of its worlds."""

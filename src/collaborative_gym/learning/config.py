@@ -377,9 +377,5 @@ def changed(
     hyperparameters: Hyperparameters, from_: Hyperparameters | None = None
 ) -> dict[str, object]:
     """Return the hyperparameters that differ from others, None for the defaults."""
-    others = vars(from_ or Hyperparameters())
-    return {
-        name: value
-        for name, value in vars(hyperparameters).items()
-        if value != others[name]
-    }
+    own, others = vars(hyperparameters), vars(from_ or Hyperparameters())
+    return {name: own[name] for name in own if own[name] != others[name]}

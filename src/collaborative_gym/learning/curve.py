@@ -166,13 +166,7 @@ def _draw_shares(axes: "Axes", rows: _Rows, columns: Iterable[str]) -> None:
 
 
 def _draw_line(
-    axes: "Axes",
-    rows: _Rows,
-    column: str,
-    label: str,
-    *,
-    linewidth: float,
-    **style: Any,
+    axes: "Axes", rows: _Rows, column: str, label: str, **style: Any
 ) -> None:
     """Draw a column pale as it is and strong as its moving mean."""
     steps, values = _points(rows, column)
@@ -182,11 +176,10 @@ def _draw_line(
     axes.plot(
         steps,
         _moving_mean(values, round(_WINDOW * len(rows))),
-        linewidth=linewidth,
         # A single point makes no line.
         marker="o" if len(steps) == 1 else None,
         label=label,
-        zorder=2.0 + linewidth / 10,
+        zorder=2.0 + style["linewidth"] / 10,
         **style,
     )
 

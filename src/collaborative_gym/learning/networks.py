@@ -230,11 +230,9 @@ def perceptron(
 ) -> nn.Sequential:
     """Return a perceptron with orthogonal weights, the last ones scaled by `gain`."""
     layers: list[nn.Module] = []
+    activation = _ACTIVATIONS[hyperparameters.activation]
     for width in hyperparameters.hidden_sizes:
-        layers += [
-            _linear(inputs, width, 2**0.5),
-            _ACTIVATIONS[hyperparameters.activation](),
-        ]
+        layers += [_linear(inputs, width, 2**0.5), activation()]
         inputs = width
     return nn.Sequential(*layers, _linear(inputs, outputs, gain))
 

@@ -372,14 +372,9 @@ class Run:
         return *(round(share, 2) for share in shares), row["steps"]
 
     def _save(self, name: str) -> None:
-        Checkpoint(
-            self._settings,
-            self.state_dict(),
-            self._monitor.rows,
-            self._best,
-            self._seconds,
-            self._pool.state_dict(),
-        ).save(self._folder / name)
+        state, pool = self.state_dict(), self._pool.state_dict()
+        so_far = self._monitor.rows, self._best, self._seconds, pool
+        Checkpoint(self._settings, state, *so_far).save(self._folder / name)
 
 
 def _make_collectors(task: Task, settings: Settings, resources: Resources) -> Any:
@@ -387,23 +382,18 @@ def _make_collectors(task: Task, settings: Settings, resources: Resources) -> An
     if settings.hyperparameters.mishaps:
         task = disturbed(task, lost=settings.hyperparameters.mishaps)
     teams = task, *(resized(task, n) for n in settings.hyperparameters.team_sizes)
-    job, *others = (
-        Job(
-            team,
-            settings.learners(team),
-            World.of(team, strain=True).definition.layout,
-            settings.seed,
-            settings.hyperparameters,
-            resources.num_threads,
-            settings.casting(team),
-        )
-        for team in teams
-    )
+    how = settings.seed, settings.hyperparameters, resources.num_threads
+
+    def job(team: Task) -> Job:
+        layout = World.of(team, strain=True).definition.layout
+        return Job(team, settings.learners(team), layout, *how, settings.casting(team))
+
+    first, *others = map(job, teams)
     if settings.backend != "ray":
-        return Collectors([job, *others]) if others else Collector(job)
+        return Collectors([first, *others]) if others else Collector(first)
     from collaborative_gym.learning.ray_collectors import RayCollectors
 
-    return RayCollectors(job, resources.num_collectors, resources.ray_address)
+    return RayCollectors(first, resources.num_collectors, resources.ray_address)
 
 
 def _crosses(before: int, after: int, interval: int) -> bool:

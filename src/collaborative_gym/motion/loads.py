@@ -235,9 +235,7 @@ def strongest_way(
     return Way(float(loads[best]), angles[best], math.axis_z(quats[best, 0]))
 
 
-def mounted_way(
-    robot: Robot, place: Placement, line: tuple[np.ndarray, np.ndarray]
-) -> Way:
+def mounted_way(robot: Robot, place: Placement, line: tuple[Array, Array]) -> Way:
     """Return the `strongest_way` of a mounted arm, its approach in the world frame.
 
     Args:
@@ -267,9 +265,7 @@ def way_loads(robot: Robot, lines: tuple[Positions, ...]) -> tuple[float, ...]:
     return tuple(loads.max(axis=1).tolist())
 
 
-def _search_ways(
-    robot: Robot, paths: Array
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _search_ways(robot: Robot, paths: Array) -> tuple[Array, Array, Array]:
     """Return paths as `strong_paths` does, with loads of 0 on ways that do not fit.
 
     The paths (n, points, 3) all begin in the same direction from the arm's base.

@@ -23,6 +23,7 @@ from collaborative_gym.scene import Arm
 from collaborative_gym.sim.cpu import CpuSim
 
 _Poses = Sequence[tuple[Array, Array]]
+_Ways = Sequence[Sequence[tuple[ArrayLike, ArrayLike]]]
 
 _DRAWS = 24, 96  # from how many postures `central_pose` chooses, at first and then
 _LONG = 2.0  # s from a posture to another pose, with which it draws once more
@@ -261,10 +262,7 @@ def central_pose(
 
 @found_once
 def quickest_way(
-    model: mujoco.MjModel,
-    arm: Arm,
-    *,
-    ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
+    model: mujoco.MjModel, arm: Arm, *, ways: _Ways
 ) -> tuple[int, np.ndarray]:
     """Return the way on which an arm moves fastest from the first pose to the last.
 
@@ -312,10 +310,7 @@ def quickest_way(
 
 @found_once
 def safest_way(
-    model: mujoco.MjModel,
-    arm: Arm,
-    *,
-    ways: Sequence[Sequence[tuple[ArrayLike, ArrayLike]]],
+    model: mujoco.MjModel, arm: Arm, *, ways: _Ways
 ) -> tuple[int, np.ndarray]:
     """Return a way on which an arm touches nothing, from the first pose to the last.
 

@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from collaborative_gym import math
+from collaborative_gym.math import Array
 from collaborative_gym.motion.lift_mass import IN_MOTION, LEAST_SHARE, Weighing
 from collaborative_gym.motion.loads import (
     from_base,
@@ -31,9 +32,7 @@ _CENTRES = 9  # places of the centre of mass that are tried along each axis
 _SIDES = 8  # of the polygon in which a tilted pot's weight acts
 
 
-def greatest_weight(
-    capacities: np.ndarray, spots: np.ndarray, *, presses: bool = False
-) -> np.ndarray:
+def greatest_weight(capacities: Array, spots: Array, *, presses: bool = False) -> Array:
     """Return the most that arms carry together without a moment, in kg.
 
     It is the dual of the linear program, a convex function of two numbers x. It is
@@ -97,12 +96,7 @@ def weigh_team(
 
 
 def _balance(
-    capacities: np.ndarray,
-    held: np.ndarray,
-    spots: np.ndarray,
-    *,
-    lean: float,
-    most: float,
+    capacities: Array, held: Array, spots: Array, *, lean: float, most: float
 ) -> tuple[tuple[float, float], float, tuple[float, ...]]:
     """Return the centre of mass at which a team needs each of its arms most.
 
@@ -140,7 +134,7 @@ def _balance(
     return (x, y), float(together[best]), tuple(fewer[:, best].tolist())
 
 
-def _shares(capacities: np.ndarray, spots: np.ndarray) -> tuple[float, ...]:
+def _shares(capacities: Array, spots: Array) -> tuple[float, ...]:
     """Return shares of a weight without a moment, evenly for what each arm carries."""
     rows = np.concatenate([np.ones((1, len(spots))), spots.T])
     weighted = capacities**2 * rows

@@ -91,11 +91,6 @@ class TaskConfig:
             object.__setattr__(self, "placements", tuple(placements))
 
 
-def name_agents(count: int) -> tuple[str, ...]:
-    """Return the names of that many agents, "robot_1" and so on."""
-    return tuple(f"robot_{i + 1}" for i in range(count))
-
-
 def named_facts(facts: Any) -> Mapping[str, Any]:
     """Return a task's facts by their names, or none if they have no names."""
     return facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})
@@ -151,7 +146,7 @@ class Task(Generic[ConfigT, FactsT]):
 
     def __init__(self, robots: Sequence[Robot], config: ConfigT):
         self.name = type(self).__name__
-        self.agents = name_agents(len(robots))
+        self.agents = tuple(f"robot_{i + 1}" for i in range(len(robots)))
         self.robots = dict(zip(self.agents, robots, strict=True))
         self.given = config
         self._take(config)

@@ -44,8 +44,8 @@ def tournament_figure(tournament: Tournament) -> "Figure":
     side = _CELL * max(4, len(players)) + 1.6
     panels = len(measures) + tournament.is_divided
     figure, axes = make_figure(1, panels, (side * panels, side))
-    for i, (own, measure) in enumerate(zip(axes, measures, strict=False)):
-        _draw_matrix(own, tournament, measure, players, is_first=not i)
+    for own, measure in zip(axes, measures, strict=False):
+        _draw_matrix(own, tournament, measure, players)
     if tournament.is_divided:
         _draw_ratings(axes[-1], tournament, players)
     episodes = tournament.settings["episodes"]
@@ -55,14 +55,9 @@ def tournament_figure(tournament: Tournament) -> "Figure":
 
 
 def _draw_matrix(
-    axes: "Axes",
-    tournament: Tournament,
-    measure: str,
-    players: list[str],
-    *,
-    is_first: bool,
+    axes: "Axes", tournament: Tournament, measure: str, players: list[str]
 ) -> None:
-    matrix = tournament.matrices[measure]
+    matrix, is_first = tournament.matrices[measure], measure == tournament.measures[0]
     means = np.array([[matrix[row][col].mean for col in players] for row in players])
     ends = (0.0, 1.0) if is_share(measure) else (None, None)
     drawn = axes.imshow(means, cmap="cividis", vmin=ends[0], vmax=ends[1])

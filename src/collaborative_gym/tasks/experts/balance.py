@@ -4,7 +4,6 @@ They bring the board to a place, tilted so that the ball rolls on its course. Bo
 do their part of the board's motion, at the pace of the slower one.
 """
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,7 +35,7 @@ _LAG = 0.15  # s by which a board that rises comes later than a control step
 def expert(self: "Balance", sim: Sim, facts: "BalanceFacts") -> dict[str, Motion]:
     """Return motions that let the ball rest on the middle of a board that stays."""
     still = np.zeros_like(facts.offset)
-    return _roll(self, sim, facts, self.centre, (-facts.offset, still, still))
+    return _roll(self, sim, facts, self.centre, [-facts.offset, still, still])
 
 
 def path_expert(
@@ -55,11 +54,7 @@ def path_expert(
 
 
 def _roll(
-    task: "Balance",
-    sim: Sim,
-    facts: "BalanceFacts",
-    centre: Array,
-    course: Sequence[Array],
+    task: "Balance", sim: Sim, facts: "BalanceFacts", centre: Array, course: list[Array]
 ) -> dict[str, Motion]:
     """Return motions that bring the board to a place and roll the ball on a course.
 
@@ -73,10 +68,8 @@ def _roll(
     next_quat = math.multiply(math.from_rotation_vector(turn), quat)
     motions = {}
     for agent, arm in task.scene.arms.items():
-        goal, hand = (
-            task.grasp(agent, place + missing, next_quat),
-            sim.pose(f"{agent}/tcp"),
-        )
+        goal = task.grasp(agent, place + missing, next_quat)
+        hand = sim.pose(f"{agent}/tcp")
         error = [goal[0] - hand[0], motion.rotation_error(hand[1], goal[1])]
         angle, (low, high) = np.asarray(sim.qpos[:, arm.qpos]), arm.joint_range
         change = motion.joint_change(
@@ -90,7 +83,7 @@ def _roll(
     return motions
 
 
-def _orientation(facts: "BalanceFacts", course: Sequence[Array]) -> np.ndarray:
+def _orientation(facts: "BalanceFacts", course: list[Array]) -> np.ndarray:
     """Return the orientation of the board that rolls the ball on its course."""
     way, velocity, acceleration = (vector[:, :2] for vector in course)
     into_board = math.conjugate(facts.board[1])
