@@ -129,9 +129,8 @@ class RayCollectors:
     def state_dict(self) -> dict[str, Any]:
         """Return the state of each collector's worlds, empty for lost ones."""
         found = {str(index): {} for index in range(self.count)}
-        for each in self._answers(
-            "state_dict", dict.fromkeys(self._ready, ())
-        ).values():
+        answers = self._answers("state_dict", dict.fromkeys(self._ready, ()))
+        for each in answers.values():
             found |= each
         return found
 

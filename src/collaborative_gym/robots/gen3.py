@@ -6,10 +6,6 @@ from pathlib import Path
 from collaborative_gym.robots.robot import Robot
 from collaborative_gym.robots.ur5e import ROBOTIQ_2F85
 
-# Our choice, by measurement (benchmarks/servo.py): with less at the wrist, it gives way
-# by 1 cm a control step when it turns with the rated payload.
-_DAMPING = (76.0, 109.0, 63.0, 71.0, 18.0, 18.0, 18.0)
-
 GEN3 = Robot(
     name="gen3",
     title="Kinova Gen3",
@@ -20,8 +16,9 @@ GEN3 = Robot(
     # ros2_kortex 0d60040, gen3_macro.xacro: 80 and 70 degrees a second.
     velocity_limits=(1.3963,) * 4 + (1.2218,) * 3,
     torque_limits=(39.0,) * 4 + (9.0,) * 3,
-    stiffness=tuple(8.0 * d for d in _DAMPING),
-    damping=_DAMPING,
+    # Our choice, by measurement (benchmarks/servo.py): with less at the wrist, it gives
+    # way by 1 cm a control step when it turns with the rated payload.
+    damping=(76.0, 109.0, 63.0, 71.0, 18.0, 18.0, 18.0),
     armature=(0.28,) * 4 + (0.12, 0.12, 0.15),
     payload=4.0,
     # To the tcp, as that of Jaco; the data sheet's 0.902 m end before the hand.

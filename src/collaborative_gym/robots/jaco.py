@@ -5,11 +5,6 @@ from pathlib import Path
 from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.robot import Robot
 
-# Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
-# inertia allows without chatter at the physics time step. Rotor inertias, too, are our
-# choice: none are published.
-_DAMPING = (96.0,) * 4 + (16.0,) * 3
-
 JACO = Robot(
     name="jaco",
     title="Kinova Jaco (j2s7s300)",
@@ -21,8 +16,10 @@ JACO = Robot(
     velocity_limits=(0.62831853,) * 4 + (0.83775804,) * 3,
     # Peak torques of the actuators KA-75+ and KA-58.
     torque_limits=(30.5,) * 4 + (6.8,) * 3,
-    stiffness=tuple(8.0 * d for d in _DAMPING),
-    damping=_DAMPING,
+    # Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
+    # inertia allows without chatter at the physics time step. Rotor inertias, too, are
+    # our choice: none are published.
+    damping=(96.0,) * 4 + (16.0,) * 3,
     armature=(0.8,) * 4 + (0.15,) * 3,
     payload=2.4,
     reach=0.985,

@@ -6,11 +6,6 @@ from pathlib import Path
 from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.robot import Robot
 
-# Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
-# inertia allows without chatter at the physics time step. Rotor inertias, too, are our
-# choice: none are published.
-_DAMPING = (160.0, 150.0, 150.0, 180.0, 18.0, 16.0, 18.0)
-
 PANDA = Robot(
     name="panda",
     title="Franka Emika Panda",
@@ -21,8 +16,10 @@ PANDA = Robot(
     # franka_ros c11f000, franka_description/robots/panda/joint_limits.yaml.
     velocity_limits=(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
     torque_limits=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
-    stiffness=tuple(8.0 * d for d in _DAMPING),
-    damping=_DAMPING,
+    # Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
+    # inertia allows without chatter at the physics time step. Rotor inertias, too, are
+    # our choice: none are published.
+    damping=(160.0, 150.0, 150.0, 180.0, 18.0, 16.0, 18.0),
     armature=(0.5, 0.4, 0.3, 0.3, 0.1, 0.1, 0.1),
     payload=3.0,
     reach=0.855,

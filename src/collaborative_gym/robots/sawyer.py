@@ -5,11 +5,6 @@ from pathlib import Path
 from collaborative_gym.robots.data import Gripper
 from collaborative_gym.robots.robot import Robot
 
-# Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
-# inertia allows without chatter at the physics time step. Rotor inertias, too, are our
-# choice: none are published.
-_DAMPING = (176.0, 220.0, 78.0, 65.0, 16.0, 18.0, 18.0)
-
 SAWYER = Robot(
     name="sawyer",
     title="Rethink Robotics Sawyer",
@@ -20,8 +15,10 @@ SAWYER = Robot(
     # RethinkRobotics/sawyer_robot d1ef3d0, sawyer_base.urdf.xacro.
     velocity_limits=(1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
     torque_limits=(80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
-    stiffness=tuple(8.0 * d for d in _DAMPING),
-    damping=_DAMPING,
+    # Our choice, by measurement (benchmarks/servo.py): damping as great as the joint's
+    # inertia allows without chatter at the physics time step. Rotor inertias, too, are
+    # our choice: none are published.
+    damping=(176.0, 220.0, 78.0, 65.0, 16.0, 18.0, 18.0),
     armature=(0.3, 0.8, 0.2, 0.2, 0.08, 0.1, 0.1),
     payload=4.0,
     reach=1.26,
