@@ -70,13 +70,8 @@ class SkrlEnv(MultiAgentEnvWrapper):
         by_agent = {agent: given.cpu().numpy() for agent, given in actions.items()}
         observations, rewards, terminated, truncated, infos = self._env.step(by_agent)
         self._observations = self._tensors(observations)
-        return (
-            self._observations,
-            self._columns(rewards),
-            self._columns(terminated),
-            self._columns(truncated),
-            _to_log(infos),
-        )
+        earned, over, late = map(self._columns, (rewards, terminated, truncated))
+        return self._observations, earned, over, late, _to_log(infos)
 
     def state(self) -> ByAgent:
         """Return the observations of all agents side by side, for each of them."""

@@ -95,16 +95,12 @@ def _binomial(most: int, episodes: int, share: float) -> float:
     """Return the probability that at most so many of the episodes are completed."""
     yes, no = math.log(share), math.log1p(-share)
     whole = math.lgamma(episodes + 1)
-    return sum(
-        math.exp(
-            whole
-            - math.lgamma(k + 1)
-            - math.lgamma(episodes - k + 1)
-            + k * yes
-            + (episodes - k) * no
-        )
-        for k in range(most + 1)
-    )
+
+    def log_of(k: int) -> float:
+        left = episodes - k
+        return whole - math.lgamma(k + 1) - math.lgamma(left + 1) + k * yes + left * no
+
+    return sum(math.exp(log_of(k)) for k in range(most + 1))
 
 
 def _success(trial: Trial) -> tuple[float, int]:

@@ -63,15 +63,11 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     trial.check_score(task.score(facts))
     trial.check_coordination(facts)
     trial.check_over(task.over(facts))
-    layout = Layout(
-        {
-            agent: {
-                name: trial.block(name, each) for name, each in blocks[agent].items()
-            }
-            for agent in task.agents
-        },
-        {agent: mode.parts(agent) for agent in task.agents},
-    )
+    named = {
+        agent: {name: trial.block(name, each) for name, each in blocks[agent].items()}
+        for agent in task.agents
+    }
+    layout = Layout(named, {agent: mode.parts(agent) for agent in task.agents})
     seen, done = layout.observation_sizes.items(), layout.action_sizes.items()
     return Definition(
         layout=layout,

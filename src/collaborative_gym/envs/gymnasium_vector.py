@@ -176,13 +176,9 @@ class GymnasiumVectorEnv(Face, gymnasium.vector.VectorEnv):
                 info = _chosen(begins, step_info(begun), info)
             self._ended = ended & ~begins
             masked = _masked(info, np.ones(self.num_envs, bool))
-        return (
-            observations,
-            np.sum([each.astype(np.float64) for each in rewards.values()], axis=0),
-            self._agents.shared(terminated) & ~begins,
-            self._agents.shared(truncated) & ~begins,
-            masked,
-        )
+        earned = np.sum([own.astype(np.float64) for own in rewards.values()], axis=0)
+        over, late = map(self._agents.shared, (terminated, truncated))
+        return observations, earned, over & ~begins, late & ~begins, masked
 
     def render(self) -> tuple[np.ndarray, ...]:
         """Return a picture of each world, (720, 1280, 3) uint8.

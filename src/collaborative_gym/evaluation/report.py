@@ -216,14 +216,9 @@ class Report:
         if len(self.sides) == 1:
             [own] = plain["sides"].values()
             del own["score"]
-        return {
-            "settings": self.settings,
-            "is_one_episode": self.is_one_episode,
-            **own,
-            "returns": plain["returns"],
-            "strain": plain["strain"],
-            "coordination": plain["coordination"],
-        }
+        first = {"settings": self.settings, "is_one_episode": self.is_one_episode}
+        last = "returns", "strain", "coordination"
+        return first | own | {name: plain[name] for name in last}
 
     def to_json(self) -> str:
         """Return everything as JSON, with null for NaN."""
@@ -273,15 +268,11 @@ def reports_to_json(reports: Sequence[Report]) -> str:
 
 def reports_to_csv(reports: Sequence[Report]) -> str:
     """Return all episodes of the reports as one CSV; missing cells are empty."""
-    rows = [
-        {
-            "environment": report.environment,
-            "robots": " ".join(report._identity.robot_names),
-            **row,
-        }
-        for report in reports
-        for row in report.episodes
-    ]
+    rows: list[dict[str, Any]] = []
+    for report in reports:
+        robots = " ".join(report._identity.robot_names)
+        own = {"environment": report.environment, "robots": robots}
+        rows += [own | row for row in report.episodes]
     columns = list(dict.fromkeys(name for row in rows for name in row))
     return to_csv(columns, ([row.get(name) for name in columns] for row in rows))
 
@@ -298,14 +289,10 @@ def markdown_tables(report: Report) -> str:
         for who, statistic in own.items():
             if statistic is not None:
                 is_alone = len(own) == 1 and not by_agent
-                lines.append(
-                    [
-                        name if is_alone else f"{name} of {who}",
-                        format_statistic(statistic, **form),
-                        format_number(statistic.median, **form),
-                        format_number(statistic.iqm, **form),
-                    ]
-                )
+                title = name if is_alone else f"{name} of {who}"
+                middles = statistic.median, statistic.iqm
+                cells = (format_number(each, **form) for each in middles)
+                lines.append([title, format_statistic(statistic, **form), *cells])
     lines += coordination_lines(report)
     heads = ["measure", "mean (95 % interval)", "median", "interquartile mean"]
     parts = [markdown_table(heads, lines), strain_table(report)]

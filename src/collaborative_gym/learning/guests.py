@@ -104,10 +104,25 @@ class Guests:
           actions: (num_envs, k) by agent.
           advice: the expert's, as `actions`; None without an expert.
         """
-        scripted: dict[str, Any] = {}
+        scripted: dict[str, Any] = {}  # by name, in all worlds
+
+        def write(name: str, agents: Sequence[str], worlds: Array, into: Any) -> None:
+            """Write a guest's actions for some agents in some worlds."""
+            policy = self._policy(name, agents)
+            if isinstance(policy, NetworkPolicy):
+                chosen = policy(
+                    {agent: observations[agent][worlds] for agent in agents}
+                )
+                rows: Any = slice(None)
+            else:
+                if name not in scripted:
+                    scripted[name] = policy(observations)
+                chosen, rows = scripted[name], worlds
+            for agent in agents:
+                into[agent][worlds] = np.asarray(chosen[agent])[rows]
+
         for (name, seat), worlds in self._groups.items():
-            agents = self._seats[seat]
-            self._write(name, agents, observations, worlds, scripted, actions)
+            write(name, self._seats[seat], worlds, actions)
         if advice is None:
             return
         guests = np.zeros(self._env.num_envs, int)
@@ -117,7 +132,7 @@ class Guests:
         for (name, seat), worlds in self._groups.items():
             others = [agent for agent in advice if agent not in self._seats[seat]]
             if self._answers(name, others):
-                self._write(name, others, observations, worlds, scripted, advice)
+                write(name, others, worlds, advice)
             else:
                 silent[worlds] = True
         for each in advice.values():
@@ -129,31 +144,6 @@ class Guests:
         if isinstance(policy, NetworkPolicy):
             return set(agents) <= set(policy.agents)
         return isinstance(policy, str) and policy.partition(":")[0] == "expert"
-
-    def _write(
-        self,
-        name: str,
-        agents: Sequence[str],
-        observations: Mapping[str, Array],
-        worlds: np.ndarray,
-        scripted: dict[str, Any],
-        actions: Mapping[str, np.ndarray],
-    ) -> None:
-        """Write a guest's actions for some agents in some worlds into `actions`.
-
-        Observations and actions are those of `act`; `scripted` keeps what scripted
-        policies do in all worlds, by name.
-        """
-        policy = self._policy(name, agents)
-        if isinstance(policy, NetworkPolicy):
-            chosen = policy({agent: observations[agent][worlds] for agent in agents})
-            rows: Any = slice(None)
-        else:
-            if name not in scripted:
-                scripted[name] = policy(observations)
-            chosen, rows = scripted[name], worlds
-        for agent in agents:
-            actions[agent][worlds] = np.asarray(chosen[agent])[rows]
 
     def state_dict(self) -> dict[str, Any]:
         """Return who is seated, nothing where no guests are."""

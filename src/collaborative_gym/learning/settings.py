@@ -146,19 +146,14 @@ class Settings:
         Raises:
           ValueError: if the robots do not fit the mode.
         """
-        casting = self.casting(task)
-        return tuple(
-            learner
-            for member in casting.members
-            for learner in make_learners(
-                self.mode,
-                World.of(task, strain=True).definition.layout,
-                task.sides,
-                seats=casting.learned(member) or None,
-                member=member,
-                network=self.hyperparameters.network,
-            )
-        )
+        casting, network = self.casting(task), self.hyperparameters.network
+        layout = World.of(task, strain=True).definition.layout
+        found: list[Learner] = []
+        for member in casting.members:
+            seats = casting.learned(member) or None
+            how = {"seats": seats, "member": member, "network": network}
+            found += make_learners(self.mode, layout, task.sides, **how)
+        return tuple(found)
 
     @property
     def folder(self) -> Path:

@@ -318,7 +318,7 @@ class Pass(Task[PassConfig, PassFacts]):
         sim.memory["handed"][env_ids, 0] = sim.xp.asarray(owners[drawn] + 1.0)
 
     def measure(self, sim: Sim) -> PassFacts:
-        xp, agents, memory = sim.xp, self.agents, sim.memory
+        xp, agents, before = sim.xp, self.agents, sim.memory["handed"]
         tcp = {agent: sim.pose(f"{agent}/tcp") for agent in agents}
         sites = [f"{name}/centre" for name in self.cubes]
         poses = [sim.pose(site) for site in sites]
@@ -329,8 +329,7 @@ class Pass(Task[PassConfig, PassFacts]):
             for a in agents
         }
         holds = {agent: xp.any(held, axis=1) for agent, held in grips.items()}
-        handed = handing.handed_on(memory["handed"], [*grips.values()])
-        memory["handed"] = handed
+        handed = sim.memory["handed"] = handing.handed_on(before, [*grips.values()])
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
         near = ~is_held & (to_targets < self.config.success_radius)
         put = near & (handed == len(agents)) & self._lies(sim, places, targets)
