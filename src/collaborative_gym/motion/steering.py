@@ -9,8 +9,6 @@ from collaborative_gym.scene import Arm
 from collaborative_gym.sim.sim import Sim
 from collaborative_gym.timing import CONTROL_DT
 
-_Pose = tuple[Array, Array]
-
 _GAIN, _BRAKE = 0.45, 0.1
 """Shares of a missing change, and of the present motion against it, that `settling`
 asks for. With actions that are done at once, a miss falls to 0.61 in a step, and with
@@ -33,7 +31,14 @@ def shortened(vector: Array, longest: float) -> Array:
     return vector * np.minimum(1.0, longest / np.maximum(length, 1e-9))
 
 
-def reach(sim: Sim, arm: Arm, *, tcp: _Pose, goal: _Pose, posture: Array) -> Array:
+def reach(
+    sim: Sim,
+    arm: Arm,
+    *,
+    tcp: tuple[Array, Array],
+    goal: tuple[Array, Array],
+    posture: Array,
+) -> Array:
     """Return joint changes that bring a tcp towards a pose, by resolved-rate control.
 
     The posture counts less and less the nearer the goal is, where the arm comes to rest

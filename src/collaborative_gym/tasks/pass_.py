@@ -72,10 +72,20 @@ from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks import handing, teams
+from collaborative_gym.tasks import teams
 from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
-from collaborative_gym.tasks.handing import GIVING, PICKING, TAKING, either_way, of
+from collaborative_gym.tasks.handing import (
+    GIVING,
+    PICKING,
+    TAKING,
+    Row,
+    either_way,
+    handed_on,
+    of,
+    own_thing,
+    stand_in_row,
+)
 from collaborative_gym.tasks.randomization import Randomization, presets
 from collaborative_gym.tasks.registry import (
     EnvSpec,
@@ -190,10 +200,10 @@ class Pass(Task[PassConfig, PassFacts]):
         self.cubes, self._goals = zip(*names[:cubes], strict=True)
 
     def mounts(self) -> tuple[Placement, ...]:
-        return handing.stand_in_row(self.robots.values())
+        return stand_in_row(self.robots.values())
 
     def build(self, scene: Scene) -> None:
-        self._row = row = handing.Row(self.robots, self.placements, _CUBE_SIZE)
+        self._row = row = Row(self.robots, self.placements, _CUBE_SIZE)
         row.add_to(scene)
         config, first, last = self.config, self.agents[0], self.agents[-1]
         aside = [_APART * i for i in range(len(self.cubes))]
@@ -329,14 +339,14 @@ class Pass(Task[PassConfig, PassFacts]):
             for a in agents
         }
         holds = {agent: xp.any(held, axis=1) for agent, held in grips.items()}
-        handed = sim.memory["handed"] = handing.handed_on(before, [*grips.values()])
+        handed = sim.memory["handed"] = handed_on(before, [*grips.values()])
         to_targets, is_held = math.distance(places, targets), sum(grips.values()) > 0
         near = ~is_held & (to_targets < self.config.success_radius)
         put = near & (handed == len(agents)) & self._lies(sim, places, targets)
         own, to_cube, to_next = [], {}, {}
         for i, agent in enumerate(agents):
             follows = handed > i + 1 if i + 1 < len(agents) else put
-            own.append(handing.own_thing(grips[agent], follows))
+            own.append(own_thing(grips[agent], follows))
             place = of(places, own[i])
             to_cube[agent] = math.distance(tcp[agent][0], place)
             if i + 1 < len(agents):
@@ -416,14 +426,14 @@ class Pass(Task[PassConfig, PassFacts]):
             is_last = i == len(self.meetings)
             onwards = facts.to_target if is_last else facts.to_next[agent]
             far = xp.minimum(onwards, farthest)
-            passes = gone if is_last else gone | (far < config.handover_threshold)
+            handing = gone if is_last else gone | (far < config.handover_threshold)
             grip = xp.where(command.grips, zero + 0.1, zero)
             incentive = xp.where(near < self.thresholds[agent], grip, zero)
             terms[agent] = {
                 # Near the next hand, letting go never costs an arm anything.
-                "reach": xp.where(passes, zero + 0.2, -near),
+                "reach": xp.where(handing, zero + 0.2, -near),
                 "carry" if is_last else "handover": xp.where(gone, zero, -far),
-                "grip": xp.where(passes, -grip, incentive),
+                "grip": xp.where(handing, -grip, incentive),
                 "effort": -0.01 * math.norm(command.moves),
                 "success": arrived,
             }
