@@ -11,6 +11,7 @@ one (`benchmarks/teams.py --tasks BalancePath --faults idle limp`).
 
 Randomised: what Balance randomises; the path's position (along every axis) and size
 (0.9 to 1); where on the path the target starts, and in which direction it runs.
+Pictures show the path as a line, as large as paths are on average.
 
 Reward of each agent:
 
