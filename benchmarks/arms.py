@@ -462,7 +462,8 @@ def measure_package(tasks, episodes):
     TABLE.write_text(
         "# Arms of the package\n\n"
         f"Completion in % of {episodes} episodes of the expert, beside itself / beside"
-        " a Panda. `-`: the task refuses the team; why stands below the table."
+        " a Panda. `-` marks a team that the task refuses, for the reason below the"
+        " table."
         " `python benchmarks/arms.py --package` measures it.\n\n"
         + "\n".join([markdown_table(["arm", *tasks], rows), "", *refused]).strip()
         + "\n"

@@ -58,7 +58,8 @@ LEGEND = """\
 # Grasps
 
 What each [grasp](../concepts.md#grasps) does (`python benchmarks/grasps.py`). A dash
-marks what does not apply to a grasp, and an empty cell what is measured in Pass alone.
+marks what does not apply to a grasp, and an empty cell marks what was measured only in
+Pass.
 
 - **completed**, **time**: share of the expert's episodes that reach the goal, and the
   mean time to the first success, over {episodes} episodes of seed 0 on `default`.
@@ -83,9 +84,9 @@ Sort and in teams of Pass (`python benchmarks/grasps.py --others`).
 """What is above the second table."""
 
 NOTE = (
-    "Where Sort fails with `friction`, a cube slips from fingers as the arm lifts or"
-    " swings it, and is past the arm before it is taken anew. Slower swings do not"
-    " help: the belt does not wait."
+    "Where Sort fails with `friction`, a cube slips from the fingers as the arm lifts"
+    " or swings it, and passes the arm before the arm can take it again. Slower swings"
+    " do not help: the belt does not wait."
 )
 WORLDS, ROUNDS = 64, 5
 SLIPPED = 0.005  # m

@@ -68,10 +68,11 @@ def main() -> None:
     table = markdown_table(COLUMNS, lines, words=1)
     if options.output:
         about = (
-            f"Control steps of {options.num_envs} worlds of Pandas, with the expert, on"
-            " one thread (`python benchmarks/teams_speed.py`). Arm-steps are env-steps"
-            " times arms. The ratios are medians of pairs measured in turn. That of"
-            " strain is the speed while it is recorded, divided by the speed without."
+            f"The table has control steps per second in {options.num_envs} worlds of"
+            " Pandas, with the expert, on one thread (`python"
+            " benchmarks/teams_speed.py`). Arm-steps are env-steps times arms. The"
+            " ratios are medians of pairs measured in turn. `with strain / without`"
+            " divides the speed with strain by that without."
             " `growth` is the cost of an arm's step beyond bare physics, divided by"
             " that in the smallest team. Calls are those of our own functions in a"
             " control step."

@@ -54,6 +54,7 @@ COMMANDS = (
     "report",
     "reproduce",
     "certify",
+    "check",
     "benchmark",
     "demo",
 )
@@ -366,9 +367,6 @@ def _settings(config: type[cg.TaskConfig]) -> str:
     meanings: dict[str, str] = {}
     for base in reversed(config.__mro__):
         meanings |= _attributes(base)
-    for name, page in _EXPLAINED.items():
-        for field, meaning in meanings.items():
-            meanings[field] = meaning.replace(f"`{name}`", f"[{name}]({page})")
     rows = []
     for field in dataclasses.fields(config):
         made = field.default is dataclasses.MISSING
@@ -394,11 +392,18 @@ def _attributes(owner: object, kind: str = "attributes") -> dict[str, str]:
         "google", warnings=False
     )
     return {
-        each.name: each.description.replace("\n", " ")
+        each.name: _linked(each.description.replace("\n", " "))
         for section in sections
         if section.kind.value == kind
         for each in section.value
     }
+
+
+def _linked(text: str) -> str:
+    """Return words of a docstring with links to what pages explain."""
+    for name, page in _EXPLAINED.items():
+        text = text.replace(f"`{name}`", f"[{name}]({page})")
+    return text
 
 
 def _arms() -> str:

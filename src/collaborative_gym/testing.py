@@ -80,10 +80,10 @@ def check_task(
 def check_robot(
     robot: str | Robot, tasks: Sequence[str] | None = None, *, episodes: int = 8
 ) -> None:
-    """Check that an arm does tasks beside itself, by playing it.
+    """Check that two arms of a kind can do tasks, by letting the experts play.
 
-    Every `Robot` checks its definition. This function also plays it. Where the expert
-    fails, it says what was seen, and what of the arm's definition is unusual.
+    Every `Robot` checks its definition. If an expert fails here, the error says what
+    happened, and what is unusual in the arm's definition.
 
     Args:
       robot: the arm, or its name.

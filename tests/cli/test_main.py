@@ -42,6 +42,16 @@ def test_list_has_a_line_per_environment(carry_id, capsys):
     assert max(map(len, lines[: len(cg.list_envs()) + 2])) <= 80
 
 
+def test_check_lists_the_broken_promises_of_a_task(carry_id, capsys):
+    check = ["check", carry_id, "--episodes", "2"]
+    assert main(check) == 0
+    assert capsys.readouterr().out == f"{carry_id} keeps every promise\n"
+    with pytest.raises(SystemExit, match="1"):
+        main([*check, "--settings", "height=5.0"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "the expert does not reach the goal in the episodes [0, 1]" in told
+
+
 def test_list_takes_a_part_of_a_name(capsys):
     assert main(["list", "poke"]) == 0
     printed = capsys.readouterr().out

@@ -22,13 +22,13 @@ class Budget:
       candidates: motions tried in a round of the search.
       rounds: how often the search draws candidates anew, unless it converges sooner.
       training_starts: starts on which the search finds the one motion for all.
-      searched_starts: held-out starts for each of which the search finds a motion on
-        that start itself; 0 for none.
+      searched_starts: number of held-out starts; for each, the search finds a motion of
+        its own. 0 for none.
       replays: recorded episodes, of the expert and of the baseline if one is shipped,
         the best of which a blind team replays; 0 for no blind team.
       ppo_steps: environment steps of each training; 0 for none.
-      ppo_rows: number of still arms beside which a policy is trained: those where
-        nobody reached the goal, the nearest first.
+      ppo_rows: number of still arms beside which a policy is trained: of those beside
+        which nobody reached the goal, the ones where somebody came nearest.
     """
 
     episodes: int = bounded(500, 1, _MOST)

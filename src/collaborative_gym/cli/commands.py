@@ -69,7 +69,8 @@ class _Policy(Command):
     Attributes:
       policy: who commands the robots: expert, random, baseline, ego, idle, gripping,
         frozen, an environment id (its baseline), a policy file or a training folder; or
-        one for each robot, such as robot_1=baseline robot_2=limp. See docs/concepts.md.
+        one for each robot (also limp, absent), such as robot_1=baseline robot_2=limp.
+        See docs/concepts.md.
     """
 
     policy: Policies = ("expert",)
@@ -132,8 +133,8 @@ class Evaluate(_Policy, Measured):
 
     Attributes:
       envs: environment ids, or tasks' names.
-      all: evaluate every environment, or with the policy baseline or ego each that has
-        one; name none then.
+      all: evaluate every environment; with the policy baseline or ego, every one that
+        has it. Give no ENV then.
       episodes: number of episodes in each environment.
       delay: number of control steps by which each action comes late.
       csv: file with one row per episode; - for standard output.
@@ -309,6 +310,31 @@ class Certify(Worlds):
         for certificate in certificates:
             show(certificate.statement)
         show(f"wrote {markdown}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(Worlds):
+    """Check that a task of your own keeps every promise that environments make.
+
+    Attributes:
+      env: environment id, or a task's name.
+      episodes: number of the expert's episodes.
+    """
+
+    env: Env
+    episodes: int = 20
+    seed: Annotated[int, tyro.conf.Suppress] = 0
+
+    def run(self) -> None:
+        """Print that all is well, or every broken promise and its remedy."""
+        from collaborative_gym.testing import check_task
+
+        try:
+            check_task(self.task(self.env), episodes=self.episodes)
+        except (AssertionError, RuntimeError) as error:
+            show(str(error))
+            raise SystemExit(1) from error
+        show(f"{self.env} keeps every promise")
 
 
 @dataclass(frozen=True, kw_only=True)

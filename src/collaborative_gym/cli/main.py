@@ -22,6 +22,7 @@ from rich.console import Console
 from collaborative_gym.cli.commands import (
     Benchmark,
     Certify,
+    Check,
     Demo,
     Evaluate,
     List,
@@ -87,6 +88,7 @@ _VERBS = {
     "report": Report,
     "reproduce": Reproduce,
     "certify": Certify,
+    "check": Check,
     "benchmark": Benchmark,
     "demo": Demo,
 }

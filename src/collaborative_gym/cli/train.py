@@ -67,9 +67,9 @@ class Train(Worlds):
       seed: seed of the run (default: 0); for several seeds see --seeds.
       seeds: seeds of several runs, such as 0 1 2 or 0-9: a run for each seed in each
         environment and mode; with --all for each baseline (default: 0 1 2).
-      output: folder of a new run (default: runs/ENV-MODE-seedS, before the mode also
-        league, population or guests); the folder of all of several runs (default:
-        runs), or of all baselines (default: runs/baselines).
+      output: folder of a new run (default: runs/ENV-MODE-seedS; league, population or
+        guests stands before MODE). For several runs, the folder that holds them
+        (default: runs; with --all, runs/baselines).
       resume: folder of a run to continue, with the options that it was started with.
       opponent: who plays against the learner, if a task has several sides: by default
         self, the latest policies; policies, of which each episode draws one;

@@ -22,10 +22,11 @@ class Grips:
     is near and the hand was open: fingers that have closed on nothing take nothing
     until they have opened, so no hand can sweep up what it does not see. It lasts while
     the agent asks for it, unless it tears: before a physics step that would load it
-    above what the grasp bears, or at whose start the two are more than twice the
-    starting distance apart. What is torn out of one hand also slips out of another that
-    holds it at the same site, and each opens for three control steps, while the thing
-    falls. Otherwise arms would win by force what they tear away or catch in the air.
+    above what the grasp bears, or at whose start the two are farther apart than twice
+    the distance at which a grip can start. What is torn out of one hand also slips out
+    of another that holds it at the same site, and each opens for three control steps,
+    while the thing falls. Otherwise arms would win by force what they tear away or
+    catch in the air.
     """
 
     def __init__(self, scene: Scene, sim: Sim):

@@ -39,7 +39,8 @@ class VectorEnv:
     that it is `over`. Then it is terminated. If its time is up or its physics diverged,
     it is truncated. A world whose episode ends starts its next one in the same step.
     World i plays the episodes i, i + num_envs, i + 2 num_envs and so on of the seed.
-    The arrays that are returned belong to the caller.
+    `reset` returns observations and infos; `step` returns observations, rewards,
+    terminated, truncated and infos. The caller owns these arrays.
 
     `infos` always has the same entries, arrays by world: `episode` (index), `step`
     (control steps done), `success`, `diverged`, `ended`, `resting`, `reward_terms` by
@@ -48,10 +49,10 @@ class VectorEnv:
     `ended`: `return` (summed over agents), `returns` by agent, `completion`,
     `performance`, `at_goal` (share of its steps at which the goal was met), `length`,
     `time_to_success` (s, NaN if never), `reward_terms` (sums), `episode` and `seed`. If
-    asked for, they also have the `strain`, as `envs.strain` describes it. Many tasks
-    have measures of how their arms work together, the `coordination`. Performance
-    is a share of the steps that were played, from the first success on or from the
-    start, even if the end is early.
+    asked for, they also have the `strain`, as docs/concepts.md describes it. Many tasks
+    have measures of how their arms work together, the `coordination`. Performance is a
+    share of the steps that were played, from the first success on or from the start,
+    even if the end is early.
 
     If a task has several sides, `success` and the metrics `return`, `completion`,
     `performance`, `at_goal` and `time_to_success` are dictionaries by side; nothing is

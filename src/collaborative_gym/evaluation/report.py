@@ -48,7 +48,7 @@ _FORMS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Statistic:
-    """The mean over episodes and how sure it is.
+    """The mean over episodes, with its 95 % interval.
 
     Attributes:
       mean: the mean; NaN if there was no value.
@@ -147,7 +147,7 @@ class Report:
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
-      strain: of the arms, by the names in `envs.strain`.
+      strain: of the arms, by the names in docs/concepts.md.
       coordination: of the arms, by the names in `Task.coordination`: the unit, none for
         a share, and the statistic.
     """

@@ -125,8 +125,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         " weight, and less as success grew (nothing in what is reported)."
     ) * (numbers.assistance > 0)
     among = (
-        ", and among seeds by completion, performance, clearance and energy in"
-        f" {_CHOICE_EPISODES} others"
+        f", and {_CHOICE_EPISODES} others the seed, by completion, performance,"
+        " clearance and energy"
     ) * (count > 1)
     who, layers = _network(settings)
     return [
@@ -140,16 +140,17 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f" `{_preset(identity.name, identity.config['randomization'])}`",
         f"- network: {layers}, {numbers.activation}; actions are means, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
-        f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps,"
-        f" chosen by {numbers.validation_episodes} validation episodes{among}; the"
-        " table's episodes are others",
+        f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps."
+        f" {numbers.validation_episodes} validation episodes chose the steps{among};"
+        " the table has other episodes",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} core"
         f"{'s' * (machine['cores'] != 1)}, MuJoCo {machine['mujoco']}",
         "",
-        f"Episodes of seed {_SEED} ({episodes}); means, 95 % intervals."
-        " Where starts are all the same there is one deterministic episode, and no"
-        " interval. `late`: every action comes one control step late.",
+        "The table has means and 95 % intervals over episodes of seed"
+        f" {_SEED} ({episodes})."
+        " If all starts are the same, there is one deterministic episode and no"
+        " interval. In `late`, every action comes one control step late.",
     ]
 
 

@@ -112,9 +112,9 @@ class Hyperparameters:
         failing grips begin at zero. They grow by 2 % after each rollout in which half
         of the episodes are completed.
       contact_penalty: penalty on contacts. In each control step all robots pay this for
-        every mm of the deepest contact, at most 10 mm: contacts of an arm with another
-        arm or with fixed things, and of loose things above 1 mm. Measuring it makes
-        collecting about a quarter slower.
+        every mm of the deepest contact, at most 10 mm. Contacts of an arm with another
+        arm or fixed things count, and contacts of loose things deeper than 1 mm.
+        Measuring it makes collecting about a quarter slower.
       miss_penalty: penalty on each control step in which the goal is not met, for tasks
         whose reward hardly changes near the goal.
       range_penalty: penalty on joints at the ends of their ranges, from the beginning.
@@ -161,13 +161,14 @@ class Hyperparameters:
       league_most_steps: number of steps after which a member leaves a copy in any case
         (our choice; AlphaStar's is 4e9).
       league_reset: probability that the league exploiter restarts after a copy (0.25).
-      league_fresh: probability that a member that begins anew has the networks with
-        which the run began, and not main's (our choice).
+      league_fresh: probability that a restarting member takes the run's initial
+        networks instead of main's (our choice).
       league_decay: factor by which a game counts less after each later game of the same
         two (0.99).
-      network: flat for networks on all numbers of an observation; set for networks that
-        treat each mate of a robot alike and pool their outputs, so that a policy plays
-        in teams of any size. With it, shared gives robots no index.
+      network: flat for networks that read an observation as one vector; set for
+        networks that treat each mate of a robot alike and pool their outputs, so that a
+        policy plays in teams of any size. With set, the mode shared gives robots no
+        index.
       team_sizes: sizes of further teams, which share the worlds evenly with the task's
         own; for network=set and the mode shared, with arms of one kind.
       hidden_sizes: widths of the hidden layers of policies and critics.

@@ -49,8 +49,8 @@ def train(
 
     Args:
       env: an environment id, a task's name, or a task.
-      mode: who learns what, see `Mode`; None for "collaborative", or for "shared" if
-        robots with equal spaces learn against policies or in a league.
+      mode: who learns what, see docs/training.md; None for "collaborative", or for
+        "shared" if robots with equal spaces learn against policies or in a league.
       seed: of the run; None for 0.
       output: a new folder; None for one in `runs/` by environment, mode and seed.
       resume: the folder of a run to continue, in place of `output`. It keeps the

@@ -152,7 +152,8 @@ def hold(
       goals: for each arm, positions (n, 3) in m and quaternions (n, 4), or directions
         (n, 3) of its approach in the goals of all arms, or one for all n.
       near: for each arm, angles (n, joints) to begin with, in rad.
-      patience: as in `descend`.
+      patience: steps in which a row's worst coordinate must fall by a tenth, or the row
+        stops; None for no such rule.
 
     Returns:
       The angles for each arm, and whether all its arms are there, (n,).

@@ -96,7 +96,7 @@ def _with_posture(
 def standoff(
     offset: Array, approach: Array, *, slack: float, least: float, most: float
 ) -> Array:
-    """Return how far a hand should stay from its goal until it is straight before it.
+    """Return the distance that a hand keeps from its goal until the two are aligned.
 
     Args:
       offset: (num_envs, 3) from the goal to the hand, in m.

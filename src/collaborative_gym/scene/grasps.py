@@ -13,13 +13,14 @@
   direction; mu = 1 is MuJoCo's default and about that of rubber on a dry surface.
 - `friction`: contacts alone. Fingers and objects collide. The hand closes with all its
   force and holds what two of its fingers touch. At 10 ms and with an `impratio` of 10,
-  an object slips 0.01 mm/s at rest. In motion it creeps by about the acceleration along
-  the pads times 10 ms, whatever the force, so a hand must move calmly.
+  an object slips 0.01 mm/s at rest. In motion it creeps at a speed of about 10 ms times
+  the acceleration along the pads, whatever the force, so a hand must move gently.
 
 Cup and pads keep an object in the pose in which they took it. Under a load beyond their
 bound, it slips: nothing holds it for the rest of the control step. Then they take it
 again where it is, if it is still within reach. An object turns in them by at most 3
-degrees before it slips round. The cup, the pads and how much they yield are our choice.
+degrees before it starts to slip. The cup, the pads and how much they yield are our
+choice.
 """
 
 from collaborative_gym.errors import look_up

@@ -207,7 +207,9 @@ class Scene:
         width: float,
         lever: float | None = None,
     ) -> None:
-        """Let an agent grip a site, as `Grip` describes; `Sim.pose(site)` reads it.
+        """Let an agent grip a site, whose place `Sim.pose(site)` reads.
+
+        A grip can start within `threshold` m, between fingers `width` m apart.
 
         Raises:
           ValueError: if there is no such arm or site, or the arm's hand cannot hold

@@ -22,8 +22,8 @@ opponents'.
 
 Reward of each agent:
 
-- `goal`: 10 for a goal of its side, -10 for a goal of the other side. Over the sides
-  this adds up to zero.
+- `goal`: 10 for a goal of its side, -10 for a goal of the other side. The sum over both
+  sides is zero.
 - `drive`: 0.2 times the puck's speed towards the other goal, at most 2 m/s either way
   (shaping).
 - `near`: -0.3 times the distance between puck and mallet in m, while the puck is on the
@@ -62,9 +62,10 @@ integrator `implicitfast` for this. The puck collides as a sphere that is taller
 the disc in the picture, so a mallet lifted by less than 0.1 m still touches it.
 
 No term asks a player to be gentle. The shipped baseline, from a league, drives mallets
-into cushions and the table: its hardest contact of an episode has 12 kN in the mean and
+into cushions and the table: the hardest contact of an episode is 12 kN on average and
 21 kN at worst, and a physics step applies up to 14 times a motor's limit (`python
-benchmarks/strain.py HockeyPandas-v0`). The scripted player stays below 0.5 kN and 2.
+benchmarks/strain.py HockeyPandas-v0`). The scripted player stays below 0.5 kN and twice
+the limit.
 """
 
 from collections.abc import Mapping

@@ -18,7 +18,8 @@ mate's distance from the arm's cube. The robot observes each component x, in m, 
 vectors to cube and goal, and this distance, as log(1 + 100 |x|) with the sign of x. The
 observation has the same form in every seat and relay.
 
-Agents: `robot_1` picks and hands over, the last takes over and carries; others do both.
+Agents: `robot_1` picks the cube up and hands it over; the last arm takes it and carries
+  it to the target; the arms between them take it and hand it on.
 
 Randomised: the joints of the arms, the cubes' positions on the table (x and y) and
 turns about the vertical, the targets' positions (in a relay, x and y).

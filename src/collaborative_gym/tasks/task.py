@@ -129,7 +129,7 @@ class Task(Generic[ConfigT, FactsT]):
       robots: the arm of each agent.
       config: the settings.
       given: the settings before the task filled in those that are None.
-      worlds: the compiled worlds of this task and its variations; see `World`.
+      worlds: the compiled worlds of this task and its variations.
     """
 
     robot_counts: Sequence[int] = (2,)

@@ -32,8 +32,8 @@ can hold along the whole path of its hand, in the strongest postures found. The
 distances of the two lines have the ratio of the strengths and keep their mean. This
 alone is not enough, because an arm that is pulled out of its posture gets weaker: a
 Panda's expert then won all episodes against a Sawyer's. A constant force, like a weight
-on a rope, therefore also pulls the bar to the weaker side. It is about twice the
-difference of the strengths, and 2.057 times for even chances of Panda and Sawyer.
+on a rope, therefore also pulls the bar to the weaker side. It is 2.057 times the
+difference of the strengths; this factor gives a Panda and a Sawyer even chances.
 
 Other unequal pairs are not fair. With the same rule, a Panda's expert wins about 172 of
 200 episodes against a Jaco's, and a Sawyer's about 136. For even chances, the force
@@ -41,10 +41,10 @@ must be right to less than 1 %, because the arm that is ahead has the stronger p
 Torque limits do not predict it that well, and no single factor is right for all pairs.
 If chances must be even, use equal arms, or a Panda and a Sawyer.
 
-Against itself, the expert decides all of 1,000 episodes of two Pandas and 948 of two
-Sawyers, in 2 s (median). It wins 49.6 % of them from the first seat. Between a Panda
-and a Sawyer, the Panda's expert wins 49.9 % from the first seat and 47.3 % from the
-second.
+When the expert plays against itself, one side wins in all of 1,000 episodes of two
+Pandas and in 948 of two Sawyers, after 2 s (median). It wins 49.6 % of them from the
+first seat. Between a Panda and a Sawyer, the Panda's expert wins 49.9 % from the first
+seat and 47.3 % from the second.
 """
 
 from collections.abc import Mapping

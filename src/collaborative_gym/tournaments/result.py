@@ -55,8 +55,10 @@ class Standing:
       by_seat: its cross-play in each seat, by seat and measure.
       worst: the other player with whom, or against whom, it does worst; None if it
         played with nobody else.
-      wins, draws, losses: counts against others; only if players are opponents.
-      rating: as `bradley_terry` gives it; likewise.
+      wins: episodes won against others; None for partners.
+      draws: likewise.
+      losses: likewise.
+      rating: on Elo's scale (Bradley and Terry); only if players are opponents.
     """
 
     self_play: dict[str, Statistic]
@@ -178,7 +180,7 @@ class Tournament:
 
     @cached_property
     def ratings(self) -> dict[str, Statistic]:
-        """Ratings by player, as `bradley_terry` gives them; only of opponents."""
+        """Ratings by player on Elo's scale (Bradley and Terry); only of opponents."""
         means, errors = rated(self._points)
         ends = [_Z * (math.nan if self.is_one_episode else each) for each in errors]
         return {
