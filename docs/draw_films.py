@@ -16,6 +16,7 @@ from collaborative_gym.policies.policy import is_shipped
 MEDIA = Path(__file__).parent / "media"
 SIZE = 640, 360
 SIZES = {
+    "HockeyPandas-v0": (800, 450),
     "PassPandas3-v0": (1120, 360),
     "PassPandas4-v0": (1280, 320),
     "ReachPandas4-v0": (800, 450),
@@ -38,8 +39,8 @@ CLOSE_UPS = {
     "Balance": "ball/ball",
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
-    "PassPandas4-v0": "cube_2/cube",  # It is handed on last.
-    "SortPandas4-v0": "robot_2/hand",  # It moves a mate's cube between its own two.
+    "PassPandas4-v0": ("cube/cube", "cube_2/cube"),
+    "SortPandas4-v0": tuple(f"cube_{i + 1}/cube" for i in range(7)),
     "Assemble": "pin/pin",
 }
 """What the films of a task or an environment show from nearby."""
@@ -66,7 +67,7 @@ def film(env_id: str) -> None:
     task = sharp(env_id)
     policy = player if len(task.sides) == 1 else AGAINST
     if env_id == GAME:
-        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZE}
+        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZES[env_id]}
         record(task, path, policy=policy, **whole)
     elif len(task.sides) > 1:  # Tug is over within a second.
         record(task, path, policy=policy, speed=0.25, size=SIZE)
@@ -76,7 +77,7 @@ def film(env_id: str) -> None:
             "seconds": LEAST,
             "speed": SPEEDS.get(env_id, 1.0),
             "slow_motion": env_id.startswith(SLOW),
-            "close_up": near,
+            "close_up": near or (),
         }
         record(task, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)

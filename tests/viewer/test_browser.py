@@ -325,10 +325,10 @@ def test_a_link_opens_the_same_start(serve, open_tab, wait_until):
 def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     session, page = serve(ENVS[0])
     tab = open_tab(page, width=390, height=844)
-    wait_until(lambda: not page._stage._hint.visible)  # A phone has no Ctrl.
     for agent in session.env.agents:
         base = f"{agent}/base"
         wait_until(lambda base=base: 20 < pixel_of(tab, page, base)[0] < 370)
+    assert not tab.locator(".hint").is_visible()  # A phone has no Ctrl.
     play = tab.get_by_role("button", name="Play")
     play.wait_for()
     plots, thumb = tab.get_by_role("tab", name="Plots"), ".mantine-Slider-thumb"

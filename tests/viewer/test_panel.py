@@ -156,13 +156,7 @@ def test_labels_stand_over_the_arms_and_say_who_plays(poke, wait_until):
 
 def test_how_to_pull_is_written_on_the_scene_until_somebody_did(poke, wait_until):
     session, page = poke
-    hint = page._stage._hint
-    wait_until(lambda: hint.visible)
-    camera = SimpleNamespace(aspect=2.2, image_height=390)  # A phone on its side.
-    page._stage.stand(SimpleNamespace(camera=camera), "above")
-    wait_until(lambda: not hint.visible)
-    camera.image_height = 800
-    page._stage.stand(SimpleNamespace(camera=camera), "above")
+    hint = page._panel._hint
     wait_until(lambda: hint.visible)
     session.perturb = mujoco.MjvPerturb()
     session.step()

@@ -90,7 +90,8 @@ class Record(_Policy, Watched):
       size: width and height in pixels, of each policy's picture.
       speed: simulated seconds per second of the film, 0.1 to 2; 0.5 is slow motion.
       slow_motion: show the team's last progress, such as a hand-over, more slowly.
-      close_up: a body of the world, such as pot/pot, to show from nearby beside it.
+      close_up: a body of the world, such as pot/pot, to show from nearby beside it; of
+        several, the one that moves most.
     """
 
     env: Env
@@ -103,7 +104,7 @@ class Record(_Policy, Watched):
     size: Size = OWN_SIZE
     speed: float = 1.0
     slow_motion: Flag = False
-    close_up: Annotated[str | None, option("BODY", "none")] = None
+    close_up: Annotated[tuple[str, ...], option("BODY ...", "none")] = ()
 
     def run(self) -> None:
         """Write the file."""

@@ -43,6 +43,9 @@ _HOLD = 1.0
 _BEGIN = 100
 """Frames of a GIF by which its colours are chosen."""
 
+_LONG = 2.5
+"""Width over height of a picture below which, not beside which, a close-up stands."""
+
 _LONGEST = 36_000.0
 """Greatest length of a film, in s."""
 
@@ -75,7 +78,7 @@ def record(
     size: tuple[int, int] | None = None,
     speed: float = 1.0,
     slow_motion: bool = False,
-    close_up: str | None = None,
+    close_up: str | Sequence[str] = (),
     on_progress: OnProgress = None,
 ) -> Path:
     """Write a video of a seed's episodes and return its path.
@@ -104,8 +107,8 @@ def record(
       slow_motion: whether 0.7 s about the first policy's last large progress are shown
         at a fifth of the speed, or at 0.1. Progress is the first measure in the task's
         `coordination` that is kept at its greatest, or else where success begins.
-      close_up: a body of the world, such as `pot/pot`, that a square picture on the
-        right shows from nearby.
+      close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
+        below a long one, shows from nearby; of several, the one that moves most.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:
@@ -147,7 +150,7 @@ def record(
     policies: Sequence[Any] = policy if isinstance(policy, list | tuple) else [policy]
     if not policies:
         raise ValueError("name at least one policy")
-    task = as_task(env)
+    task, bodies = as_task(env), [close_up] if isinstance(close_up, str) else close_up
     with ExitStack() as stack:
         cast = []
         for each in policies:
@@ -157,8 +160,9 @@ def record(
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
             views: list[tuple[Any, ...]] = [(width, height)]
-            if close_up is not None:
-                views.append((height, height, close_up))
+            if bodies:
+                side = width if width > _LONG * height else height
+                views.append((side, height, bodies))
             model = world.world.drawn_model
             eyes = [stack.enter_context(closing(Camera(model, *v))) for v in views]
             screen = _Screen(world, act, players, shots, eyes, speed)
@@ -295,6 +299,8 @@ class _Screen:
         self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
+        self._score: dict[str, float] = {}
+        self._scored = np.inf, ""
         self._stage = env.task.progress_name
         env.watch(self._keep, self._most)
 
@@ -307,6 +313,7 @@ class _Screen:
     def play(self, seed: int, episode: int) -> Iterator[_Step]:
         """Yield the steps of an episode for ever; after its end all stands still."""
         observations, infos = self._env.reset(seed, [episode])
+        self._score.clear()
         self._keep()
         yield _Step(infos, self._states[-1:])
         while not infos["ended"][0]:
@@ -323,11 +330,21 @@ class _Screen:
         said = f", speed {pace:g}x" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
         label = f"{seconds:.1f} s{said}, {standing(self._players, step.infos)}"
+        label += self._cheer(seconds, step.infos["metrics"].get("score", {}))
         is_share = self._stage and self._env.task.units.get(self._stage) == ""
         if is_share and not _is_success(step):
             label += f", {100 * self._progress(step):.0f} % done"
         for state in step.states[every - 1 :: every]:
             yield _labelled(self._draw(*state), label)
+
+    def _cheer(self, seconds: float, score: Mapping[str, np.ndarray]) -> str:
+        """Return who has scored within the last second of the film, or nothing."""
+        for side, points in score.items():
+            if points[0] > self._score.get(side, np.inf):
+                self._scored = seconds, f"\n{self._players[side]} scores"
+            self._score[side] = points[0]
+        since, who = self._scored
+        return who if 0 <= seconds - since < _HOLD * self.speed else ""
 
     def decisive(self, steps: Sequence[_Step]) -> range:
         """Return the indices of the steps around the last progress or first success."""
@@ -354,9 +371,10 @@ class _Screen:
         places = np.concatenate([qpos, mocap_pos.ravel()])
         if np.abs(places - self._drawn).max() > _VISIBLE:
             views = [each.picture(qpos, mocap_pos) for each in self._cameras]
+            is_long = len({view.shape for view in views}) == 1
             for near in views[1:]:
-                near[:, :2] = 255
-            self._frame = np.concatenate(views, axis=1)
+                near[np.s_[:2] if is_long else np.s_[:, :2]] = 255
+            self._frame = np.concatenate(views, axis=0 if is_long else 1)
             self._drawn = places
         return self._frame
 

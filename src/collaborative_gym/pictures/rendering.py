@@ -4,7 +4,7 @@ import os
 import sys
 import warnings
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -21,6 +21,9 @@ T = TypeVar("T")
 _NEAR, _CUT = 0.7, 0.5
 """Distance to a body in a close-up, and below which nothing is drawn, in m."""
 
+_LASTING = 10
+"""Pictures over which the motion of bodies is averaged."""
+
 _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
 
@@ -36,8 +39,8 @@ class Camera:
 
     Any thread may use it. A graphics context belongs to one thread, so that all of a
     process's pictures are drawn in the same one, one after the other. The model is that
-    of `World.drawn_model`; sides are in pixels. With the name of a `body` it shows a
-    close-up of that from the same side.
+    of `World.drawn_model`; sides are in pixels. With names of bodies it shows a
+    close-up from the same side, of the one that moves most.
 
     Raises:
       KeyError: if there is no such body.
@@ -47,12 +50,12 @@ class Camera:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, width: int, height: int, body: str | None = None
+        self, model: mujoco.MjModel, width: int, height: int, bodies: Sequence[str] = ()
     ):
-        self._body = None
-        if body is not None:
-            names = {model.body(i).name: i for i in range(1, model.nbody)}
-            self._body = look_up("body", body, names)
+        names = {model.body(i).name: i for i in range(1, model.nbody)}
+        self._bodies = [look_up("body", body, names) for body in bodies]
+        self._shown, self._motion = 0, np.zeros(len(bodies))
+        self._places: np.ndarray | None = None
         visual = model.vis.global_
         self.size = (
             check_count("width", width, 1, visual.offwidth),
@@ -87,23 +90,31 @@ class Camera:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        camera = CAMERA if self._body is None else self._near(self._body)
+        camera = self._near() if self._bodies else CAMERA
         self._renderer.update_scene(self._data, camera, self._options)
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
             eye.frustum_top *= self._share
             # Of a close-up, what stands between is cut away, such as another arm.
-            cut = 1.0 if self._body is None else _CUT / eye.frustum_near
+            cut = _CUT / eye.frustum_near if self._bodies else 1.0
             for side in "near", "bottom", "top", "center", "width":
                 name = f"frustum_{side}"
                 setattr(eye, name, cut * getattr(eye, name))
         return self._renderer.render()
 
-    def _near(self, body: int) -> mujoco.MjvCamera:
+    def _near(self) -> mujoco.MjvCamera:
+        places = self._data.xpos[self._bodies]
+        if self._places is not None:
+            moved = np.linalg.norm(places - self._places, axis=1)
+            self._motion += (moved - self._motion) / _LASTING
+        self._places = places
+        # Of two that move alike, the one that is shown stays.
+        if self._motion.max() > 2 * self._motion[self._shown]:
+            self._shown = int(self._motion.argmax())
         far, middle = overview(self._model, self._data)
         away = middle - far
         near = mujoco.MjvCamera()
-        near.lookat, near.distance = self._data.xpos[body], _NEAR
+        near.lookat, near.distance = places[self._shown], _NEAR
         near.azimuth = np.degrees(np.arctan2(away[1], away[0]))
         near.elevation = np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))
         return near

@@ -196,7 +196,9 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             knob = {"threshold": most, "width": KNOB, "lever": _LEVER}
             scene.add_grip(agent, f"{name}/knob", **knob)
         scene.add_target("target", config.success_radius)
-        teams.add_team_camera(scene, self.placements, below=0.7)
+        scene.spec.visual.map.shadowclip = 4.5  # Tables stand around the arms.
+        spots = [spot for spot, _ in self.tables.values()]
+        teams.add_team_camera(scene, self.placements, below=0.7, also=spots)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

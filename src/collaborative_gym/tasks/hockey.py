@@ -208,8 +208,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         # Its contacts turn the puck round within a step; `discrete` would stop it.
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
-        far = 1.25 + 0.65 * half_width
-        scene.add_camera((0, -far, HEIGHT + 1.1 * far), (1, 0, 0, 0, 0.7, 0.71))
+        far = 0.82 + 0.6 * half_width
+        scene.add_camera((0, -far, HEIGHT + 1.8 * far), (1, 0, 0, 0, 0.87, 0.49))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

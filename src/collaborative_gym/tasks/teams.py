@@ -228,8 +228,12 @@ def add_team_camera(
     tall: float = _TALL,
     *,
     steep: bool = False,
+    also: Sequence[np.ndarray] = (),
 ) -> None:
-    """Look at arms, and so many m below, from above through the widest gap between."""
+    """Look at arms, and so many m below, from above through the widest gap between.
+
+    Points of `also`, (3,) in m, are to be seen as well.
+    """
     is_team = len(placements) > 2
     slope, margin = _SLOPES[steep or is_team], _MARGINS[is_team]
     bases = np.array([each.position for each in placements.values()])
@@ -244,7 +248,7 @@ def add_team_camera(
     back /= np.linalg.norm(back)
     right = np.array([-np.sin(angle), np.cos(angle), 0.0])
     up = np.cross(back, right)
-    away = np.concatenate([bases, tops]) - middle
+    away = np.concatenate([bases, tops, np.reshape(also, (-1, 3))]) - middle
     for _ in range(20):  # Until the lowest and the highest are as near to the edges.
         off = away @ np.transpose([right, up])
         far = np.max(away @ back + np.max((np.abs(off) + margin) / _VIEW, axis=1))

@@ -81,6 +81,7 @@ class Panel:
         with tabs.add_tab("Look"):
             self._add_looks()
         self._script = gui.add_html("")
+        self._hint = gui.add_html(_HINT)
 
     @property
     def view(self) -> str:
@@ -97,6 +98,7 @@ class Panel:
         session = self._session
         self._play.label = "Play" if session.is_paused else "Pause"
         self._plots.refresh(session)
+        self._hint.visible = self._looks["labels"].value and not session.was_pulled
         reading = session.reading
         if self._said is reading:
             return
@@ -259,6 +261,9 @@ _LINK = """<a href="%s">Link to this start</a> <button class=copy onclick="
 navigator.clipboard.writeText(this.previousElementSibling.href)
 .then(() => this.textContent = 'Copied')">Copy</button>"""
 
+_HINT = "<div class=hint>Ctrl-drag to pull an object</div>"
+"""What newcomers must know, over the scene; on a Mac it is Cmd."""
+
 _STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
 
 
@@ -280,14 +285,17 @@ def _heading(session: Session, instead: str) -> str:
         else f"{player}{': <b>success</b>' if reading.success[side] else done}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
-    goal = "loading ..." if reading.is_loading else html.escape(goal)
+    goal = html.escape(goal)
+    if reading.is_loading:
+        goal, sides = "loading ...", []
     lines = [f"<b>stopped:</b> {html.escape(reading.trouble)}"] * bool(reading.trouble)
     lines += [f"<b>{html.escape(instead)}</b>"] * bool(instead)
     # A line breaks between the sides first.
     spans = (f"<span style=display:inline-block>{side}</span>" for side in sides)
     lines.append(" : ".join(spans))
     if reading.scores:
-        lines.append(html.escape(reading.previous.partition(";")[0]) or "&nbsp;")
+        last = reading.previous.partition(";")[0]
+        lines.append(html.escape(last and f"before: {last}") or "&nbsp;")
     worlds = session.readings
     if len(worlds) > 1 and not reading.scores:
         done = sum(any(each.success.values()) for each in worlds)

@@ -28,13 +28,6 @@ _GAMMA = 2.2
 _FORCE = (210, 40, 30)
 """Colour of contact forces."""
 
-_HINT = "Ctrl-drag to pull an object"
-"""A hint that newcomers need; on a Mac it is Cmd."""
-
-_BEFORE, _BELOW = 0.6, 0.85
-"""Where the hint is: a share of the way from the first camera to what it looks at, so
-that arms are behind, and a share of the lower half of what the camera sees."""
-
 NEWTONS_PER_METRE = 300.0
 """Contact force whose arrow is 1 m long."""
 
@@ -112,17 +105,11 @@ class Stage:
             agent: scene.add_label(f"/label {agent}", "", anchor="bottom-center")
             for agent in self._arms
         }
-        # It is there until somebody pulls, if the latest tab has a Ctrl.
-        self._has_keys = True
-        self._hint = scene.add_label("/hint", _HINT, anchor="bottom-center")
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
         eye, looked_at = overview(model, self._data)
-        fov, ahead = float(np.radians(model.camera(CAMERA).fovy[0])), looked_at - eye
+        fov = float(np.radians(model.camera(CAMERA).fovy[0]))
         self._slope = float(np.tan(fov / 2))
-        down = np.cross(ahead, np.cross(ahead, (0.0, 0.0, 1.0)))
-        down *= self._slope * np.linalg.norm(ahead) / np.linalg.norm(down)
-        self._hint.position = eye + _BEFORE * (ahead + _BELOW * down)
         self._titles = [
             scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
             for i in range(len(self._worlds))
@@ -153,9 +140,7 @@ class Stage:
                     node.batched_positions = positions[:, body]
                     node.batched_wxyzs = wxyzs[:, body]
             has_many = len(self._worlds) > 1
-            is_news = self._has_keys and not session.was_pulled
             names_arms = labels and not has_many
-            self._hint.visible = names_arms and is_news
             for i, title in enumerate(self._titles):
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
@@ -180,8 +165,8 @@ class Stage:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         aspect = client.camera.aspect
         is_tall = aspect < _TALL
-        self._has_keys = not is_tall and client.camera.image_height >= _LOW
-        for node, pull in () if self._has_keys else self._pullable:
+        has_keys = not is_tall and client.camera.image_height >= _LOW
+        for node, pull in () if has_keys else self._pullable:
             node.on_drag("left")(pull)  # With a finger.
         eye, target = self._place(view, aspect)
         if view != CAMERA:
