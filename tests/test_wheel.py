@@ -55,6 +55,7 @@ def test_it_holds_the_package_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {
         "collaborative_gym",
+        "collaborative_gym_command.py",
         f"{wheel.name.split('-py3')[0]}.dist-info",
     }
     source = ROOT / "src"
@@ -62,7 +63,7 @@ def test_it_holds_the_package_and_nothing_else(wheel):
         str(path.relative_to(source))
         for path in (source / "collaborative_gym").rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
-    }
+    } | {"collaborative_gym_command.py"}
     assert {name for name in names if ".dist-info/" not in name} == expected
     for needed in (
         "py.typed",

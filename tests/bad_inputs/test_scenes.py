@@ -88,8 +88,16 @@ SCENE = [
         _in_scene("add_grip", "threshold", **GRIP),
         NO_NUMBER,
         BELOW,
+        [30.0],
     ),
-    *table("scene", "width", _in_scene("add_grip", "width", **GRIP), NO_NUMBER, BELOW),
+    *table(
+        "scene",
+        "width",
+        _in_scene("add_grip", "width", **GRIP),
+        NO_NUMBER,
+        BELOW,
+        [40.0],
+    ),
     *table(
         "scene", "site", _in_scene("add_weld", "site", other="cube/centre"), ["x", 3]
     ),

@@ -624,6 +624,18 @@ def test_a_signal_ends_it_and_leaves_no_file(tmp_path, sent, status):
         process.wait()
 
 
+@pytest.mark.parametrize("after", [0.1, 0.2, 0.3, 0.4])
+def test_ctrl_c_ends_it_silently_while_it_loads(after):
+    run = "import collaborative_gym_command as own; print(1, flush=True); own.main()"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", run, "list"], **pipes) as process:
+        assert process.stdout.readline() == b"1\n"
+        time.sleep(after)
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.read() == b""
+    assert process.returncode in (0, 130)  # It may have ended by then.
+
+
 @pytest.mark.parametrize("command", [["train", "--help"], ["list"]], ids=str)
 def test_it_ends_quietly_where_nobody_reads_on(command):
     module = [sys.executable, "-m", "collaborative_gym", *command]

@@ -143,6 +143,19 @@ def test_a_target_out_of_reach(broken, y):
         broken("build", build)
 
 
+def test_an_object_whose_place_is_in_mm(carry, monkeypatch):
+    own = type(carry()).reset
+
+    def reset(task, sim, env_ids, *, rng):
+        own(task, sim, env_ids, rng=rng)
+        name = next(iter(task.scene.objects(sim)))
+        task.scene.place(sim, env_ids, name=name, position=(700.0, 0.0, 660.0))
+
+    monkeypatch.setattr(type(carry()), "reset", reset)
+    with pytest.raises(ValueError, match="starts 700 m away; give m, not mm"):
+        cg.VectorEnv(carry(), 1, num_threads=1)
+
+
 def test_trying_out_leaves_the_worlds_as_new(make_env):
     env = make_env(4)
     assert not env.sim.memory["push"].any()

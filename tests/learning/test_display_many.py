@@ -33,6 +33,17 @@ def test_one_table_has_a_line_for_each_run_those_under_way_first():
     assert told[2] == ["one", "0%", "-", "-", "-", "waits"]
 
 
+def test_what_all_names_begin_with_is_left_out():
+    names = [f"Poke-v0-{mode}-seed{i}" for mode in ("shared", "single") for i in (0, 1)]
+    console = Console(file=io.StringIO(), force_terminal=True, width=80)
+    with ManyDisplay(dict.fromkeys(names, 64), console) as display:
+        display.show(names[0], {"steps": 32})
+    text = console.file.getvalue()
+    assert all(name.removeprefix("Poke-v0-") in text for name in names)
+    assert "Poke" not in text
+    assert all(head in text for head in ("steps", "return", "completion", "validated"))
+
+
 def test_elsewhere_than_on_a_terminal_lines_come_now_and_then():
     first, last = shown(False).splitlines()
     assert first == "0 of 3 runs done, 1 begun, 0.25 M of 3.00 M steps"

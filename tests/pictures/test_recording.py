@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
+import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
 from collaborative_gym.pictures import recording
@@ -122,6 +123,30 @@ def test_close_up_follows_its_body_beside_the_whole(tmp_path):
         assert reds[:, width:].sum() > 0.02 * height**2
         column = np.flatnonzero(reds[:, width:].any(axis=0)).mean()
         assert abs(column - height / 2) < 0.15 * height
+
+
+def test_close_up_is_below_a_long_picture(tmp_path):
+    long = {"close_up": ["pot/pot", "robot_1/hand"], "seconds": 0.1, "size": (192, 64)}
+    path = recording.record("LiftPandas3-v0", tmp_path / "a.gif", **long)
+    with Image.open(path) as video:
+        frame = np.asarray(video.convert("RGB"))
+    assert frame.shape == (128, 192, 3)
+    assert (frame[64:66] > 240).all()
+
+
+def test_a_film_says_for_a_second_who_has_scored(tmp_path, monkeypatch):
+    told = []
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: told.append(text) or frame
+    )
+    game, players = cg.task("HockeyPandas-v0", max_episode_steps=40), ("expert", "idle")
+    film = {"only_episodes": [8], "size": SIZE}  # With a goal in its first second.
+    policy = dict(zip(game.agents, players, strict=True))
+    recording.record(game, tmp_path / "a.gif", policy=policy, **film)
+    goals = [text for text in told if text.endswith("\nrobot_1 expert scores")]
+    assert 0 < len(goals) < len(told) / 2
+    before = told[told.index(goals[0]) - 1]
+    assert "expert 0 : 0" in before and "expert 1 : 0" in goals[0]
 
 
 def test_close_up_of_no_body_is_refused(carry, tmp_path):

@@ -160,8 +160,31 @@ def test_what_stands_before_a_close_up_is_cut_away():
         </mujoco>
         """
     )
-    for body, channel in (("ball", 0), (None, 2)):
-        camera = Camera(model, 64, 48, body)
+    for bodies, channel in ((["ball"], 0), ((), 2)):
+        camera = Camera(model, 64, 48, bodies)
         pixel = camera.picture(np.zeros(0), np.zeros((0, 3)))[24, 32]
         assert pixel.argmax() == channel
         camera.close()
+
+
+def test_of_several_bodies_the_close_up_shows_the_one_that_moves():
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <worldbody>
+            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
+            <body name="red"><joint type="slide" axis="0 1 0"/>
+              <geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+            <body name="blue" pos="0 1 0"><joint type="slide" axis="0 1 0"/>
+              <geom size="0.1" rgba="0 0 1 1" group="2"/></body>
+          </worldbody>
+        </mujoco>
+        """
+    )
+    camera, none = Camera(model, 64, 48, ["red", "blue"]), np.zeros((0, 3))
+    seen = [
+        camera.picture(np.array(places), none)[24, 32].argmax()
+        for places in ((0.0, 0.0), (0.0, 0.1), (0.05, 0.1), (0.05, 0.1), (0.5, 0.1))
+    ]
+    assert seen == [0, 2, 2, 2, 0]
+    camera.close()

@@ -57,7 +57,7 @@ class List(Command):
             return
         show(
             f"\nMost robots ({', '.join(list_robots())})\ngo into most tasks"
-            f" ({', '.join(list_tasks())});\nan error says why others do not:\n"
+            f"\n({', '.join(list_tasks())});\nan error says why others do not:\n"
             "  collaborative-gym record Lift --robots panda jaco --output lift.mp4"
         )
 

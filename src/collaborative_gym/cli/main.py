@@ -102,7 +102,7 @@ _INSTEAD = {
 _PLAINLY = {
     r"^Error parsing ": "",
     r": .*int\(\) with base 10: ('.*')$": r": \1 is not a whole number; write it in"
-    " digits, such as 1000000",
+    " digits",
     r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
     r": Could not .*$": " takes numbers, with spaces between them",
     r"^Missing from \S+ (\w+): ((?:--\S+ )?[^\s,]+),? (?:\|.*? \.\.\. )?(.*?)"

@@ -18,6 +18,7 @@ from collaborative_gym.sim.sim import Sim
 from collaborative_gym.tasks.task import Task, named_facts
 
 _NUMBERS = "bool", "integral", "real floating"  # kinds of which a block may be
+_FARTHEST = 50.0  # distance of an object, in m; beyond it a place is in mm
 _HAND = 0.3  # what a hand, and what it holds, add to an arm's rated reach, in m
 
 
@@ -96,6 +97,11 @@ class _Trial:
 
     def check_targets(self, scene: Scene) -> None:
         """Raise if a target is so far away that no arm can bring anything there."""
+        for name, place in scene.objects(self._sim).items():
+            if float(far := np.abs(place[0]).max()) > _FARTHEST:
+                raise ValueError(
+                    f"{self._name}: {name!r} starts {far:.0f} m away; give m, not mm"
+                )
         if scene.tools:
             return  # How far they reach is not known here.
         task, placements = self._task, self._task.placements

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Iterable, Mapping
+from itertools import takewhile
 from typing import Any, Self
 
 from rich import box
@@ -238,6 +239,10 @@ class ManyDisplay(_Screen):
 
     def _table(self) -> Table:
         table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        # What all names begin with, such as the environment, would take the width.
+        words = [name.split("-") for name in self._known]
+        alike = takewhile(lambda each: len({*each}) == 1, zip(*words, strict=False))
+        start = sum(len(word) + 1 for word, *_ in alike) if len(words) > 1 else 0
         table.add_column("run", no_wrap=True)
         for head in ("steps", "return", "completion", "validated", "left"):
             table.add_column(head, justify="right", no_wrap=True)
@@ -248,7 +253,7 @@ class ManyDisplay(_Screen):
             rate = row.get("steps_per_second", 0.0)
             left = format_duration((total - steps) / rate) if rate > 0 else "waits"
             table.add_row(
-                name,
+                name[start:],
                 f"{min(1.0, steps / total):.0%}",
                 *(format_result(row, column) for column in columns),
                 left if steps < total else "-",

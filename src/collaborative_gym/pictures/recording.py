@@ -330,7 +330,8 @@ class _Screen:
         said = f", speed {pace:g}x" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
         label = f"{seconds:.1f} s{said}, {standing(self._players, step.infos)}"
-        label += self._cheer(seconds, step.infos["metrics"].get("score", {}))
+        if not step.infos["ended"][0]:  # Then the label says who wins.
+            label += self._cheer(seconds, step.infos["metrics"].get("score", {}))
         is_share = self._stage and self._env.task.units.get(self._stage) == ""
         if is_share and not _is_success(step):
             label += f", {100 * self._progress(step):.0f} % done"

@@ -187,7 +187,7 @@ class Scene:
           ValueError: if the name is taken, or the radius is out of bounds.
         """
         self._check_free("name", name)
-        radius = check_number("radius", radius, at_least=0.001, at_most=100.0)
+        radius = check_number("radius in m", radius, at_least=0.001, at_most=10.0)
         body = self._add_marker(name)
         add_wire_sphere(self.spec, body, radius, rgba)
         body.add_site(name=name)
@@ -218,10 +218,10 @@ class Scene:
         self._check_arm(agent)
         self._check_site(site)
         self.grasp.strength(self.robots[agent])
-        threshold = check_number("threshold", threshold, at_least=0.0)
-        width = check_number("width", width, at_least=0.0)
+        threshold = check_number("threshold in m", threshold, at_least=0.0, at_most=1.0)
+        width = check_number("width in m", width, at_least=0.0, at_most=1.0)
         if lever is not None:
-            lever = check_number("lever", lever, at_least=0.0)
+            lever = check_number("lever in m", lever, at_least=0.0, at_most=1.0)
         grip = Grip(agent, site, threshold, width, lever)
         self.add_pose_sensor(site, site)
         if not any(agent == other.agent for other in self.grips):
@@ -393,6 +393,10 @@ class Scene:
     def targets(self, sim: Sim) -> dict[str, Array]:
         """Return the places of the targets by name, (num_envs, 3) each, in m."""
         return {name: sim.mocap_pos[:, i] for name, i in self._mocap.items()}
+
+    def objects(self, sim: Sim) -> dict[str, Array]:
+        """Return the places of what moves freely by name, (num_envs, 3) each, in m."""
+        return {name: sim.qpos[:, i : i + 3] for name, i in self._free.items()}
 
     def _resolve(self, model: mujoco.MjModel) -> None:
         """Find everything in the compiled world that is reached by name."""
