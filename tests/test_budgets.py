@@ -44,7 +44,7 @@ def functions(path):
 
 
 def test_the_package_does_not_grow():
-    assert sum(len(path.read_text().splitlines()) for path in SOURCES) <= 37_500
+    assert sum(len(path.read_text().splitlines()) for path in SOURCES) <= 37_600
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
-from collaborative_gym.pictures import recording
+from collaborative_gym.pictures import recording, video
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.testing import play
 
@@ -177,7 +177,7 @@ def test_what_comes_late_into_a_gif_has_its_colour(tmp_path):
     frames = np.full((20, 48, 64, 3), 200, np.uint8)
     frames += np.arange(64, dtype=np.uint8)[:, None] // 2
     frames[10:, 20:24, 20:24] = 20, 80, 220
-    recording._write_gif(tmp_path / "a.gif", iter(frames), 10)
+    video._write_gif(tmp_path / "a.gif", iter(frames), 10)
     with Image.open(tmp_path / "a.gif") as film:
         film.seek(film.n_frames - 1)
         assert film.convert("RGB").getpixel((22, 22)) == (20, 80, 220)
@@ -258,7 +258,7 @@ def test_a_full_disk_is_told_and_leaves_what_was_there(small_disk, name):
         if name == "a.png":
             recording.contact_sheet(list(noise(count=2)), ["a", "b"], path)
         else:
-            recording._FORMATS[path.suffix][0](path, noise(), 20)
+            video.FORMATS[path.suffix][0](path, noise(), 20)
     assert path.read_text() == "old"
     assert list(small_disk.iterdir()) == [path]
 
@@ -267,13 +267,13 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from collaborative_gym.pictures import recording
+from collaborative_gym.pictures import recording, video
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
 path, draw = Path(sys.argv[1]), np.random.default_rng(0)
 frames = (draw.integers(0, 256, (96, 128, 3), dtype=np.uint8) for _ in range(9))
 try:
-    recording._FORMATS[path.suffix][0](path, frames, 20)
+    video.FORMATS[path.suffix][0](path, frames, 20)
 except OSError as error:
     print(error)
 """

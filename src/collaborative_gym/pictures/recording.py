@@ -1,13 +1,9 @@
 """Videos and pictures of policies at work."""
 
-import io
-import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
-from importlib import import_module
-from itertools import chain, count, islice, repeat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from itertools import count, repeat
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import mujoco
@@ -21,12 +17,12 @@ from collaborative_gym.errors import (
     check_flag,
     check_kind,
     check_number,
-    how_to_install,
     shown,
 )
 from collaborative_gym.evaluation.play import OnProgress
-from collaborative_gym.files import naming, replacing
+from collaborative_gym.files import replacing
 from collaborative_gym.pictures.rendering import Camera
+from collaborative_gym.pictures.video import FORMATS, Frames, import_extra, save
 from collaborative_gym.policies import AnyPolicy, Policy, as_played, as_policy
 from collaborative_gym.policies.match import name_players, standing
 from collaborative_gym.scene.surroundings import LARGEST
@@ -39,9 +35,6 @@ _SAME_SPREAD = 0.01
 
 _HOLD = 1.0
 """Time for which a film shows the end of an episode, in s."""
-
-_BEGIN = 100
-"""Frames of a GIF by which its colours are chosen."""
 
 _LONG = 2.5
 """Width over height of a picture below which, not beside which, a close-up stands."""
@@ -61,9 +54,6 @@ to before which one, counted from the decisive one."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
-
-Frames = Iterator[np.ndarray]
-"""Pictures, (height, width, 3) uint8."""
 
 
 def record(
@@ -134,11 +124,11 @@ def record(
     if "\0" in str(output):
         raise ValueError(f"output must be a path, got {str(output)!r}")
     suffix = output.suffix.lower()
-    if suffix not in _FORMATS:
+    if suffix not in FORMATS:
         raise ValueError(
             f"cannot record to {output.name!r}; end its name with .gif or .mp4"
         )
-    write, shots, usual = _FORMATS[suffix]
+    write, shots, usual = FORMATS[suffix]
     speed = check_number("speed", speed, at_least=_SLOWEST, at_most=_FASTEST)
     # So many pictures a second as in real time, or a few more.
     shots = next(n for n in _SHOTS if n >= min(shots / speed, SUBSTEPS))
@@ -175,7 +165,7 @@ def record(
 def check_ready() -> None:
     """Raise ImportError or RuntimeError if no videos and pictures can be made here."""
     for module in ("imageio_ffmpeg", "PIL"):
-        _import(module)
+        import_extra(module)
     Camera(mujoco.MjSpec().compile(), 64, 64).close()
 
 
@@ -228,21 +218,21 @@ def contact_sheet(
     Raises:
       ImportError: if the extra `video` is not installed.
     """
-    image = _import("PIL.Image")
+    image = import_extra("PIL.Image")
     height, width = pictures[0].shape[:2]
-    font = _import("PIL.ImageFont").load_default(size=height / 18)
+    font = import_extra("PIL.ImageFont").load_default(size=height / 18)
     band, gap = height // 11, width // 80
     right, down = width + gap, height + band + gap
     rows = -(-len(pictures) // columns)
     sheet = image.new("RGB", (columns * right + gap, rows * down + gap), "white")
-    pen = _import("PIL.ImageDraw").Draw(sheet)
+    pen = import_extra("PIL.ImageDraw").Draw(sheet)
     for i, (pixels, label) in enumerate(zip(pictures, labels, strict=True)):
         x, y = gap + i % columns * right, gap + i // columns * down
         pen.text((x + width // 2, y + band // 2), label, "black", font, anchor="mm")
         sheet.paste(image.fromarray(pixels), (x, y + band))
     output = Path(output)
     with replacing(output) as partial:
-        _save(sheet, partial, output, format="PNG")
+        save(sheet, partial, output, format="PNG")
     return output
 
 
@@ -424,9 +414,9 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
 
     If there is no room for all in a line, the part after the time comes below.
     """
-    picture = _import("PIL.Image").fromarray(frame)
-    pen = _import("PIL.ImageDraw").Draw(picture)
-    load, (height, wide) = _import("PIL.ImageFont").load_default, frame.shape[:2]
+    picture = import_extra("PIL.Image").fromarray(frame)
+    pen = import_extra("PIL.ImageDraw").Draw(picture)
+    load, (height, wide) = import_extra("PIL.ImageFont").load_default, frame.shape[:2]
     size = max(9, height // 18, wide // 55)  # Pages make wide films small.
     room = wide - size
 
@@ -440,79 +430,3 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
     pen.rectangle((0, 0, right + size // 2, down + size // 3), "#202428")
     pen.text((size // 2, size // 3), text, "white", font)
     return np.asarray(picture)
-
-
-def _write_mp4(output: Path, frames: Frames, rate: float) -> None:
-    program = _import("imageio_ffmpeg").get_ffmpeg_exe()
-    with replacing(output) as partial, TemporaryFile() as said:
-        first = next(frames)
-        command = [
-            *(program, "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
-            *("-s", f"{first.shape[1]}x{first.shape[0]}", "-r", f"{rate:g}", "-i", "-"),
-            *("-codec:v", "libx264", "-crf", "25", "-pix_fmt", "yuv420p", partial),
-        ]
-        encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
-        try:
-            _feed(encoder, chain([first], frames))
-            if status := encoder.wait():
-                said.seek(0)
-                words = said.readline().decode(errors="replace").rpartition("] ")[-1]
-                why = words.strip() or f"it ended with status {status}"
-                raise OSError(f"cannot write {output}: ffmpeg failed: {why}")
-        finally:
-            encoder.kill()
-            encoder.wait()
-
-
-def _feed(encoder: subprocess.Popen[bytes], frames: Iterable[np.ndarray]) -> None:
-    """Give an encoder frames to their end, or until the encoder itself ends."""
-    assert encoder.stdin is not None
-    for frame in frames:
-        try:
-            encoder.stdin.write(frame.tobytes())
-        except OSError:
-            break
-    with suppress(OSError):
-        encoder.stdin.close()
-
-
-def _write_gif(output: Path, frames: Frames, rate: float) -> None:
-    image = _import("PIL.Image")
-    with replacing(output) as partial:
-        # One palette for all frames: one for each makes colours flicker. Most of it is
-        # that of the largest areas, the rest that of what is small or comes later.
-        begin = list(islice(frames, _BEGIN))
-        sample = image.fromarray(np.concatenate(begin[:: len(begin) // 8 + 1]))
-        palette = image.new("P", (1, 1))
-        parts = sample.quantize(208), sample.quantize(48, image.Quantize.MAXCOVERAGE)
-        palette.putpalette([c for part in parts for c in part.getpalette()])
-        options = {"palette": palette, "dither": image.Dither.NONE}
-        all_frames = map(image.fromarray, chain(begin, frames))
-        shots = (frame.quantize(**options) for frame in all_frames)
-        first = next(shots)
-        more = {"append_images": shots, "duration": round(1000 / rate), "loop": 0}
-        _save(first, partial, output, format="GIF", save_all=True, **more)
-
-
-def _save(image: Any, partial: Path, output: Path, **options: Any) -> None:
-    """Write a picture to a part file; errors name the file that was asked for."""
-    content = io.BytesIO()  # Frames are drawn meanwhile, whose errors are others.
-    image.save(content, **options)
-    with naming(output):
-        partial.write_bytes(content.getvalue())
-
-
-_FORMATS = {".mp4": (_write_mp4, 2, (1280, 720)), ".gif": (_write_gif, 1, (416, 234))}
-"""Writers of a kind of video file, pictures per control step in real time, and default
-sizes in pixels."""
-
-
-def _import(name: str) -> Any:
-    """Return a module of the extra `video`; raise ImportError if it is missing."""
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"videos and pictures need {name.split('.')[0]}, which is not installed;"
-            f" {how_to_install('video')}"
-        ) from error
