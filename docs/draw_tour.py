@@ -23,10 +23,10 @@ TOUR = {
     "PassTaskJacoSawyer-v0": (1.0, 0.5),
     "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
-    "ReachPandas4-v0": (1.0, 0.5),
-    "SortPandas4-v0": (1.9, 0.5),
-    "AssemblePandas3-v0": (1.15, 0.45),
-    "HockeyPandas-v0": (1.3, 0.4),
+    "ReachPandas4-v0": (1.3, 0.55),
+    "SortPandas4-v0": (1.45, 0.42),
+    "AssemblePandas3-v0": (1.6, 0.4),
+    "HockeyPandas-v0": (1.2, 0.45),
     "TugPandas-v0": (1.15, 0.5),
 }
 """What the baselines play, in games against the expert, by environment: how much larger
