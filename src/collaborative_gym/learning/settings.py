@@ -417,7 +417,9 @@ def check_company(
 def _check_same(settings: Settings, started: Settings) -> None:
     """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
-    found += settings.layout.differences(started.layout, settings.layout.observation)
+    if not found:  # Another task has other blocks.
+        own = settings.layout
+        found = own.differences(started.layout, own.observation)
     apart = {"identity", "layout", "hyperparameters", "start"}
     pairs = [
         (name, getattr(settings, name), getattr(started, name))
