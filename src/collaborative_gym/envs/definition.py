@@ -98,7 +98,8 @@ class _Trial:
     def check_targets(self, scene: Scene) -> None:
         """Raise if a target is so far away that no arm can bring anything there."""
         for name, place in scene.objects(self._sim).items():
-            if float(far := np.abs(place[0]).max()) > _FARTHEST:
+            far = max(abs(float(place[0, i])) for i in range(3))
+            if far > _FARTHEST:
                 raise ValueError(
                     f"{self._name}: {name!r} starts {far:.0f} m away; give m, not mm"
                 )
