@@ -40,7 +40,7 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "PassPandas4-v0": ("cube/cube", "cube_2/cube"),
-    "SortPandas4-v0": tuple(f"cube_{i + 1}/cube" for i in range(7)),
+    "SortPandas4-v0": tuple(f"robot_{i + 1}/hand" for i in range(4)),
     "Assemble": "pin/pin",
 }
 """What the films of a task or an environment show from nearby."""
@@ -49,8 +49,7 @@ TEAMS = ("PassPandas4-v0",)
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
 GAME, EPISODE = "HockeyPandas-v0", 8
-"""A close game, filmed whole at twice its speed: of the first 16, the baseline won 13,
-and lost 2."""
+"""A close game, filmed whole: of the first 16, the baseline won 13, and lost 2."""
 
 
 def sharp(env_id: str) -> cg.Task:
@@ -67,8 +66,7 @@ def film(env_id: str) -> None:
     task = sharp(env_id)
     policy = player if len(task.sides) == 1 else AGAINST
     if env_id == GAME:
-        whole = {"only_episodes": [EPISODE], "speed": 2.0, "size": SIZES[env_id]}
-        record(task, path, policy=policy, **whole)
+        record(task, path, policy=policy, only_episodes=[EPISODE], size=SIZES[env_id])
     elif len(task.sides) > 1:  # Tug is over within a second.
         record(task, path, policy=policy, speed=0.25, size=SIZE)
     else:

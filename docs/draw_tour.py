@@ -18,9 +18,9 @@ STEPS, HOLD = 78, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": (1.2, 0.4),
+    "PokeTaskPandaSawyer-v0": (1.5, 0.4),
     "LiftTaskSawyers-v0": (1.0, 0.5),
-    "PassTaskJacoSawyer-v0": (1.0, 0.5),
+    "PassTaskJacoSawyer-v0": (1.2, 0.45),
     "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
     "ReachPandas4-v0": (1.3, 0.55),

@@ -18,7 +18,7 @@ from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
 
-_NEAR, _CUT = 0.7, 0.5
+_NEAR, _CUT = 0.85, 0.4
 """Distance to a body in a close-up, and below which nothing is drawn, in m."""
 
 _LASTING = 10
