@@ -14,8 +14,8 @@ otherwise:
   limit or above, the mean over the joints.
 - `torque_over_limit`: the torque that a physics step applies to a joint, over its
   limit. It is MuJoCo's `actuator_force`, from the state before the step and never above
-  the limit, less what the implicit step takes off as the joint moves. That adds to the
-  torque where a joint is hit, so the mean over a step may pass the limit.
+  the limit, less what the implicit step takes off as the joint moves. That can add to
+  the torque, most where a joint is hit, so the mean over a step may pass the limit.
 - `speed_over_limit`: a joint's speed over its limit.
 - `energy`: the sum over joints and physics steps of abs(torque x turn), in J, by the
   torque that the step applies. A motor that brakes gives nothing back.

@@ -129,8 +129,8 @@ class Hyperparameters:
         policy's mean action (as in Kickstarting, Schmitt et al. 2018, arXiv
         1803.03835). If the partner or opponent is a fixed policy that can also play the
         learner's seat, this policy advises instead of the expert.
-      refined: 1 to split physics steps in which arms crash into short ones, as all
-        other worlds do; 0 not to, which learns as well and is faster.
+      refined: 1 to repeat a physics step as short ones if arms crash, as all other
+        worlds do; with 0, training is faster and learns as well.
       delayed: share of the worlds in which each action comes one control step late;
         never in validations, and never for a guest, which may not know delays.
       mishaps: share of the episodes that begin after a mishap of the task (the

@@ -51,8 +51,8 @@ class Result:
       steps: environment steps that it took.
       seconds: time that it took.
       best: means of the best validation: `validation/return`,
-        `validation/completion`, `validation/performance` and `steps`. Where there are
-        several sides, it is the last validation, and they are by side, as
+        `validation/completion`, `validation/performance` and `steps`. In self-play
+        and leagues it is the last validation. Several sides have their own, as
         `validation/side_1/return`.
     """
 

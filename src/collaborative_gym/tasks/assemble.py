@@ -45,7 +45,7 @@ hole's. Parts lie far from the target, so an arm that holds still keeps its part
 from it.
 
 Coordination: `stage` is the greatest mean share that peg and pin were in; `idle` is the
-mean share of arms that waited, as in Lift.
+mean share of arms that waited, as in [Lift](lift.md).
 """
 
 from collections.abc import Mapping

@@ -54,7 +54,7 @@ together with the arm before it. A cube thrown, or left on a table for the next 
 does not count.
 
 Coordination: `stage` is the share of hands that the cubes have been through; `idle` is
-the mean share of arms that waited, as in Lift.
+the mean share of arms that waited, as in [Lift](lift.md).
 """
 
 from collections.abc import Mapping

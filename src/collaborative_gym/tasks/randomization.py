@@ -37,7 +37,7 @@ class Randomization:
       force_noise: of every observed force, along each axis, at every step, in N.
       torque_noise: of every observed torque, likewise, in N m.
       force_bias: of every observed force, likewise, during a whole episode, in N.
-      torque_bias: of its torque, likewise, in N m.
+      torque_bias: of every observed torque, likewise, in N m.
       limp: agents whose arms have no torque and no gravity compensation; their grips
         still follow their actions.
       absent: agents whose arms touch nothing, as if they were not there; tools fixed in

@@ -20,7 +20,7 @@ Reward of each agent:
 Success: every arm has reached its goals and touched no other. The episode then ends.
 
 Coordination: `stage` is the share of all goals that were reached; `idle` is the mean
-share of arms that waited, as in Lift.
+share of arms that waited, as in [Lift](lift.md).
 
 The observation has the same form for teams of all sizes. `mates` is a set of seven
 elements, one for each mate in the order of the ring, the others zeros. Each has: 1; 1

@@ -3,9 +3,9 @@
 The arms stand along the belt on alternating sides, `robot_1` first. Each has a colour,
 and a tote beside it that no other arm needs to reach. One or two cubes of each colour
 lie on the belt. The first comes in the lane on the arm's own side. All arms except
-`robot_1` have a second one, in the lane on the other side, where they do not reach. The
-arm before it, which stands on that side, must move this cube to the middle of the belt,
-which both arms reach. The belt does not wait: a cube that has passed its arm is lost.
+`robot_1` have a second cube, in the other side's lane, out of their reach. The previous
+arm, which stands on that side, must move this cube to the middle of the belt, which
+both arms reach. The belt does not wait: a cube that has passed its arm is lost.
 
 Randomised: the joints of the arms; the cubes' positions along and across the belt, and
 their turns about the vertical; which of the two cubes in a lane comes first.
@@ -34,7 +34,7 @@ fill a tote. Without an arm, its cubes are lost, and so is the one that it shoul
 for the next arm.
 
 Coordination: `sorted` is the greatest share of cubes in their totes; `idle` is the mean
-share of arms that waited, as in Lift.
+share of arms that waited, as in [Lift](lift.md).
 """
 
 from collections.abc import Mapping
