@@ -28,7 +28,7 @@ from pathlib import Path
 import collaborative_gym as cg
 from collaborative_gym.evaluation.table import markdown_table
 from collaborative_gym.robots import UR5E, Gripper, Robot
-from collaborative_gym.testing import try_robot, unusual
+from collaborative_gym.trying import try_robot, unusual
 
 TASKS = "Poke", "Lift", "Pass", "Reach"
 TABLE = Path(__file__).parents[1] / "docs" / "tables" / "robots.md"

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from collaborative_gym import robots
-from collaborative_gym.testing import _hindrances, check_robot
+from collaborative_gym.testing import check_robot
+from collaborative_gym.trying import _hindrances
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_arm.py"
 

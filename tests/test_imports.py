@@ -32,6 +32,7 @@ ROOMS = [
     {"cards", "certificate", "comparisons", "adapters"},
     {"pictures.recording"},
     {"viewer"},
+    {"trying"},
     {"testing"},
     {""},
     {"cli"},

@@ -178,6 +178,26 @@ def test_an_observation_that_blows_up(faults):
     assert any("observation of robot_1 is not finite after" in each for each in found)
 
 
+def test_a_reward_that_blows_up_near_the_goal(faults):
+    def reward(self, own, facts, commands):
+        terms = own(self, facts, commands)
+        terms["robot_1"]["late"] = np.where(self.success(facts), np.nan, 0.0)
+        return terms
+
+    found = faults(reward=reward)
+    assert any("the reward of robot_1 is not finite after steps of" in x for x in found)
+
+
+def test_a_reward_that_mixes_worlds_near_the_goal(faults):
+    def reward(self, own, facts, commands):
+        terms, met = own(self, facts, commands), self.success(facts)
+        terms["robot_1"]["all"] = np.full(len(met), met.mean())
+        return terms
+
+    found = faults(reward=reward)
+    assert any("reward, success or observation beside other" in each for each in found)
+
+
 def test_a_reward_whose_terms_change(faults):
     def reward(self, own, facts, commands):
         terms = own(self, facts, commands)

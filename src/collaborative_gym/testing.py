@@ -1,28 +1,21 @@
 """Checks of a task's promises and of an arm, for whoever writes or adds one."""
 
 import warnings
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
 from types import SimpleNamespace
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from collaborative_gym.envs.starts import DEEPEST, deepest, draw_starts
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count
-from collaborative_gym.motion.solver import DAMPING
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
-from collaborative_gym.robots.checks import at_home
 from collaborative_gym.tasks.registry import as_task, list_tasks
 from collaborative_gym.tasks.task import Task, named_facts
-
-_LOOKS = 10  # control steps from one look at what hinders arms to the next
-_AT_END, _NEAR_END = 0.03, 0.1  # rad from the end of a joint's range: there, or near it
-_ROOM = 0.02  # m, half the width of Pass's cube
+from collaborative_gym.trying import try_robot, unusual
 
 
 def check_task(
@@ -102,85 +95,6 @@ def check_robot(
         raise AssertionError(f"{robot.name} does not do every task:\n{listed}")
 
 
-def try_robot(robot: Robot, task: str, episodes: int) -> tuple[float, str]:
-    """Return the share of episodes that the expert completes with such arms, and why.
-
-    The reason is a sentence, or empty. Where not all sides can win, the share is of the
-    episodes whose physics is sound.
-    """
-    try:
-        env = VectorEnv(as_task(task, robot), episodes, num_threads=1, auto_reset=False)
-        env.reset(seed=0)
-    except (ValueError, NotImplementedError) as error:
-        return 0.0, f"{task} cannot be made: {error}"
-    seen: list[Counter[str]] = [Counter() for _ in range(episodes)]
-    for step in range(env.task.config.max_episode_steps):
-        *_, infos = env.step(env.expert())
-        if step % _LOOKS == 0:
-            for i, counter in enumerate(seen):
-                counter.update(_hindrances(env, i))
-        if infos["ended"].all():
-            break
-    sound = ~np.asarray(infos["diverged"])
-    met = sound if len(env.sides) > 1 else infos["metrics"]["completion"] > 0.0
-    env.close()
-    if met.all():
-        return 1.0, ""
-    told = f"{task}: the expert completes {met.sum()} of {episodes} episodes"
-    if not sound.all():
-        told += f"; physics diverges in {(~sound).sum()}"
-    failed = [seen[i] for i in np.flatnonzero(~met)]
-    often = sum(failed, Counter[str]()).most_common()
-    found = [w for w, _ in often if 2 * sum(w in own for own in failed) > len(failed)]
-    if found:
-        told += f"; in most of the failures {' and '.join(found[:2])}"
-    return float(met.mean()), told
-
-
-def _hindrances(env: VectorEnv, world: int) -> set[str]:
-    """Return contacts of arms, joints at an end and singular postures, in words."""
-    data, model, found = env.sim.data(world), env.model, set()
-    for contact in data.contact:
-        names = [model.body(int(model.geom_bodyid[g])).name for g in contact.geom]
-        if contact.dist < 0.0 and any(n.split("/")[0] in env.agents for n in names):
-            found.add(f"{names[0]} touches {names[1]}")
-    for agent, arm in env.scene.arms.items():
-        (low, high), angles = arm.joint_range, data.qpos[arm.qpos]
-        ends = np.minimum(angles - low, high - angles) < _AT_END
-        for name in np.array(arm.robot.joints)[ends]:
-            found.add(f"{agent}'s {name} is at the end of its range")
-        mujoco.mj_jacSite(model, data, rows := np.zeros((3, model.nv)), None, arm.tcp)
-        if np.linalg.svd(rows[:, arm.dof])[1][-1] < DAMPING:
-            found.add(f"{agent} is in a singular posture, as an outstretched arm is")
-    return found
-
-
-def unusual(robot: Robot) -> list[str]:
-    """Return likely faults of an arm's definition, in sentences."""
-    site = (spec := robot.spec()).site(robot.tcp)
-    probe = {"name": "probe of the tcp", "contype": 0, "conaffinity": 0, "mass": 0.0}
-    site.parent.add_geom(pos=site.pos, size=[1e-5] * 3, **probe)
-    data = at_home(robot, model := spec.compile(), robot.gripper.open_position)
-    tip, nearest = model.geom(probe["name"]).id, (_ROOM, "")
-    for geom in np.flatnonzero(model.geom_contype | model.geom_conaffinity):
-        gap = mujoco.mj_geomDistance(model, data, tip, int(geom), _ROOM, None)
-        nearest = min(nearest, (gap, model.body(int(model.geom_bodyid[geom])).name))
-    gap, found = round(1000 * nearest[0]), []
-    if nearest[1]:
-        where = f"{abs(gap)} mm {'inside' if gap < 0 else 'from'}" if gap else "on"
-        found.append(f"its tcp is {where} its {nearest[1]}, which may be in the way")
-    tcp = data.site(robot.tcp)
-    if (behind := -tcp.xpos[0]) > 0.0:
-        found.append(f"at home its hand is {behind:.2f} m behind its base")
-    if tcp.xmat[8] > 0.5:
-        found.append("at home its hand points up")
-    for name, angle in zip(robot.joints, robot.home, strict=True):
-        room = np.abs(model.joint(name).range - angle).min()
-        if room < _NEAR_END:
-            found.append(f"at home {name} is {room:.2f} rad from the end of its range")
-    return found
-
-
 class TaskUnderTest:
     """A task under test, batches of its worlds, and the number of episodes to play."""
 
@@ -249,13 +163,13 @@ def check_values(tested: TaskUnderTest) -> None:
             )
             for name, term in terms[agent].items():
                 what = f"reward term {name!r} of {agent}"
-                _check_finite(what, term, step, "reward()")
+                _check_finite(what, term, "reward()", f"{step} random steps")
         observations, *_, infos = env.step(actions)
         for points in infos["metrics"].get("score", {}).values():
-            _check_finite("the score", points, step + 1, "score()")
+            _check_finite("the score", points, "score()", f"{step + 1} random steps")
         for agent, own in observations.items():
             what, where = f"the observation of {agent}", "observe() and measure()"
-            _check_finite(what, own, step + 1, where)
+            _check_finite(what, own, where, f"{step + 1} random steps")
 
 
 def check_starts(tested: TaskUnderTest) -> None:
@@ -416,15 +330,19 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     """Check that the expert reaches a side's goal."""
     small, large = tested.worlds(1), tested.worlds(tested.episodes)
     reached, is_divided = np.zeros(large.num_envs, bool), len(tested.task.sides) > 1
-    for _ in range(tested.task.config.max_episode_steps):
+    for step in range(tested.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = small.progress["episode"][0] == large.progress["episode"][0]
         assert not is_same or all(np.array_equal(one[a][0], many[a][0]) for a in one), (
             "the expert acts differently in another batch; treat rows alike, and"
             " keep nothing on the task"
         )
-        small.step(small.idle() | {agent: one[agent] for agent in side})
-        *_, infos = large.step(large.idle() | {agent: many[agent] for agent in side})
+        alone, _ = _step_of(small, {agent: one[agent] for agent in side})
+        beside, infos = _step_of(large, {agent: many[agent] for agent in side})
+        assert not is_same or all(map(np.array_equal, alone, beside)), (
+            f"in step {step + 1} of the expert, episode 0 of seed 0 has another reward,"
+            " success or observation beside other worlds; treat rows alike"
+        )
         _check_shortfall(large)
         is_first = infos["episode"] == np.arange(large.num_envs)
         reached |= _met(infos)[i] & is_first
@@ -442,6 +360,20 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     )
 
 
+def _step_of(
+    env: VectorEnv, actions: dict[str, np.ndarray]
+) -> tuple[list[np.ndarray], Mapping[str, Any]]:
+    """Do a step by some agents; return what the first world gets, and the infos."""
+    observations, rewards, *_, infos = env.step(env.idle() | actions)
+    observations = {} if infos["ended"].any() else observations  # Else of a new start.
+    for agent, rows in rewards.items():
+        _check_finite(f"the reward of {agent}", rows, "reward() and measure()")
+    for agent, rows in observations.items():
+        _check_finite(f"the observation of {agent}", rows, "observe() and measure()")
+    given = *observations.values(), *rewards.values(), *_met(infos)
+    return [rows[0] for rows in given], infos
+
+
 CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
     check_values,
     check_starts,
@@ -454,14 +386,15 @@ CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
 )
 """Checks of `check_task`; each raises AssertionError with a remedy."""
 
-_MAY_FOLLOW = check_isolation, check_saving, check_measuring, check_expert
+_MAY_FOLLOW = check_isolation, check_saving, check_expert
 """Checks that also fail where rows are mixed or things are kept on the task."""
 
 
-def _check_finite(what: str, values: Any, steps: int, where: str) -> None:
+def _check_finite(
+    what: str, values: Any, where: str, steps: str = "steps of the expert"
+) -> None:
     assert np.isfinite(np.asarray(values)).all(), (
-        f"{what} is not finite after {steps} random steps; look for a division or a"
-        f" root in {where}"
+        f"{what} is not finite after {steps}; look for a division or a root in {where}"
     )
 
 

@@ -110,7 +110,9 @@ class PettingZooEnv(OneWorld, ParallelEnv):
         self._observations = _row(observations)
         if infos["ended"][0]:
             self.agents = []
-        rewards, terminated, truncated = map(first_row, earned)
+        rewards, terminated, truncated = (
+            {agent: rows.item() for agent, rows in own.items()} for own in earned
+        )
         observations, infos = dict(self._observations), self._infos(infos)
         return observations, rewards, terminated, truncated, infos
 
