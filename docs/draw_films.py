@@ -40,7 +40,7 @@ CLOSE_UPS = {
     "BalancePath": "ball/ball",
     "Pass": "cube/cube",
     "PassPandas4-v0": ("cube/cube", "cube_2/cube"),
-    "SortPandas4-v0": tuple(f"robot_{i + 1}/hand" for i in range(4)),
+    "SortPandas4-v0": tuple(f"cube_{i + 1}/cube" for i in range(7)),
     "Assemble": "pin/pin",
 }
 """What the films of a task or an environment show from nearby."""

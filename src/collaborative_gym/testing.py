@@ -365,12 +365,13 @@ def _step_of(
 ) -> tuple[list[np.ndarray], Mapping[str, Any]]:
     """Do a step by some agents; return what the first world gets, and the infos."""
     observations, rewards, *_, infos = env.step(env.idle() | actions)
-    observations = {} if infos["ended"].any() else observations  # Else of a new start.
     for agent, rows in rewards.items():
         _check_finite(f"the reward of {agent}", rows, "reward() and measure()")
     for agent, rows in observations.items():
         _check_finite(f"the observation of {agent}", rows, "observe() and measure()")
-    given = *observations.values(), *rewards.values(), *_met(infos)
+    given = [*rewards.values(), *_met(infos)]
+    if not infos["ended"][0]:  # Else it is at another start.
+        given += observations.values()
     return [rows[0] for rows in given], infos
 
 

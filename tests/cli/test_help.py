@@ -1,11 +1,14 @@
 """The pages of --help."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from collaborative_gym.cli.help import EXAMPLES
 from collaborative_gym.cli.main import _VERBS, main
+
+ROOT = Path(__file__).parents[2]
 
 
 def page(capsys, *words):
@@ -31,7 +34,10 @@ def test_a_page_is_tidy_and_ends_with_examples(verb, capsys, monkeypatch):
 def test_examples_are_right(example, monkeypatch):
     for kind in _VERBS.values():
         monkeypatch.setattr(kind, "run", lambda self: None)
+    files = []  # Not loaded, since they would stay.
+    monkeypatch.setattr("collaborative_gym.cli.main.load_modules", files.extend)
     assert main(example.split()) == 0
+    assert all((ROOT / file).is_file() for file in files)
 
 
 @pytest.mark.parametrize(

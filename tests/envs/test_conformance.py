@@ -15,7 +15,7 @@ import collaborative_gym as cg
 from collaborative_gym import testing
 from collaborative_gym.motion import reach
 from collaborative_gym.tasks.registry import make_task
-from collaborative_gym.tasks.teams import columns
+from collaborative_gym.tasks.task import columns
 from collaborative_gym.testing import leaves, play
 
 PAIRS = (("panda", "jaco"), ("jaco", "panda"))

@@ -155,7 +155,7 @@ def test_what_stands_before_a_close_up_is_cut_away():
           <worldbody>
             <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
             <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-            <geom type="box" size="0.01 1 1" pos="0.3 0 0" rgba="0 0 1 1" group="2"/>
+            <geom type="box" size="0.01 1 1" pos="0.6 0 0" rgba="0 0 1 1" group="2"/>
           </worldbody>
         </mujoco>
         """
@@ -167,15 +167,15 @@ def test_what_stands_before_a_close_up_is_cut_away():
         camera.close()
 
 
-def test_of_several_bodies_the_close_up_shows_the_one_that_moves():
+def test_of_several_bodies_the_close_up_shows_the_one_that_is_lifted():
     model = mujoco.MjModel.from_xml_string(
         """
         <mujoco>
           <worldbody>
             <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
-            <body name="red"><joint type="slide" axis="0 1 0"/>
+            <body name="red"><joint type="slide" axis="0 0 1"/>
               <geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-            <body name="blue" pos="0 1 0"><joint type="slide" axis="0 1 0"/>
+            <body name="blue" pos="0 1 0"><joint type="slide" axis="0 0 1"/>
               <geom size="0.1" rgba="0 0 1 1" group="2"/></body>
           </worldbody>
         </mujoco>

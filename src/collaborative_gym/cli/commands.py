@@ -91,7 +91,7 @@ class Record(_Policy, Watched):
       speed: simulated seconds per second of the film, 0.1 to 2; 0.5 is slow motion.
       slow_motion: show the team's last progress, such as a hand-over, more slowly.
       close_up: a body of the world, such as pot/pot, to show from nearby beside it; of
-        several, the one that moves most.
+        several, the one that is lifted or put down most.
     """
 
     env: Env

@@ -50,9 +50,9 @@ class Result:
       settings: with which it was started.
       steps: environment steps that it took.
       seconds: time that it took.
-      best: means of the best validation: `validation/return`,
-        `validation/completion`, `validation/performance` and `steps`. In self-play
-        and leagues it is the last validation. Several sides have their own, as
+      best: means of the best validation: `validation/return`, `validation/completion`,
+        `validation/performance` and `steps`. With opponents `self` or `league` it is
+        the last validation. Several sides have their own, as
         `validation/side_1/return`.
     """
 

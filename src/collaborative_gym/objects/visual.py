@@ -43,8 +43,9 @@ def add_wire_path(
 ) -> None:
     """Add a closed line through points, (n, 3) in m."""
     for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
-        ends = *start, *end
-        add_visual(body, _CAPSULE, size=(_WIRE,), rgba=rgba, fromto=ends)
+        if np.linalg.norm(end - start) > 1e-6:  # A path may be a point.
+            ends = *start, *end
+            add_visual(body, _CAPSULE, size=(_WIRE,), rgba=rgba, fromto=ends)
 
 
 def add_wire_sphere(

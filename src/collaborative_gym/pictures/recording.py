@@ -98,7 +98,8 @@ def record(
         at a fifth of the speed, or at 0.1. Progress is the first measure in the task's
         `coordination` that is kept at its greatest, or else where success begins.
       close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
-        below a long one, shows from nearby; of several, the one that moves most.
+        below a long one, shows from nearby; of several, the one that is lifted or put
+        down most.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:

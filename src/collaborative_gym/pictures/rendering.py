@@ -40,7 +40,7 @@ class Camera:
     Any thread may use it. A graphics context belongs to one thread, so that all of a
     process's pictures are drawn in the same one, one after the other. The model is that
     of `World.drawn_model`; sides are in pixels. With names of bodies it shows a
-    close-up from the same side, of the one that moves most.
+    close-up from the same side, of the one that is lifted or put down most.
 
     Raises:
       KeyError: if there is no such body.
@@ -105,7 +105,7 @@ class Camera:
     def _near(self) -> mujoco.MjvCamera:
         places = self._data.xpos[self._bodies]
         if self._places is not None:
-            moved = np.linalg.norm(places - self._places, axis=1)
+            moved = np.abs(places - self._places)[:, 2]
             self._motion += (moved - self._motion) / _LASTING
         self._places = places
         # Of two that move alike, the one that is shown stays.

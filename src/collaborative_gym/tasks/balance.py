@@ -64,7 +64,7 @@ from collaborative_gym.tasks.experts import balance as player
 from collaborative_gym.tasks.holding import start_holding
 from collaborative_gym.tasks.registry import EnvSpec, register_env, register_task
 from collaborative_gym.tasks.settings import bounded, filled
-from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import Blocks, Task, TaskConfig, Terms, columns
 
 _BALL_START = np.array([0.2, 0.45])  # m, bounds along a board of two
 _TEAM_BALL_START = np.array([0.3, 0.3])  # m, along a round one
@@ -283,7 +283,7 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
         if self.config.egocentric:
             return {agent: self._seen_by(agent, facts) for agent in self.agents}
         blocks = {
-            **teams.columns("joints", facts.joints),
+            **columns("joints", facts.joints),
             "ball": math.pose(*facts.ball),
             "ball linear velocity": facts.ball_velocity[0],
             "ball angular velocity": facts.ball_velocity[1],

@@ -4,13 +4,13 @@ The pot stands on a table between the robots. Each robot grips its handle. Toget
 lift the pot to a target above the table and keep it level.
 
 Agents: with two arms, `robot_1` stands at -y and takes the handle at -y, and `robot_2`
-stands at +y and takes the other. Both observe everything. Larger teams stand evenly
-around a round pot, `robot_1` at -y and the others counterclockwise. Each of their
-robots observes its own arm, its handle (turned as if it were the first) and the vector
-from the pot to the target, in the frame of its own base. For each mate, the block
-`mates` has: whether there is one, whether it grips, the distance from its tool centre
-point to its handle, and how far its handle is above the robot's own. The observation
-has the same form in every seat and team size.
+stands at +y and takes the other. Both observe everything, unless `egocentric` is set.
+Larger teams stand evenly around a round pot, `robot_1` at -y and the others
+counterclockwise. Each of their robots observes its own arm, its handle (turned as if it
+were the first) and the vector from the pot to the target, in the frame of its own base.
+For each mate, the block `mates` has: whether there is one, whether it grips, the
+distance from its tool centre point to its handle, and how far its handle is above the
+robot's own. The observation has the same form in every seat and team size.
 
 Randomised: the arms' start, the pot's position and turn on the table, the target.
 
@@ -94,7 +94,15 @@ from collaborative_gym.tasks.registry import (
     register_teams,
 )
 from collaborative_gym.tasks.settings import bounded, filled
-from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import (
+    LEVEL,
+    Blocks,
+    Kept,
+    Task,
+    TaskConfig,
+    Terms,
+    columns,
+)
 
 _TABLE_HEIGHT = 0.64  # m
 _STANDOFF = 0.12  # m from the handle, against the approach, where an arm starts
@@ -387,10 +395,10 @@ class Lift(Task[LiftConfig, LiftFacts]):
         handles = {agent: math.pose(*pose) for agent, pose in facts.handles.items()}
         tcps = {agent: math.pose(*pose) for agent, pose in facts.tcps.items()}
         blocks = {
-            **teams.columns("joints", facts.joints),
-            **teams.columns("gripping", grips),
-            **teams.columns("handle", handles),
-            **teams.columns("tcp", tcps),
+            **columns("joints", facts.joints),
+            **columns("gripping", grips),
+            **columns("handle", handles),
+            **columns("tcp", tcps),
             "pot": math.pose(*facts.pot),
             "target": facts.target,
         }

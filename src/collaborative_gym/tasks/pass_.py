@@ -95,7 +95,15 @@ from collaborative_gym.tasks.registry import (
     register_teams,
 )
 from collaborative_gym.tasks.settings import bounded, filled
-from collaborative_gym.tasks.task import LEVEL, Blocks, Kept, Task, TaskConfig, Terms
+from collaborative_gym.tasks.task import (
+    LEVEL,
+    Blocks,
+    Kept,
+    Task,
+    TaskConfig,
+    Terms,
+    columns,
+)
 
 _CUBE_SIZE = 0.04  # m
 _GRIP_WIDTH = 0.05  # m; a cube turned by 15 degrees fits between the fingers
@@ -385,8 +393,8 @@ class Pass(Task[PassConfig, PassFacts]):
         hands = {agent: math.pose(*pose) for agent, pose in facts.tcp.items()}
         places, quats = facts.cubes
         shared = {
-            **teams.columns("end effector", hands),
-            **teams.columns("gripping", grips),
+            **columns("end effector", hands),
+            **columns("gripping", grips),
             "cube": math.pose(places[:, 0], quats[:, 0]),
             "target": facts.targets[:, 0],
         }

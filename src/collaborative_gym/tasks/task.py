@@ -91,6 +91,11 @@ class TaskConfig:
             object.__setattr__(self, "placements", tuple(placements))
 
 
+def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
+    """Return one array of each agent as blocks, such as "robot_1 joints"."""
+    return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
+
+
 def named_facts(facts: Any) -> Mapping[str, Any]:
     """Return a task's facts by their names, or none if they have no names."""
     return facts if isinstance(facts, Mapping) else getattr(facts, "__dict__", {})

@@ -37,11 +37,6 @@ _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))
 """Half a picture's width and height in proportion to the distance."""
 
 
-def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
-    """Return one array of each agent as blocks, such as "robot_1 joints"."""
-    return {f"{agent} {what}": rows for agent, rows in by_agent.items()}
-
-
 def alike(joints: Array) -> Array:
     """Return joint angles (num_envs, k), with zeros after those of a shorter arm."""
     xp = array_namespace(joints)
