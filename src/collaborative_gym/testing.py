@@ -62,12 +62,11 @@ def check_task(
                 faults += [told] * (told not in faults)
     finally:
         tested.close()
-    name = type(tested.task).__name__
-    listed = "\n".join(f"- {fault}" for fault in faults)
+    first = f"{type(tested.task).__name__} fails check_task:"
     if errors:
-        raise RuntimeError(f"{name} fails check_task:\n{listed}") from errors[0]
+        raise RuntimeError("\n- ".join([first, *faults])) from errors[0]
     if faults:
-        raise AssertionError(f"{name} fails check_task:\n{listed}")
+        raise AssertionError("\n- ".join([first, *faults]))
 
 
 def check_robot(
@@ -365,10 +364,10 @@ def _step_of(
 ) -> tuple[list[np.ndarray], Mapping[str, Any]]:
     """Do a step by some agents; return what the first world gets, and the infos."""
     observations, rewards, *_, infos = env.step(env.idle() | actions)
-    for agent, rows in rewards.items():
-        _check_finite(f"the reward of {agent}", rows, "reward() and measure()")
-    for agent, rows in observations.items():
-        _check_finite(f"the observation of {agent}", rows, "observe() and measure()")
+    where = "reward(), observe() and measure()"
+    for what, rows in {"reward": rewards, "observation": observations}.items():
+        for agent, own in rows.items():
+            _check_finite(f"the {what} of {agent}", own, where)
     given = [*rewards.values(), *_met(infos)]
     if not infos["ended"][0]:  # Else it is at another start.
         given += observations.values()

@@ -145,10 +145,7 @@ class Train(Worlds):
         show(f"wrote {result.folder / 'policy.safetensors'}")
 
     def _what(self) -> tuple[str, Hyperparameters, float]:
-        """Return the environment, how to learn, and the steps done so far.
-
-        A run that goes on knows them itself.
-        """
+        """Return the environment, how to learn, and the steps that a run has done."""
         from collaborative_gym.learning.checkpoint import Checkpoint
         from collaborative_gym.learning.folder import LAST
 

@@ -98,8 +98,7 @@ class _Trial:
     def check_targets(self, scene: Scene) -> None:
         """Raise if a target is so far away that no arm can bring anything there."""
         for name, place in scene.objects(self._sim).items():
-            far = max(abs(float(place[0, i])) for i in range(3))
-            if far > _FARTHEST:
+            if (far := max(abs(float(place[0, i])) for i in range(3))) > _FARTHEST:
                 raise ValueError(
                     f"{self._name}: {name!r} starts {far:.0f} m away; give m, not mm"
                 )

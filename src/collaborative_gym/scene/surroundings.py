@@ -69,11 +69,8 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     # Haze hides where the floor ends.
     visual.rgba.haze = [*_WALL, 1.0]
     light = visual.headlight
-    light.ambient, light.diffuse, light.specular = (
-        [0.28, 0.29, 0.31],
-        [0.15] * 3,
-        [0.05] * 3,
-    )
+    light.ambient, light.diffuse = [0.28, 0.29, 0.31], [0.15] * 3
+    light.specular = [0.05] * 3
     visual.global_.offwidth, visual.global_.offheight = LARGEST
     visual.quality.shadowsize, visual.quality.offsamples = 4096, 4
     visual.quality.numslices, visual.quality.numstacks = 20, 10

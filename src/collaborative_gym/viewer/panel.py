@@ -26,10 +26,7 @@ _COLORS = "#333", "#c22", "#17c", "#294", "#e50", "#64d", "#089", "#a15"
 _MIXED = "mixed"
 """Choice of a team whose members differ."""
 
-_POLICIES = (
-    "expert: scripted. baseline: trained for this. ego: trained for unknown partners."
-    " idle, gripping, limp, absent: arms that do not help."
-)
+_POLICIES = "expert: scripted; baseline, ego: trained; others do not help, or little"
 """What the names of policies mean."""
 
 _LONG = 30
