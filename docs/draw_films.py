@@ -70,12 +70,12 @@ def film(env_id: str) -> None:
     elif len(task.sides) > 1:  # Tug is over within a second.
         record(task, path, policy=policy, speed=0.25, size=SIZE)
     else:
-        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(type(task).__name__))
+        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(type(task).__name__, ()))
         more = {
             "seconds": LEAST,
             "speed": SPEEDS.get(env_id, 1.0),
             "slow_motion": env_id.startswith(SLOW),
-            "close_up": near or (),
+            "close_up": near,
         }
         record(task, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
