@@ -34,7 +34,7 @@ SHADOWS = 8192
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
-    "Poke": "robot_1/stick/stick",
+    "Poke": "robot_2/donut/donut",
     "Lift": "pot/pot",
     "Balance": "ball/ball",
     "BalancePath": "ball/ball",
@@ -66,7 +66,14 @@ def film(env_id: str) -> None:
     task = sharp(env_id)
     policy = player if len(task.sides) == 1 else AGAINST
     if env_id == GAME:
-        record(task, path, policy=policy, only_episodes=[EPISODE], size=SIZES[env_id])
+        record(
+            task,
+            path,
+            policy=policy,
+            only_episodes=[EPISODE],
+            size=SIZES[env_id],
+            slow_motion=True,
+        )
     elif len(task.sides) > 1:  # Tug is over within a second.
         record(task, path, policy=policy, speed=0.25, size=SIZE)
     else:

@@ -109,6 +109,30 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     assert times == slow
 
 
+def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
+    told, frame = [], np.zeros((*SIZE[::-1], 3), np.uint8)
+    monkeypatch.setattr(
+        recording, "_labelled", lambda frame, text: told.append(text) or frame
+    )
+    monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
+    recording.record(
+        "HockeyPandas-v0",
+        tmp_path / "a.gif",
+        policy={"robot_1": "expert", "robot_2": "idle"},
+        only_episodes=[0],
+        size=SIZE,
+        slow_motion=True,
+    )
+    at = [round(10 * float(text.split()[0])) for text in told]
+    steps = dict(zip(at, told, strict=True))
+    scores = [steps[i].split(" : ")[0].split()[-1] for i in range(len(steps))]
+    goals = [i for i in range(1, len(scores)) if scores[i] != scores[i - 1]]
+    assert len(goals) > 1
+    around = {step for goal in goals for step in range(goal - 5, goal + 2)}
+    slow = {i for i, text in zip(at, told, strict=True) if ", speed 0.2x, " in text}
+    assert slow == around & set(at)
+
+
 def test_close_up_follows_its_body_beside_the_whole(tmp_path):
     pot = {"close_up": "pot/pot", "seconds": 0.1, "size": SIZE, "policy": "baseline"}
     path = recording.record("LiftTaskSawyers-v0", tmp_path / "a.gif", **pot)

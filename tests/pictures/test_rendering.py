@@ -167,6 +167,27 @@ def test_what_stands_before_a_close_up_is_cut_away():
         camera.close()
 
 
+def test_zoom_takes_a_close_up_nearer():
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <worldbody>
+            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
+            <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+          </worldbody>
+        </mujoco>
+        """
+    )
+    for bodies, bounds in ((["ball"], (2.5, 4.0)), ((), (0.99, 1.01))):
+        camera = Camera(model, 64, 48, bodies)
+        far, near = (
+            (camera.picture(np.zeros(0), np.zeros((0, 3)), zoom)[..., 0] > 60).sum()
+            for zoom in (0.0, 1.0)
+        )
+        assert bounds[0] < near / far < bounds[1]
+        camera.close()
+
+
 def test_of_several_bodies_the_close_up_shows_the_one_that_is_lifted():
     model = mujoco.MjModel.from_xml_string(
         """

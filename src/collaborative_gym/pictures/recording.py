@@ -48,9 +48,12 @@ _SLOWEST, _FASTEST = 0.1, 2.0
 _SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
 """How many pictures of a control step a film may have."""
 
-_SLOWER, _AROUND = 5, np.array([-5, 2])
+_SLOWER, _AROUND = 5, (-5, 2)
 """How many times as many it has in slow motion, if it may, and from which control step
-to before which one, counted from the decisive one."""
+to before which one, counted from a decisive one."""
+
+_ZOOMS = 8
+"""Pictures over which a close-up goes nearer in slow motion."""
 
 _VISIBLE = 3e-4
 """Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
@@ -95,8 +98,9 @@ def record(
       speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
         for slow motion, which draws more pictures of each second of the world.
       slow_motion: whether 0.7 s about the first policy's last large progress are shown
-        at a fifth of the speed, or at 0.1. Progress is the first measure in the task's
-        `coordination` that is kept at its greatest, or else where success begins.
+        at a fifth of the speed, or at 0.1, with the close-up nearer. Progress is the
+        first measure in the task's `coordination` that is kept at its greatest, or else
+        where success begins; of opponents it is every score.
       close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
         below a long one, shows from nearby; of several, the one that is lifted or put
         down most.
@@ -292,7 +296,7 @@ class _Screen:
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
         self._score: dict[str, float] = {}
         self._scored = np.inf, ""
-        self._stage = env.task.progress_name
+        self._stage, self._zoom = env.task.progress_name, 0.0
         env.watch(self._keep, self._most)
 
     def is_done(self, step: _Step) -> bool:
@@ -327,6 +331,7 @@ class _Screen:
         if is_share and not _is_success(step):
             label += f", {100 * self._progress(step):.0f} % done"
         for state in step.states[every - 1 :: every]:
+            self._zoom += (is_slow - self._zoom) / _ZOOMS
             yield _labelled(self._draw(*state), label)
 
     def _cheer(self, seconds: float, score: Mapping[str, np.ndarray]) -> str:
@@ -338,10 +343,13 @@ class _Screen:
         since, who = self._scored
         return who if 0 <= seconds - since < _HOLD * self.speed else ""
 
-    def decisive(self, steps: Sequence[_Step]) -> range:
-        """Return the indices of the steps around the last progress or first success."""
-        late = 0
-        if self._stage is not None:
+    def decisive(self, steps: Sequence[_Step]) -> set[int]:
+        """Return the steps around the last progress, first success, or all scores."""
+        late, last = 0, -1
+        if "score" in steps[0].infos["metrics"]:
+            scores = [each.infos["metrics"]["score"].values() for each in steps]
+            rows, last = [np.sum(list(points)) for points in scores], 0
+        elif self._stage is not None:
             rows = [self._progress(each) for each in steps]
         else:
             late = self._env.task.success_for - 1  # Success began so long before.
@@ -349,7 +357,7 @@ class _Screen:
         rises = np.diff(rows, prepend=0)
         # Of progress that creeps, the last large piece.
         large = np.flatnonzero((rises > 0) & (rises > rises.max() / 2)) - late
-        return range(*(large[-1] + _AROUND).tolist()) if large.size else range(0)
+        return {int(i) + j for i in large[last:] for j in range(*_AROUND)}
 
     def _progress(self, step: _Step) -> float:
         """Return the task's measure of progress, the greatest up to a step."""
@@ -360,9 +368,11 @@ class _Screen:
         self._states.append((sim.qpos[0].copy(), sim.mocap_pos[0].copy()))
 
     def _draw(self, qpos: np.ndarray, mocap_pos: np.ndarray) -> np.ndarray:
-        places = np.concatenate([qpos, mocap_pos.ravel()])
+        places = np.concatenate([qpos, mocap_pos.ravel(), [self._zoom]])
         if np.abs(places - self._drawn).max() > _VISIBLE:
-            views = [each.picture(qpos, mocap_pos) for each in self._cameras]
+            views = [
+                each.picture(qpos, mocap_pos, self._zoom) for each in self._cameras
+            ]
             is_long = len({view.shape for view in views}) == 1
             for near in views[1:]:
                 near[np.s_[:2] if is_long else np.s_[:, :2]] = 255

@@ -18,8 +18,8 @@ from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
 
-_NEAR, _CUT = 0.85, 0.4
-"""Distance to a body in a close-up, and below which nothing is drawn, in m."""
+_NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
+"""Distances to a body in a close-up, in m, and the share of them that is cut away."""
 
 _LASTING = 10
 """Pictures over which the motion of bodies is averaged."""
@@ -73,36 +73,41 @@ class Camera:
         # If it is given up without `close`, the thread that finds it may not free it.
         self._free = weakref.finalize(self, _free, self._renderer, os.getpid())
 
-    def picture(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:
+    def picture(
+        self, qpos: ArrayLike, mocap_pos: ArrayLike, zoom: float = 0.0
+    ) -> np.ndarray:
         """Return a world as a (height, width, 3) uint8 picture, by qpos and mocap_pos.
+
+        A zoom from 0 to 1 takes a close-up nearer to its body.
 
         Raises:
           RuntimeError: in a process that was forked off since the first picture.
         """
-        return _in_thread(self._draw, qpos, mocap_pos)
+        return _in_thread(self._draw, qpos, mocap_pos, zoom)
 
     def close(self) -> None:
         """Free the renderer."""
         self._free()
 
-    def _draw(self, qpos: ArrayLike, mocap_pos: ArrayLike) -> np.ndarray:
+    def _draw(self, qpos: ArrayLike, mocap_pos: ArrayLike, zoom: float) -> np.ndarray:
         self._data.qpos[:], self._data.mocap_pos[:] = qpos, mocap_pos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        camera = self._near() if self._bodies else CAMERA
+        distance = zoom * _NEARER + (1 - zoom) * _NEAR
+        camera = self._near(distance) if self._bodies else CAMERA
         self._renderer.update_scene(self._data, camera, self._options)
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
             eye.frustum_top *= self._share
             # Of a close-up, what stands between is cut away, such as another arm.
-            cut = _CUT / eye.frustum_near if self._bodies else 1.0
+            cut = _CUT * distance / eye.frustum_near if self._bodies else 1.0
             for side in "near", "bottom", "top", "center", "width":
                 name = f"frustum_{side}"
                 setattr(eye, name, cut * getattr(eye, name))
         return self._renderer.render()
 
-    def _near(self) -> mujoco.MjvCamera:
+    def _near(self, distance: float) -> mujoco.MjvCamera:
         places = self._data.xpos[self._bodies]
         if self._places is not None:
             moved = np.abs(places - self._places)[:, 2]
@@ -114,7 +119,7 @@ class Camera:
         far, middle = overview(self._model, self._data)
         away = middle - far
         near = mujoco.MjvCamera()
-        near.lookat, near.distance = places[self._shown], _NEAR
+        near.lookat, near.distance = places[self._shown], distance
         near.azimuth = np.degrees(np.arctan2(away[1], away[0]))
         near.elevation = np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))
         return near

@@ -209,7 +209,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
         far = 0.82 + 0.6 * half_width
-        scene.add_camera((0, -far, HEIGHT + 1.8 * far), (1, 0, 0, 0, 0.87, 0.49))
+        eye = 0, 0.12 - far, HEIGHT + 0.07 + 1.8 * far
+        scene.add_camera(eye, (1, 0, 0, 0, 0.87, 0.49))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
