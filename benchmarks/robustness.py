@@ -52,14 +52,11 @@ def table(rows: dict[str, dict]) -> str:
     counts = sorted({row["episodes"] for row in rows.values()})
     low = 100 * wilson(1.0, counts[0])[0]
     told = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
-    lines = [
-        markdown_table(heads, cells, words=2),
-        "",
-        f"Completion and performance in %, over {told} episodes of each cell. For"
-        f" 100 % of {counts[0]} episodes, the 95 % interval is {low:.0f} to 100 %"
-        " (Wilson).",
-    ]
-    return "\n".join(lines) + "\n"
+    note = (
+        f"Completion / performance in %, over {told} episodes of each cell. For 100 %"
+        f" of {counts[0]} episodes, the 95 % interval is {low:.0f} to 100 % (Wilson)."
+    )
+    return f"{note}\n\n{markdown_table(heads, cells, words=2)}\n"
 
 
 if __name__ == "__main__":

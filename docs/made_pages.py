@@ -522,7 +522,8 @@ def _name(name: str) -> str:
     for own, meaning in listed.items():
         default = usual.get(own)
         is_plain = isinstance(default, bool | int | float | str) and not takes
-        lines.append(f"    - `{own}`{f' ({default})' if is_plain else ''}: {meaning}")
+        shown = float(f"{default:.4g}") if isinstance(default, float) else default
+        lines.append(f"    - `{own}`{f' ({shown})' if is_plain else ''}: {meaning}")
     for own in vars(thing) if is_class or inspect.ismodule(thing) else ():
         member = inspect.getattr_static(thing, own)
         if getattr(member, "__module__", path) != path and not is_class:

@@ -150,7 +150,7 @@ def report_card(
       disturbed: number with each of the disturbances of `hard`, alone and together;
         0 for no table of robustness.
       paired: number of each pairing of the policies and the expert; 0 for none.
-      seed: of the episodes.
+      seed: the episodes' seed.
       num_envs: worlds that play at the same time; None for at most 64.
       num_threads: physics threads, 0 for one per CPU.
       any_env: whether trained policies may play another environment than their own.

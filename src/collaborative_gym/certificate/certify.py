@@ -70,7 +70,7 @@ def certify(
     Args:
       env: an environment id, a task's name, or a task.
       budget: the effort; None for `Budget()`, which takes hours.
-      seed: of the episodes to judge on.
+      seed: seed of the episodes to judge on.
       output: a folder for `certificate.json`, written after each trial, and for the
         trainings. What it has of the same certificate is kept. None to keep nothing.
       num_threads: physics threads, 0 for one per CPU.

@@ -227,11 +227,10 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
 
 
 def certificates_to_markdown(certificates: Sequence[Certificate]) -> str:
-    """Return the statements of certificates, and one Markdown table of them."""
-    table = [line for each in certificates for line in lines(each)]
-    parts = [
-        CERTIFICATE_NOTE,
-        "\n".join(f"- {escaped(each.statement)}" for each in certificates),
-        markdown_table(COLUMNS, table, words=2),
-    ]
+    """Return a Markdown section for each certificate: its statement and its table."""
+    parts = [CERTIFICATE_NOTE]
+    for each in certificates:
+        rows = [cells for _, *cells in lines(each)]
+        table = markdown_table(COLUMNS[1:], rows, words=1)
+        parts += [f"## {each.title}", escaped(each.statement), table]
     return "\n\n".join(parts) + "\n"

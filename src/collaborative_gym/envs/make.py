@@ -58,7 +58,7 @@ def make_vec(
     Args:
       env: as in `make`; a task has its own robots, randomization and settings.
       num_envs: how many worlds.
-      seed: of the first episodes.
+      seed: the first episodes' seed.
       num_threads: physics threads, 0 for one per CPU.
       robots: as in `make`.
       randomization: as in `make`.

@@ -70,7 +70,7 @@ class VectorEnv:
     Args:
       task: what to do, from `cg.task`.
       num_envs: how many worlds.
-      seed: of the first episodes.
+      seed: the first episodes' seed.
       num_threads: physics threads, 0 for one per CPU.
       auto_reset: whether a world starts its next episode by itself.
       strain: whether to measure the strain too, which takes time and changes no bit.

@@ -81,7 +81,7 @@ def evaluate(
         observations to actions, both by agent with one row per world, or one of these
         for each agent.
       episodes: number of episodes.
-      seed: of the episodes.
+      seed: the episodes' seed.
       delay: number of control steps by which each action comes late; the robots hold
         still before the first.
       num_envs: worlds that play at the same time; None for at most 64.

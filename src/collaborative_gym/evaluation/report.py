@@ -115,7 +115,7 @@ class Score:
       completion: whether the goal was reached, 0 to 1.
       performance: the share of steps at the goal, 0 to 1, as the task counts it.
       at_goal: the share of all steps at which the goal is met, 0 to 1.
-      time_to_success: in s, over the episodes in which the goal was reached.
+      time_to_success: time in s, over the episodes in which the goal was reached.
       score: the points if there are several sides, else None.
     """
 
@@ -147,7 +147,7 @@ class Report:
       episodes: one row per episode, in order.
       steps_per_second: environment steps per second, with the policy's own time and
         that of measuring the strain.
-      strain: of the arms, by the names in docs/concepts.md.
+      strain: the arms' strain, by the names in docs/concepts.md.
       coordination: of the arms, by the names in `Task.coordination`: the unit, none for
         a share, and the statistic.
     """

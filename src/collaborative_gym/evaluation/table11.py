@@ -95,7 +95,7 @@ class Table11:
 
     Attributes:
       episodes: number of episodes for each number of ours.
-      seed: of the episodes.
+      seed: the episodes' seed.
       comparisons: one line for each environment.
     """
 
@@ -196,7 +196,7 @@ def reproduce_table11(
 
     Args:
       episodes: number per environment and policy.
-      seed: of the episodes.
+      seed: the episodes' seed.
       env_ids: environments of the table; None for all eight.
       num_threads: physics threads, 0 for one per CPU.
       on_progress: called with the share that is done, 0 to 1.

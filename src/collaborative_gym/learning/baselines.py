@@ -141,8 +141,8 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f"- network: {layers}, {numbers.activation}; actions are means, without noise",
         f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps."
-        f" {numbers.validation_episodes} validation episodes chose the steps{among};"
-        " the table has other episodes",
+        f" {numbers.validation_episodes} validation episodes chose this checkpoint"
+        f"{among}; the table has other episodes",
         *training_commands(settings, resources),
         f"- machine: {machine['cpu']}, {machine['cores']} core"
         f"{'s' * (machine['cores'] != 1)}, MuJoCo {machine['mujoco']}",

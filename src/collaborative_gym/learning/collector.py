@@ -40,7 +40,7 @@ class Job:
       task: what to learn.
       learners: who learns what.
       layout: of the agents' observations and actions.
-      seed: of the run.
+      seed: the run's seed.
       hyperparameters: how it learns.
       num_threads: physics threads of a collector, 0 for one per CPU.
       casting: who sits where.

@@ -68,7 +68,7 @@ class League(Pool):
       hyperparameters: when copies are left, and who is drawn.
       folder: of the run.
       title: heads the picture.
-      seed: of the run.
+      seed: the run's seed.
     """
 
     def __init__(

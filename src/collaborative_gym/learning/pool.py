@@ -78,7 +78,7 @@ class Pool:
           task: what is played.
           latest: members' policies.
           episodes: least number of episodes; all pairings have equally many.
-          seed: of the episodes.
+          seed: the episodes' seed.
           num_threads: physics threads, 0 for one per CPU.
         """
         members = self._casting.members

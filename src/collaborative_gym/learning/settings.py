@@ -111,7 +111,7 @@ class Settings:
       identity: of its environment.
       algorithm: "ppo" or "sac".
       mode: which policies and critics learn.
-      seed: of the run.
+      seed: the run's seed.
       backend: "skrl", or "ray".
       layout: of observations and actions.
       hyperparameters: how it learns.

@@ -51,7 +51,7 @@ def train(
       env: an environment id, a task's name, or a task.
       mode: who learns what, see docs/training.md; None for "collaborative", or for
         "shared" if robots with equal spaces learn against policies or in a league.
-      seed: of the run; None for 0.
+      seed: the run's seed; None for 0.
       output: a new folder; None for one in `runs/` by environment, mode and seed.
       resume: the folder of a run to continue, in place of `output`. It keeps the
         settings with which it was started; you need not give them again. You may raise

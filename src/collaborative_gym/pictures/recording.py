@@ -90,7 +90,7 @@ def record(
       any_env: whether a trained policy may play another environment than its own.
       seconds: least length of the film of the first episodes, up to 36,000; None for
         10. An episode that has begun by then is shown to its end.
-      seed: of the episodes.
+      seed: the episodes' seed.
       only_episodes: indices of the seed's episodes to show instead of the first ones,
         such as the worst ones that a report names.
       size: width and height in pixels, of each policy's picture; None for 1280 x 720,

@@ -179,8 +179,8 @@ class Scene:
         """Add a marker of a goal; `place` moves it and `Sim.pose` reads it.
 
         Args:
-          name: of the target.
-          radius: of its rings, in m.
+          name: the target's name.
+          radius: its rings' radius, in m.
           rgba: their colour.
 
         Raises:
@@ -249,7 +249,7 @@ class Scene:
         """Choose from where pictures show the world; the default is a view of all.
 
         Args:
-          position: of the camera, (3,), in m.
+          position: the camera's position, (3,), in m.
           xyaxes: (6,) directions to the right and upwards in the picture.
         """
         self.spec.worldbody.add_camera(name=CAMERA, pos=position, xyaxes=xyaxes)

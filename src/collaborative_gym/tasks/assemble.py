@@ -24,8 +24,9 @@ motion that its hand still needs to hold the part (`to_part`) and the part to be
 goal (`to_goal`); how far the block is from its own goal and turned from it; and how far
 in the block peg and pin are (0 to 1). A motion is a translation and a rotation vector;
 each component x is seen as log(1 + 100 |x|) with its sign, which shows millimetres. For
-each other arm, the set `mates` has: 1, how many seats away it is (as a share of 7),
-whether it grips, and the vector from the robot's own tool centre point to that arm's.
+each other arm, the set `mates` has: 1 for its presence, how many seats away it is (as a
+share of 7), whether it grips, and the vector from the robot's own tool centre point to
+that arm's.
 
 Reward of each agent:
 

@@ -14,30 +14,30 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five define the start; the others disturb the episode. No policy observes what
-    is drawn.
+    first five define the start; the others disturb the episode. No policy observes the
+    disturbances.
 
     Attributes:
-      joint_noise: of every arm joint, in rad.
-      object_position: of the objects, along each free axis, in m.
-      object_yaw: of the objects, about the vertical, in rad.
-      target_position: of the target, along each axis, in m.
+      joint_noise: turn of every arm joint, in rad.
+      object_position: shift of the objects, along each free axis, in m.
+      object_yaw: turn of the objects about the vertical, in rad.
+      target_position: shift of the target, along each axis, in m.
       lost: share of the episodes that begin after the task's `mishap`.
-      link_mass: of the links of each arm, as a share of their masses.
-      payload: of each loose thing and each tool, as a share of its mass.
-      friction: of all contacts, as a share of their coefficients.
+      link_mass: change of each arm's link masses, as a share.
+      payload: change of each loose thing's and tool's mass, as a share.
+      friction: change of all coefficients of friction, as a share.
       lost_torque: share of its torque limits that one arm, drawn at random, lacks.
       delay: how late all actions of an episode come, in control steps.
       delayed: share of the episodes in which they come late.
       lost_actions: share of the actions of each arm that never arrive; it then holds
         still, and holds what it has in its grip.
-      position_noise: of every observed place, along each axis, at every step, in m.
-      angle_noise: of every observed joint angle, and of every observed pose about each
-        axis, at every step, in rad.
-      force_noise: of every observed force, along each axis, at every step, in N.
-      torque_noise: of every observed torque, likewise, in N m.
-      force_bias: of every observed force, likewise, during a whole episode, in N.
-      torque_bias: of every observed torque, likewise, in N m.
+      position_noise: error of every observed place, along each axis, each step, in m.
+      angle_noise: error of every observed joint angle, and of every observed pose about
+        each axis, at every step, in rad.
+      force_noise: error of every observed force, along each axis, each step, in N.
+      torque_noise: error of every observed torque, likewise, in N m.
+      force_bias: error of every observed force during a whole episode, in N.
+      torque_bias: error of every observed torque, likewise, in N m.
       limp: agents whose arms have no torque and no gravity compensation; their grips
         still follow their actions.
       absent: agents whose arms touch nothing, as if they were not there; tools fixed in

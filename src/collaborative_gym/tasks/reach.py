@@ -23,11 +23,11 @@ Coordination: `stage` is the share of all goals that were reached; `idle` is the
 share of arms that waited, as in [Lift](lift.md).
 
 The observation has the same form for teams of all sizes. `mates` is a set of seven
-elements, one for each mate in the order of the ring, the others zeros. Each has: 1; 1
-if the mate's number is higher than the robot's own, else -1 (the lower number goes
-first if both have reached equally many goals); the share of the mate's goals that is
-left; and where its tcp, elbow and goal are. Positions are in the frame of the robot's
-own base; `goal` and `mates` are relative to its tcp.
+elements, one for each mate in the order of the ring, the others zeros. Each has: 1 for
+its presence; 1 if the mate's number is higher, else -1 (the lower number goes first if
+both have reached equally many goals); the share of the mate's goals that is left; and
+where its tcp, elbow and goal are. Positions are in the frame of the robot's own base;
+`goal` and `mates` are relative to its tcp.
 
 The difficulty is teamwork. When two paths cross, the expert sends one arm first. If it
 ignores others, it touches another arm in most episodes. Each goal is within reach of

@@ -124,7 +124,7 @@ class Task(Generic[ConfigT, FactsT]):
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
       randomizations: how starts may be drawn, by the names of presets.
-      units: of the facts that are single numbers, by their names; viewers show them.
+      units: units of the facts that are single numbers, by name; viewers show them.
       coordination: facts of the task that say how the arms work together, (num_envs,)
         numbers of at least 0, and what metrics keep of the steps until the goal is
         first reached: "mean" or "greatest". Without a unit they are shares from 0 to 1.

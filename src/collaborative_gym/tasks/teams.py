@@ -153,7 +153,8 @@ class Frames:
     """Turns world frames into those of the robots' bases.
 
     Args:
-      placements: of the bases, by agent. A base's frame has its origin and its yaw.
+      placements: where the bases stand, by agent. A base's frame has its origin and
+        yaw.
     """
 
     def __init__(self, placements: Mapping[str, Placement]):

@@ -9,9 +9,8 @@ A knob at each end of the bar turns freely in the hand, so an arm chooses its po
 while it pulls. The posture decides how hard it can pull: a joint pulls with its torque
 limit over its lever about the line of pull. An arm that is commanded to move loses part
 of its torques in every step, so it must keep pulling. An arm that is not commanded to
-move keeps its torques, up to the limits of its motors. The hands never lose the bar. It
-pulls both with the same force, so otherwise the weaker gripper would always tear first,
-and a jerk would win.
+move keeps its torques, up to the limits of its motors. The hands never lose the bar. If
+grips could tear, the weaker gripper would always tear first, and a jerk would win.
 
 Randomised: where the bar starts (along every axis, and its turn about the vertical)
 and the posture in which each arm holds it.

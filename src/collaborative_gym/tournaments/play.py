@@ -116,7 +116,7 @@ def tournament(
       policies: whatever `load_policy` takes, each under the name that the command line
         has for it; or a dictionary of policies by names of your own.
       episodes: number of episodes of each pairing.
-      seed: of the episodes.
+      seed: the episodes' seed.
       seats: the seats that each player takes in turn, while another has the rest;
         "all", or names of some.
       groups: players that are training runs of one kind, by the kind's name. None for

@@ -38,7 +38,7 @@ def view(
       warn: called with what should alarm the user, such as that the policy failed.
       policy: as `evaluate` takes it.
       any_env: whether a trained policy may play another environment than its own.
-      seed: of the episodes.
+      seed: the episodes' seed.
       num_envs: how many worlds to show beside one another, up to 16.
       address: host and port of the page's server, at first 127.0.0.1 and 8080; if the
         port is in use, the next free one is taken.
