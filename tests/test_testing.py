@@ -1,11 +1,13 @@
 """A task that breaks a promise is told which, and what to do about it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym import plugins
 from collaborative_gym.testing import check_task
 
 
@@ -61,6 +63,7 @@ def test_a_goal_that_nobody_reaches(faults, hard):
     found = faults(hard)
     assert found[0] == "Broken fails check_task:"
     assert "the expert does not reach the goal in the episodes [0, 1, 2, 3]" in found[1]
+    assert "(its least shortfall in 0 is 1)" in found[1]
 
 
 def test_a_goal_that_is_reached_by_doing_nothing(faults):
@@ -174,8 +177,10 @@ def test_an_observation_that_blows_up(faults):
             for agent, own_blocks in blocks.items()
         }
 
-    found = faults(observe=observe)
-    assert any("observation of robot_1 is not finite after" in each for each in found)
+    with pytest.raises(
+        RuntimeError, match=r"observe\(\): 'late' of robot_1 is not fin"
+    ):
+        faults(observe=observe)
 
 
 def test_a_reward_that_blows_up_near_the_goal(faults):
@@ -184,18 +189,40 @@ def test_a_reward_that_blows_up_near_the_goal(faults):
         terms["robot_1"]["late"] = np.where(self.success(facts), np.nan, 0.0)
         return terms
 
-    found = faults(reward=reward)
-    assert any("the reward of robot_1 is not finite after steps of" in x for x in found)
+    with pytest.raises(RuntimeError, match=r"reward\(\): 'late' of robot_1 is not fin"):
+        faults(reward=reward)
 
 
-def test_a_reward_that_mixes_worlds_near_the_goal(faults):
+@pytest.mark.parametrize("mixed", [np.mean, np.max, np.any, lambda met: met[0]])
+def test_a_reward_that_mixes_worlds_near_the_goal(faults, mixed):
     def reward(self, own, facts, commands):
         terms, met = own(self, facts, commands), self.success(facts)
-        terms["robot_1"]["all"] = np.full(len(met), met.mean())
+        terms["robot_1"]["all"] = np.full(len(met), 1.0 * mixed(met))
         return terms
 
     found = faults(reward=reward)
-    assert any("reward, success or observation beside other" in each for each in found)
+    assert any("reward, success or observation than alone" in each for each in found)
+
+
+def test_a_thing_that_starts_on_nothing(carry):
+    settings = type(carry().config)(max_episode_steps=40)
+    task = type("Carry", (type(carry()),), {"expert": cg.Task.expert})
+    with pytest.warns(UserWarning) as told:
+        check_task(task([cg.get_robot("panda")] * 2, settings), episodes=2)
+    (said,) = (str(each.message) for each in told if "falls" in str(each.message))
+    assert said.startswith("'cube' falls 0.46 m while robots hold still; should it")
+
+
+def test_an_error_of_the_task_is_named_with_its_line(faults, monkeypatch):
+    def success(self, own, facts):
+        if facts.height.max() > 0.52:
+            raise LookupError("late")
+        return own(self, facts)
+
+    monkeypatch.setattr(plugins, "_tried", {Path(__file__)})
+    told = r"LookupError in a check: late \(test_testing.py, line \d+, in success\)"
+    with pytest.raises(RuntimeError, match=told):
+        faults(success=success)
 
 
 def test_a_reward_whose_terms_change(faults):

@@ -170,9 +170,7 @@ def _differences(what: str, own: Blocks, other: Blocks) -> list[str]:
         here, there = _sizes({"own": own, "other": other}).values()
         return [] if here == there else [f"{what} has {here} numbers, not {there}"]
     found = [f"{what} has no block {name!r}" for name in other if name not in own]
-    found += [
-        f"{what} has an extra block {name!r}" for name in own if name not in other
-    ]
+    found += [f"{what} has an extra block {n!r}" for n in own if n not in other]
     for name in [name for name in own if name in other]:
         for detail, value in vars(own[name]).items():
             wanted = getattr(other[name], detail)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from collaborative_gym.errors import check_callback, check_count
+from collaborative_gym.evaluation import Report
 from collaborative_gym.evaluation.figure import make_figure, open_axes, save_figure
 from collaborative_gym.evaluation.play import (
     DISTURBANCES,
@@ -17,11 +18,7 @@ from collaborative_gym.evaluation.play import (
     measure_robustness,
     parts_of,
 )
-from collaborative_gym.evaluation.report import (
-    Report,
-    format_statistic,
-    markdown_tables,
-)
+from collaborative_gym.evaluation.report import format_statistic, markdown_tables
 from collaborative_gym.evaluation.table import escaped, markdown_table, to_json
 from collaborative_gym.policies import AnyPolicy
 from collaborative_gym.policies.policy import named_policies

@@ -106,10 +106,8 @@ def unknown(kind: str, given: object, valid: Iterable[str]) -> str:
     hint = f" (did you mean {lower[near[0]]!r}?)" if near else ""
     kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
     if len(names) > _LISTED:
-        close = difflib.get_close_matches(asked, lower, 8)
-        left = (
-            f"and {len(names) - len(close)} others" if close else f"{len(names)} in all"
-        )
+        close = difflib.get_close_matches(asked, lower, 8) or sorted(lower)[:8]
+        left = f"and {len(names) - len(close)} others"
         names = [*sorted(lower[name] for name in close), left]
     return f"no {kind} {shown(given)}{hint}; {kinds}: {', '.join(names) or 'none'}"
 
@@ -208,7 +206,7 @@ def check_number(
     if not at_least <= number <= at_most:
         bounds = f"at least {at_least:g}"
         if at_most < math.inf:
-            bounds = f"{at_least:g} to {at_most:g}"
+            bounds = f"{at_least:g} to {at_most:g}".replace("-inf to", "at most")
         raise ValueError(f"{name} must be {bounds}, got {shown(given)}")
     return number
 

@@ -13,6 +13,7 @@ from collaborative_gym.tasks.registry import as_task
 
 _LOOKS = 10  # control steps from one look at what hinders arms to the next
 _AT_END, _NEAR_END = 0.03, 0.1  # rad from the end of a joint's range: there, or near it
+_SLOW = 0.3  # rad/s below which a joint hardly gets anywhere within an episode
 _ROOM = 0.02  # m, half the width of Pass's cube
 
 
@@ -88,7 +89,10 @@ def unusual(robot: Robot) -> list[str]:
         found.append(f"at home its hand is {behind:.2f} m behind its base")
     if tcp.xmat[8] > 0.5:
         found.append("at home its hand points up")
-    for name, angle in zip(robot.joints, robot.home, strict=True):
+    rows = zip(robot.joints, robot.home, robot.velocity_limits, strict=True)
+    for name, angle, fastest in rows:
+        if fastest < _SLOW:
+            found.append(f"{name} turns at most {fastest:g} rad/s")
         room = np.abs(model.joint(name).range - angle).min()
         if room < _NEAR_END:
             found.append(f"at home {name} is {room:.2f} rad from the end of its range")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import collaborative_gym as cg
+from collaborative_gym.scene import Scene
 
 
 @pytest.fixture
@@ -152,8 +153,48 @@ def test_an_object_whose_place_is_in_mm(carry, monkeypatch):
         task.scene.place(sim, env_ids, name=name, position=(700.0, 0.0, 660.0))
 
     monkeypatch.setattr(type(carry()), "reset", reset)
-    with pytest.raises(ValueError, match="starts 700 m away; give m, not mm"):
+    with pytest.raises(ValueError, match="is 700 m away; give m, not mm"):
         cg.VectorEnv(carry(), 1, num_threads=1)
+
+
+def test_a_target_whose_place_is_in_mm_also_beside_tools(monkeypatch):
+    task = cg.task("PokeTaskSawyers-v0")
+    monkeypatch.setattr(
+        Scene, "targets", lambda self, sim: {"goal": np.array([[0.0, 600.0, 900.0]])}
+    )
+    with pytest.raises(ValueError, match="'goal' is 900 m away; give m, not mm"):
+        cg.VectorEnv(task, 1, num_threads=1)
+
+
+def test_facts_that_are_none_and_a_setup_that_forgets(carry, monkeypatch):
+    base = type(carry())
+    arms, settings = [cg.get_robot("panda")] * 2, carry().config
+    empty = type("Empty", (base,), {"measure": lambda self, sim: None})
+    with pytest.raises(ValueError, match=r"Empty.measure\(\) returns nothing"):
+        cg.VectorEnv(empty(arms, settings), 1, num_threads=1)
+    setup = {"setup": lambda self, scene, sim, *, action_mode: None}
+    hasty = type("Hasty", (base,), setup)
+    with pytest.raises(ValueError, match=r"Hasty.setup\(\) must call super\(\).setup"):
+        cg.VectorEnv(hasty(arms, settings), 1, num_threads=1)
+
+
+@pytest.mark.parametrize("method", ["reward", "observe"])
+def test_what_is_not_finite_later_is_refused_in_its_step(carry, method):
+    base = type(carry())
+
+    def late(self, facts, *commands):
+        found = getattr(base, method)(self, facts, *commands)
+        rows = found["robot_2"]["distance"]
+        found["robot_2"]["distance"] = np.where(facts.height.max() > 0.52, np.nan, rows)
+        return found
+
+    task = type("Late", (base,), {method: late})
+    env = cg.VectorEnv(task([cg.get_robot("panda")] * 2, carry().config), 2)
+    env.reset(seed=0)
+    said = rf"Late.{method}\(\): 'distance' of robot_2 is not finite"
+    with pytest.raises(ValueError, match=said):
+        for _ in range(10):
+            env.step(env.expert())
 
 
 def test_trying_out_leaves_the_worlds_as_new(make_env):

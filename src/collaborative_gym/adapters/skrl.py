@@ -86,8 +86,7 @@ class SkrlEnv(MultiAgentEnvWrapper):
 
     def _tensors(self, arrays: Mapping[str, Any]) -> ByAgent:
         return {
-            agent: torch.as_tensor(array, device=self.device)
-            for agent, array in arrays.items()
+            a: torch.as_tensor(rows, device=self.device) for a, rows in arrays.items()
         }
 
     def _columns(self, arrays: Mapping[str, Any]) -> ByAgent:

@@ -1,5 +1,6 @@
 """The commands that play, measure and show."""
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -330,12 +331,16 @@ class Check(Worlds):
         """Print that all is well, or every broken promise and its remedy."""
         from collaborative_gym.testing import check_task
 
-        try:
-            check_task(self.task(self.env), episodes=self.episodes)
-        except (AssertionError, RuntimeError) as error:
-            show(str(error))
-            raise SystemExit(1) from error
-        show(f"{self.env} keeps every promise")
+        with warnings.catch_warnings(record=True) as told:
+            try:
+                check_task(self.task(self.env), episodes=self.episodes)
+            except (AssertionError, RuntimeError) as error:
+                show(str(error))
+                raise SystemExit(1) from error
+            finally:
+                for each in told:
+                    show(f"{each.message}")
+        show(f"{self.env} keeps every promise{' that was tested' * bool(told)}")
 
 
 @dataclass(frozen=True, kw_only=True)

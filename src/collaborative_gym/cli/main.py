@@ -96,6 +96,7 @@ _VERBS = {
 _INSTEAD = {
     ("evaluate", "--output"): "--json FILE for all numbers, or --csv FILE for episodes",
     ("benchmark", "--output"): "--json FILE",
+    ("report", "--policy"): "--policies",
 }
 """Options that other commands have, and what a command has in their place."""
 
@@ -155,7 +156,8 @@ def _run(arguments: list[str]) -> None:
     for word in arguments:
         option, _, value = word.partition("=")
         if re.fullmatch("-[a-gi-zA-Z]", word):
-            raise UnknownName(f"{verb} does not take {word}; options begin with --")
+            who = verb if verb in _VERBS else "collaborative-gym"
+            raise UnknownName(f"{who} does not take {word}; options begin with --")
         if "None" in (word, value):
             raise ValueError("None is no value; leave the option out")
         if (verb, option) in _INSTEAD:

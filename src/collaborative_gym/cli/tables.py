@@ -183,9 +183,7 @@ def _partners_table(tournament: Tournament, names: Mapping[str, str]) -> Table:
             (names[name], worst, ""), tournament.measures, strict=True
         ):
             means = standing.self_play, standing.gap, *standing.by_seat.values()
-            own, gap, *seats = (
-                format_measure(measure, each[measure].mean) for each in means
-            )
+            own, gap, *seats = (format_measure(measure, m[measure].mean) for m in means)
             cross = _measured(measure, standing.cross_play[measure])
             who = Text(label or "", "dim" if label == worst else "")
             rows.append([who, measure, own, cross, gap, *seats])

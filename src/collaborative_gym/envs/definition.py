@@ -19,7 +19,18 @@ from collaborative_gym.tasks.task import Task, named_facts
 
 _NUMBERS = "bool", "integral", "real floating"  # kinds of which a block may be
 _FARTHEST = 50.0  # distance of an object, in m; beyond it a place is in mm
-_HAND = 0.3  # what a hand, and what it holds, add to an arm's rated reach, in m
+_HAND, _TOOL = 0.3, 1.3  # what a hand, and its tool, add to an arm's reach, in m
+
+
+class NotFinite(ValueError):
+    """A task returned infinite numbers, or NaN, by name for an agent."""
+
+    def __init__(self, task: Task, method: str, agent: str, named: Mapping[str, Array]):
+        bad = [n for n, rows in named.items() if not np.isfinite(rows).all()]
+        super().__init__(
+            f"{type(task).__name__}.{method}(): {', '.join(map(repr, bad))} of {agent}"
+            " is not finite; look for a division or a root there and in measure()"
+        )
 
 
 @dataclass(frozen=True)
@@ -49,7 +60,8 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     draw_starts(task, sim, mode, trial.rows, rng)
     sim.forward()
     trial.check_targets(scene)
-    facts = task.measure(sim)
+    if (facts := task.measure(sim)) is None:
+        raise ValueError(f"{type(task).__name__}.measure() returns nothing")
     blocks = task.observe(facts)
     trial.check_blocks(blocks)
     for agent, felt in feel(sim).items():
@@ -97,19 +109,19 @@ class _Trial:
 
     def check_targets(self, scene: Scene) -> None:
         """Raise if a target is so far away that no arm can bring anything there."""
-        for name, place in scene.objects(self._sim).items():
+        targets = scene.targets(self._sim)
+        for name, place in (scene.objects(self._sim) | targets).items():
             if (far := max(abs(float(place[0, i])) for i in range(3))) > _FARTHEST:
                 raise ValueError(
-                    f"{self._name}: {name!r} starts {far:.0f} m away; give m, not mm"
+                    f"{self._name}: {name!r} is {far:.0f} m away; give m, not mm"
                 )
-        if scene.tools:
-            return  # How far they reach is not known here.
         task, placements = self._task, self._task.placements
-        for target, places in scene.targets(self._sim).items():
+        for target, places in targets.items():
             place, missing = np.array([float(places[0, i]) for i in range(3)]), {}
             for agent, placement in placements.items():
                 far = np.linalg.norm(place - np.array(placement.position) - SHOULDER)
-                missing[agent] = float(far) - task.robots[agent].reach - _HAND
+                more = _TOOL if scene.tools else _HAND
+                missing[agent] = float(far) - task.robots[agent].reach - more
             if min(missing.values()) > 0.0:
                 listed = [f"{agent}'s by {far:.2f} m" for agent, far in missing.items()]
                 raise ValueError(

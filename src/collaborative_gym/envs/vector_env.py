@@ -7,6 +7,7 @@ import numpy as np
 
 from collaborative_gym.control import Commands
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
+from collaborative_gym.envs.definition import NotFinite
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied, where
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, take
@@ -448,6 +449,7 @@ class VectorEnv:
     ) -> tuple[dict[str, Terms], dict[str, Any]]:
         xp = self.sim.xp
         terms: dict[str, Terms] = {}
+        rewards: dict[str, Any] = {}
         for agent, own in self.task.reward(facts, commands).items():
             names = self.reward_terms[agent]
             if own.keys() ^ names:
@@ -459,7 +461,10 @@ class VectorEnv:
             if xp.any(lost):
                 own = {name: xp.where(lost, 0.0, term) for name, term in own.items()}
             terms[agent] = {n: xp.astype(term, xp.float32) for n, term in own.items()}
-        return terms, {agent: sum(terms[agent].values()) for agent in self.agents}
+            total = rewards[agent] = sum(terms[agent].values())
+            if not xp.all(xp.isfinite(total)):
+                raise NotFinite(self.task, "reward", agent, terms[agent])
+        return terms, rewards
 
     def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:
         """Return observations after the start of episodes in some worlds."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.control import ActionMode, get_mode
-from collaborative_gym.envs.definition import try_out
+from collaborative_gym.envs.definition import NotFinite, try_out
 from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.envs.strain import add_strain_sensors
 from collaborative_gym.envs.wrists import Wrists, add_wrist_sensors
@@ -59,6 +59,8 @@ class World:
         sim = CpuSim(self.model, 3, 1, self.refinement)
         mode = self.mode(self.scene, sim, task.gripping)
         self.task.setup(self.scene, sim, action_mode=mode)
+        if not hasattr(self.task, "action_mode"):
+            raise ValueError(f"{type(task).__name__}.setup() must call super().setup()")
         if wrench != "off":
             self.wrists = Wrists(self.scene, self.model, is_raw=wrench == "raw")
         self.definition = try_out(self.task, self.scene, sim, self.feel)
@@ -125,6 +127,8 @@ class World:
             rows += [felt[agent]] if agent in felt else []
             rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
             flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
+            if not xp.all(xp.isfinite(flat[agent])):
+                raise NotFinite(self.task, "observe", agent, own)
         return flat
 
     @cached_property

@@ -173,9 +173,9 @@ def measure_robustness(
 
 
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
-    """Return `num_envs`, or the number of worlds that suits so many episodes."""
+    """Return `num_envs`, at most one for each episode, or as many as suit them."""
     if num_envs is not None:
-        return num_envs
+        return min(num_envs, episodes)
     return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
 
 

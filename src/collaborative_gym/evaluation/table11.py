@@ -117,9 +117,7 @@ class Table11:
         return f"FAIL: {verdicts.count(False)} of {len(verdicts)} cells"
 
     def _verdicts(self) -> list[bool]:
-        return [
-            passes for line in self.comparisons for passes in line.verdicts().values()
-        ]
+        return [each for line in self.comparisons for each in line.verdicts().values()]
 
     def lines(self, reward_digits: int = 2) -> list[list[str]]:
         """Return cells for people: environment, measure, thesis, then `COLUMNS`.

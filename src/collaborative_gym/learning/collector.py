@@ -306,9 +306,7 @@ class Collector:
                     seated.append(tuple(self._guests.names[i]))
             self._guests.draw(ended, rng)
         self._observations = observations
-        rollouts = {
-            each.learner.name: each.finish(observations) for each in self._players
-        }
+        rollouts = {p.learner.name: p.finish(observations) for p in self._players}
         return [Collected(steps * self.env.num_envs, rollouts, episodes, seated)]
 
     def state_dict(self) -> dict[str, Any]:

@@ -110,9 +110,7 @@ class Guests:
             """Write a guest's actions for some agents in some worlds."""
             policy = self._policy(name, agents)
             if isinstance(policy, NetworkPolicy):
-                chosen = policy(
-                    {agent: observations[agent][worlds] for agent in agents}
-                )
+                chosen = policy({a: observations[a][worlds] for a in agents})
                 rows: Any = slice(None)
             else:
                 if name not in scripted:

@@ -120,9 +120,7 @@ class Actor(nn.Module):
         """
         found, start = {}, 0
         for name, size, net in zip(self._names, self._inputs, self.nets, strict=True):
-            layers = [
-                (_array(each.weight), _array(each.bias)) for each in _linears(net)
-            ]
+            layers = [(_array(of.weight), _array(of.bias)) for of in _linears(net)]
             columns = slice(start, start + size)
             ends = _array(mean[columns]), _array(std[columns])
             of_element = len(ELEMENT_SIZES) if isinstance(net, SetNetwork) else 0

@@ -430,9 +430,7 @@ def _check_same(settings: Settings, started: Settings) -> None:
         is_lower = name == "total_steps" and value < own[name]
         if is_lower or name not in _MAY_CHANGE:
             pairs.append((name, value, own[name]))
-    found += [
-        f"{n} is {given}, not {kept}" for n, given, kept in pairs if given != kept
-    ]
+    found += [f"{n} is {a}, not {b}" for n, a, b in pairs if a != b]
     if found:
         raise ValueError(
             f"this run cannot continue with other settings: {'; '.join(found)}; leave"

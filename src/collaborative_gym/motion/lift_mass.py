@@ -60,10 +60,10 @@ class Weighing:
             missing = f"robot_{self.fewer.index(most) + 1}"
             who = "all" if min(self.fewer) > _ALIKE * most else f"all but {missing}"
             raise ValueError(
-                f"Lift's pot must need all {count} arms: together they must carry"
-                f" {ratio:.2f} times the {most:.1f} kg that they carry without"
-                f" {missing}, but carry {self.together:.1f} kg; mount {who} farther"
-                " from the pot, or take other arms, or pass pot_mass"
+                f"Lift's pot must need {'both' if count == 2 else f'all {count}'} arms:"
+                f" together they must carry {ratio:.2f} times the {most:.1f} kg that"
+                f" they carry without {missing}, but carry {self.together:.1f} kg;"
+                f" mount {who} farther from the pot, take other arms, or pass pot_mass"
             )
         mass = max(np.sqrt(most * self.together), LEAST_SHARE * self.together)
         return float(mass)

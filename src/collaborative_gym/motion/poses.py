@@ -108,9 +108,7 @@ def _unreached(
     """Return the error of a pose that was not found; its remedy was tried."""
     low, high = arm.joint_range
     drawn = np.random.default_rng(0).uniform(low, high, (_FAR_TRIES, len(low)))
-    position, orientation = (
-        (np.asarray(part).round(3) + 0.0).tolist() for part in goal
-    )
+    position, orientation = ((np.asarray(own).round(3) + 0.0).tolist() for own in goal)
     remedy = "mount it nearer or choose an arm with a longer reach"
     found, _ = _search(model, arm, goal=goal, starts=drawn)
     if found is not None:

@@ -370,9 +370,7 @@ class _Screen:
     def _draw(self, qpos: np.ndarray, mocap_pos: np.ndarray) -> np.ndarray:
         places = np.concatenate([qpos, mocap_pos.ravel(), [self._zoom]])
         if np.abs(places - self._drawn).max() > _VISIBLE:
-            views = [
-                each.picture(qpos, mocap_pos, self._zoom) for each in self._cameras
-            ]
+            views = [eye.picture(qpos, mocap_pos, self._zoom) for eye in self._cameras]
             is_long = len({view.shape for view in views}) == 1
             for near in views[1:]:
                 near[np.s_[:2] if is_long else np.s_[:, :2]] = 255

@@ -76,9 +76,7 @@ class Camera:
     def picture(
         self, qpos: ArrayLike, mocap_pos: ArrayLike, zoom: float = 0.0
     ) -> np.ndarray:
-        """Return a world as a (height, width, 3) uint8 picture, by qpos and mocap_pos.
-
-        A zoom from 0 to 1 takes a close-up nearer to its body.
+        """Return a (height, width, 3) uint8 picture; zoom, 0 to 1, nears close-ups.
 
         Raises:
           RuntimeError: in a process that was forked off since the first picture.

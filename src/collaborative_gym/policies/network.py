@@ -227,9 +227,7 @@ class NetworkPolicy:
             served._parts = tuple(replace(first, agents=(a,)) for a in agents)
             kinds = self.layout.observation, self.layout.action
             [own] = first.agents
-            served.layout = Layout(
-                *(dict.fromkeys(agents, kind[own]) for kind in kinds)
-            )
+            served.layout = Layout(*(dict.fromkeys(agents, k[own]) for k in kinds))
             served._inputs = served.layout.observation_sizes
             served._outputs = served.layout.action_sizes
             served.agents = tuple(agents)

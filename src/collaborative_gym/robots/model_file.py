@@ -161,7 +161,8 @@ def _check_names(robot: RobotData, spec: mujoco.MjSpec) -> None:
     ):
         for name in wanted:
             if name not in names:
-                raise ValueError(f"{file} has {unknown(kind, name, names)}")
+                more = "; name a site or body by tcp=" * (kind == "frame")
+                raise ValueError(f"{file} has {unknown(kind, name, names)}{more}")
     driven = {*robot.joints, *fingers}
     driven |= {eq.name1 for eq in spec.equalities if follows(eq, fingers)}
     for joint in spec.joints:

@@ -82,7 +82,4 @@ def depth_sensors(
 ) -> dict[str, np.ndarray]:
     """Return the ids of the sensors of minus the depth of contacts, by kind."""
     names = np.array([model.sensor(i).name for i in range(model.nsensor)], str)
-    return {
-        kind: np.flatnonzero(np.char.startswith(names, f"{kind} deep"))
-        for kind in kinds
-    }
+    return {k: np.flatnonzero(np.char.startswith(names, f"{k} deep")) for k in kinds}

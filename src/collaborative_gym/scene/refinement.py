@@ -73,16 +73,13 @@ class _Rules:
         """
         xp, fastest = array_namespace(qpos), _FASTEST * self._limits
         steps, stray = math.prod(qpos.shape[1:-1]), False
-        for values, *bounds in (
-            (qpos, self._low, self._high),
-            (qvel, -fastest, fastest),
-        ):
+        for each, *bounds in ((qpos, self._low, self._high), (qvel, -fastest, fastest)):
             # All steps of a world are one row: few long ones are faster than many.
-            rows = xp.reshape(values, (len(values), steps * len(bounds[0])))
+            rows = xp.reshape(each, (len(each), steps * len(bounds[0])))
             low, high = (xp.asarray(np.tile(bound, steps)) for bound in bounds)
             inside = (rows >= low) & (rows <= high)
             if not xp.all(inside):  # Seldom.
-                stray = stray | ~xp.all(xp.reshape(inside, values.shape), axis=-1)
+                stray = stray | ~xp.all(xp.reshape(inside, each.shape), axis=-1)
         return xp.zeros(qpos.shape[:-1], dtype=xp.bool) | stray
 
     def too_deep(self, sensordata: Array) -> Array:

@@ -192,9 +192,7 @@ class Steps:
         while len(left):
             rows = self._ids(left)
             kept = worlds.state[rows]
-            found = {
-                name: each[left, at][:, None] for name, each in self.records.items()
-            }
+            found = {n: each[left, at][:, None] for n, each in self.records.items()}
             self.failed[left] = worlds.roll(
                 rows, self._controls[left, at][:, None], found
             )

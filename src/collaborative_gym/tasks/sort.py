@@ -403,9 +403,7 @@ def _stations(robot: Robot, spots: Positions) -> tuple[np.ndarray, list[np.ndarr
         lean = math.from_rotation_vector(np.array([0.0, -tilt, 0.0]))
         downs = either_way(PICKING)
         # At its tote, an arm has turned by a quarter.
-        ends = [
-            math.multiply(math.from_yaw(np.array(np.pi / 2)), down) for down in downs
-        ]
+        ends = [math.multiply(math.from_yaw(np.array(np.pi / 2)), d) for d in downs]
         ways = []
         for down, end in product(downs, ends):
             hands = math.multiply(lean, down), math.multiply(lean, down), end

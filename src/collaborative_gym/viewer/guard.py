@@ -165,7 +165,7 @@ class _Guard:
         inputs = getattr(self.gui, "_gui_input_handle_from_uuid", {})
         own = inputs.get(sent.uuid)
         return own is not None and all(
-            _fits(own, value) for value in sent.updates.values()
+            _fits(own, each) for each in sent.updates.values()
         )
 
     def _follow(self, connection: Any, request: Request) -> Response | None:

@@ -124,9 +124,7 @@ class Session:
     @speed.setter
     def speed(self, speed: float) -> None:
         if not SLOWEST <= speed <= FASTEST:
-            raise ValueError(
-                f"speed must be between {SLOWEST} and {FASTEST}, got {speed}"
-            )
+            raise ValueError(f"speed must be {SLOWEST} to {FASTEST}, got {speed}")
         self._speed = speed
 
     def pause(self) -> None:

@@ -200,9 +200,7 @@ def _painted(
     colors, which = np.unique(texels, axis=0, return_inverse=True)
     if len(colors) > _MAX_COLORS:
         return [(rgb * texels.mean(axis=0) / 255, mesh.faces)]
-    return [
-        (rgb * color / 255, mesh.faces[which == i]) for i, color in enumerate(colors)
-    ]
+    return [(rgb * own / 255, mesh.faces[which == i]) for i, own in enumerate(colors)]
 
 
 def _texels(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray | None:
