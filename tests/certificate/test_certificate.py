@@ -46,7 +46,7 @@ def test_a_row_tells_the_best_and_the_surest():
     assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32† | - | - | 4" in table
     still = "while one arm is still from"
     first = (
-        f"- Pass with panda, jaco: {still} the start on, the others complete 0 of 500"
+        f"\n\nPass with panda, jaco: {still} the start on, the others complete 0 of 500"
     )
     assert f"{first} starts (up to 0.6%); {still} 50 % of the way on" in table
     frozen = "10 of 400 starts (robot_2 frozen at 50 %, up to 4.2%)"
