@@ -74,8 +74,11 @@ _TASKS = (
 )
 _MOMENT = {
     "LiftTaskSawyers-v0": 27,
-    "LiftTaskJacos-v0": 40,
-    "LiftPandas4-v0": 44,
+    "LiftTaskJacos-v0": 22,
+    "LiftPandas3-v0": 24,
+    "LiftPandas4-v0": 24,
+    "AssemblePandas3-v0": 72,
+    "SortPandas4-v0": 42,
     "BalanceTaskSawyers-v0": 45,
     "BalanceTaskJacoSawyer-v0": 45,
     "TugPandas-v0": 30,
