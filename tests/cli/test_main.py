@@ -50,6 +50,15 @@ def test_check_lists_the_broken_promises_of_a_task(carry_id, capsys):
         main([*check, "--settings", "height=5.0"])
     told = " ".join(capsys.readouterr().out.split())
     assert "the expert does not reach the goal in the episodes [0, 1]" in told
+    assert f"record {carry_id} --only-episodes 0 --output failed.mp4" in told
+
+
+def test_check_says_what_it_could_not_test(carry, carry_id, capsys, monkeypatch):
+    monkeypatch.setattr(type(carry()), "expert", cg.Task.expert)
+    assert main(["check", carry_id, "--episodes", "2"]) == 0
+    said, end = capsys.readouterr().out.splitlines()
+    assert said.startswith("Carry has no expert(), so nothing has shown")
+    assert end == f"{carry_id} keeps every promise that was tested"
 
 
 def test_list_takes_a_part_of_a_name(capsys):
@@ -468,6 +477,8 @@ def test_benchmark_takes_a_tasks_name(capsys):
             "view",
             "view needs ENV, environment id, or a task's name\n",
         ),
+        ("-v", "collaborative-gym does not take -v; options begin with --"),
+        ("report Poke --policy expert", "report has no --policy; give --policies"),
         ("--frobnicate", "collaborative-gym does not take --frobnicate; coll"),
     ],
 )

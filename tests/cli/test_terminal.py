@@ -61,3 +61,9 @@ def test_results_with_long_names_fit_a_terminal():
     assert max(map(len, printed.splitlines())) <= 80
     for words in ("completion", "performance", "time to", "success", "clearance: "):
         assert words in printed
+
+
+def test_a_narrow_terminal_keeps_ids_whole():
+    printed = on_terminal(*PROGRAM, "list", "Pass", columns=60)
+    starts = {line.split()[0] for line in printed.splitlines() if line.split()}
+    assert {"PassTaskJacoSawyer-v0", "PassFrictionSawyers-v0"} <= starts

@@ -6,6 +6,7 @@ import pytest
 
 import collaborative_gym as cg
 from collaborative_gym.cli.tables import reports_table
+from collaborative_gym.evaluation.play import worlds_for
 from collaborative_gym.tasks.identity import Identity
 
 
@@ -24,6 +25,10 @@ def test_numpys_numbers_do_for_pythons(carry, report):
     given = {"episodes": np.int64(5), "seed": np.int64(0), "delay": np.int64(0)}
     again = cg.evaluate(carry(), "expert", **given, num_threads=1)
     assert json.loads(again.to_json())["Carry"]["settings"] == report.settings
+
+
+def test_no_world_is_built_without_an_episode():
+    assert [worlds_for(5, n) for n in (2, 5, 1000)] == [2, 5, 5]
 
 
 @pytest.mark.parametrize("policy", ["expert", "random"])

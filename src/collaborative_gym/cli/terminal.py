@@ -311,9 +311,9 @@ def fitted(table: Table, room: int) -> Table:
     Cells fold between words. If that is not enough, rows become names and values.
     """
     columns = [[str(c) for c in (each.header, *each.cells)] for each in table.columns]
-    # A name of more than a third of the room may break within; no number is so long.
+    # A name of more than half of the room may break within; no number is so long.
     least = [
-        min(max(len(part) for cell in cells for part in _SPACES.split(cell)), room // 3)
+        min(max(len(part) for cell in cells for part in _SPACES.split(cell)), room // 2)
         for cells in columns
     ]
     most = [max(map(len, "\n".join(cells).split("\n"))) for cells in columns]

@@ -134,16 +134,16 @@ class _Trial:
         worlds, xp = self._sim.num_envs, self._sim.xp
         for what, rows in self._each("observe", "block", blocks):
             shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
+            if not hasattr(rows, "dtype") or not xp.isdtype(kind, _NUMBERS):
+                raise ValueError(
+                    f"{what} is of type {kind}; it must be an array of real numbers,"
+                    " integers or booleans"
+                )
             if len(shape) < 2 or shape[0] != worlds:
                 raise ValueError(
                     f"{what} has shape {shape}; it needs a row for each world,"
                     f" ({worlds}, k) or with more axes: index one number per world as"
                     " [:, None]"
-                )
-            if not hasattr(rows, "dtype") or not xp.isdtype(kind, _NUMBERS):
-                raise ValueError(
-                    f"{what} is of type {kind}; it must be an array of real numbers,"
-                    " integers or booleans"
                 )
             self._check_finite(what, rows)
 

@@ -34,7 +34,7 @@ _PLACES: dict[str, tuple[float, float, str]] = dict.fromkeys(
 
 _BOUNDS = {
     "body_mass": (0.0, 1e4, " kg"),
-    "body_inertia": (0.0, 1e4, " kg m2"),
+    "body_inertia": (0.0, 1e4, " kg m2, with lengths in m"),
     "body_gravcomp": (0.0, 1.0, ""),
     "jnt_stiffness": (0.0, 1e6, " N m/rad or N/m"),
     "jnt_stiffnesspoly": (0.0, 1e6, ""),
