@@ -23,10 +23,10 @@ SIZES = {
     "SortPandas4-v0": (960, 540),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
-SPEEDS = {"SortPandas4-v0": 2.0}
-"""Speeds of long films in which much is alike."""
-SLOW = "Poke", "Pass", "Assemble"
-"""Beginnings of the ids in which one moment decides."""
+SPEEDS = {"HockeyPandas-v0": 2.0, "SortPandas4-v0": 2.0, "TugPandas-v0": 0.25}
+"""Speeds of long films in which much is alike, and of one that is over in a second."""
+SLOW = "Poke", "Pass", "Assemble", "Hockey"
+"""Beginnings of the ids in which single moments decide."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
 SHADOWS = 8192
@@ -63,28 +63,18 @@ def film(env_id: str) -> None:
     """Film who plays best, and leave out the picture that stood for the last film."""
     player = "baseline" if is_shipped("baseline", env_id) else "expert"
     path = MEDIA / f"{player}s" / f"{env_id}.mp4"
-    task = sharp(env_id)
-    policy = player if len(task.sides) == 1 else AGAINST
+    task, policy = sharp(env_id), AGAINST
+    more = {
+        "size": SIZES.get(env_id, SIZE),
+        "speed": SPEEDS.get(env_id, 1.0),
+        "slow_motion": env_id.startswith(SLOW),
+    }
     if env_id == GAME:
-        record(
-            task,
-            path,
-            policy=policy,
-            only_episodes=[EPISODE],
-            size=SIZES[env_id],
-            slow_motion=True,
-        )
-    elif len(task.sides) > 1:  # Tug is over within a second.
-        record(task, path, policy=policy, speed=0.25, size=SIZE)
-    else:
+        more["only_episodes"] = [EPISODE]
+    elif len(task.sides) == 1:
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(type(task).__name__, ()))
-        more = {
-            "seconds": LEAST,
-            "speed": SPEEDS.get(env_id, 1.0),
-            "slow_motion": env_id.startswith(SLOW),
-            "close_up": near,
-        }
-        record(task, path, policy=policy, size=SIZES.get(env_id, SIZE), **more)
+        policy, more = player, more | {"seconds": LEAST, "close_up": near}
+    record(task, path, policy=policy, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
 

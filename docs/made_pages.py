@@ -462,7 +462,7 @@ def _films(tasks: Sequence[str]) -> str:
             why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
         paragraphs += [f"### {name}", f"{goal}{why}"]
         for env_id, spec in _envs(name):
-            grasp = spec.settings.get("grasp")
+            grasp = spec.settings.get("grasp", "magnet" * (name == "Pass"))
             how = ", against the expert (blue)" * (name in _AGAINST)
             if grasp:
                 how += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`"
@@ -812,7 +812,8 @@ def _labelled(paragraph: str) -> str:
 
 def _place(placement: cg.Placement) -> str:
     x, y, z = (f"{value + 0.0:.3g}" for value in placement.position)  # no -0
-    return f"({x}, {y}, {z}) m, turned by {np.degrees(placement.yaw):.0f} degrees"
+    yaw = (np.degrees(placement.yaw) + 179.0) % 360.0 - 179.0
+    return f"({x}, {y}, {z}) m, turned by {yaw:.0f} degrees"
 
 
 def _sizes(spaces) -> str:

@@ -187,7 +187,7 @@ def main(args: Args) -> None:
     )
     optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate)
     rollout = Rollout(envs, args)
-    observations, _ = envs.reset(seed=0)
+    observations, _ = envs.reset(seed=1)  # `evaluate` plays seed 0
     begins = np.zeros(args.num_envs, bool)
     per_update = args.rollout * args.num_envs
     for steps in range(per_update, args.total_steps + per_update, per_update):

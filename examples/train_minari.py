@@ -28,8 +28,8 @@ def collect(env: str, dataset_id: str, episodes: int) -> minari.MinariDataset:
     """Return a new dataset of the expert's episodes."""
     worlds = cg.make_vec(env, episodes)
     worlds.reset()
-    for i in range(episodes):  # each as `reset(seed=i)` of one environment starts it
-        observations, _ = worlds.reset(i, [0], env_ids=[i])
+    for i in range(episodes):  # each as `reset(seed=i + 1)` of one environment
+        observations, _ = worlds.reset(i + 1, [0], env_ids=[i])
     expert = cg.load_policy("expert", worlds)
     seen, done, earned, ends = [joined(observations)], [], [], []
     for _ in range(worlds.task.config.max_episode_steps):
@@ -48,7 +48,7 @@ def collect(env: str, dataset_id: str, episodes: int) -> minari.MinariDataset:
         buffers.append(
             EpisodeBuffer(
                 id=i,
-                seed=i,
+                seed=i + 1,  # `evaluate` plays seed 0
                 observations=seen[: last + 1, i],
                 actions=done[:last, i],
                 rewards=earned[:last, i],

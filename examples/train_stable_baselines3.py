@@ -49,7 +49,7 @@ def main(
       num_envs: worlds beside one another.
       episodes: to evaluate.
     """
-    worlds = SB3VecEnv(cg.make_vec(env, num_envs))
+    worlds = SB3VecEnv(cg.make_vec(env, num_envs, seed=1))  # `evaluate` plays 0
     singles = make_vec_env(env, n_envs=num_envs)
     for name, envs in (("one by one", singles), ("at once", worlds)):
         print(f"{name}: {rate(envs, ROLLOUT):,.0f} environment steps per second")

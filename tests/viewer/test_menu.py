@@ -87,8 +87,10 @@ def test_another_environment_has_its_own_arms_and_able_players(menu):
     assert moved.robots == ("sawyer", "jaco")
     assert moved.policies == ("expert", "baseline")
     doubles = menu.moved(lift("baseline", "idle"), "HockeyDoubles-v0")
-    assert doubles.policies == ("expert", "idle", "idle", "idle")
+    assert doubles.policies == ("expert", "idle", "expert", "expert")
     assert len(doubles.robots) == 4
+    turned = menu.turned(lift("baseline", "idle"), "Pass")
+    assert turned.policies == ("baseline", "expert")
 
 
 def test_another_arm_has_able_players(env):
@@ -99,6 +101,13 @@ def test_another_arm_has_able_players(env):
     assert armed.robots == ("sawyer", "jaco")
     assert armed.policies == ("expert", "expert:first-leads")
     assert "baseline" not in menu.policies(armed)
+    passed = menu.turned(lift("baseline", "baseline"), "Pass")
+    assert passed.env == "PassTaskSawyers-v0"
+    assert menu.armed(passed, "sawyer", 1).env == passed.env
+    other = menu.armed(passed, "jaco", 0)
+    assert other.env == "PassTaskSawyers-v0" and other.robots == ("jaco", "sawyer")
+    own = menu.armed(passed, "jaco", 1)
+    assert own.env == "PassTaskJacoSawyer-v0" and "baseline" in menu.policies(own)
     with pytest.raises(KeyError, match="no policy 'baseline'"):
         menu.read(armed.link.replace("policies=expert&", "policies=baseline&"))
     assert menu.armed(lift("idle", "runs/mine"), "jaco", 0).policies[1] == "expert"

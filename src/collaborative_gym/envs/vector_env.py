@@ -254,7 +254,7 @@ class VectorEnv:
             return copied(observations, xp), rewards, terminated, truncated, infos
 
     def expert(self, style: str = "", *, pace: float = 1.0) -> dict[str, Array]:
-        """Return the task's scripted expert's actions for the present state.
+        """Return the scripted expert's actions for the present state.
 
         Args:
           style: one of the task's `styles`, or its usual way.

@@ -240,9 +240,7 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
     if own["start_from"]:
         others["start_from"] = own["start_from"]
     options = ["--advised"] * advised
-    options += [
-        f"--{name.replace('_', '-')} {_option(value)}" for name, value in others.items()
-    ]
+    options += [f"--{n.replace('_', '-')} {_option(own)}" for n, own in others.items()]
     if (preset := _preset(env_id, starts)) != "default":
         options.append(f"--randomization {preset}")
     for option in ("opponent", "partner"):

@@ -159,9 +159,7 @@ def hold(
     count, most = len(near[0]), chains.low.shape[1]
     arm = np.repeat(np.arange(len(near)), count)
     start = np.zeros((len(near), count, most))
-    positions, turns = (
-        np.zeros((*start.shape[:2], np.shape(part)[-1])) for part in goals[0]
-    )
+    positions, turns = (np.zeros((*start.shape[:2], np.shape(p)[-1])) for p in goals[0])
     for i, (goal, angles) in enumerate(zip(goals, near, strict=True)):
         start[i, :, : angles.shape[1]] = angles
         positions[i], turns[i] = goal

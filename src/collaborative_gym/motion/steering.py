@@ -102,8 +102,8 @@ def standoff(
       offset: (num_envs, 3) from the goal to the hand, in m.
       approach: (3,) direction in which the hand goes to its goal.
       slack: distance from the line of approach that does not matter, in m.
-      least: bound of the result, in m.
-      most: bound of the result, in m.
+      least: smallest result, in m.
+      most: greatest result, in m.
 
     Returns:
       (num_envs, 1) in m: twice the distance from the line beyond the slack.

@@ -102,8 +102,8 @@ def record(
         first measure in the task's `coordination` that is kept at its greatest, or else
         where success begins; of opponents it is every score.
       close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
-        below a long one, shows from nearby; of several, the one that is lifted or put
-        down most.
+        below a long one, shows from nearby; of several, the one that hands are nearest
+        to, until they leave it.
       on_progress: called after each step with the share that is done, 0 to 1.
 
     Raises:

@@ -21,8 +21,8 @@ T = TypeVar("T")
 _NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
 """Distances to a body in a close-up, in m, and the share of them that is cut away."""
 
-_LASTING = 10
-"""Pictures over which the motion of bodies is averaged."""
+_LEFT = 0.15
+"""Distance of all hands from a body beyond which a close-up may show another, in m."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")
 """The thread that draws. It begins with the first picture."""
@@ -40,7 +40,7 @@ class Camera:
     Any thread may use it. A graphics context belongs to one thread, so that all of a
     process's pictures are drawn in the same one, one after the other. The model is that
     of `World.drawn_model`; sides are in pixels. With names of bodies it shows a
-    close-up from the same side, of the one that is lifted or put down most.
+    close-up from the same side, of the one that hands are nearest to till they leave.
 
     Raises:
       KeyError: if there is no such body.
@@ -54,8 +54,8 @@ class Camera:
     ):
         names = {model.body(i).name: i for i in range(1, model.nbody)}
         self._bodies = [look_up("body", body, names) for body in bodies]
-        self._shown, self._motion = 0, np.zeros(len(bodies))
-        self._places: np.ndarray | None = None
+        sites = [model.site(i).name for i in range(model.nsite)]
+        self._shown, self._tcps = 0, [n for n in sites if n.endswith("/tcp")]
         visual = model.vis.global_
         self.size = (
             check_count("width", width, 1, visual.offwidth),
@@ -107,13 +107,12 @@ class Camera:
 
     def _near(self, distance: float) -> mujoco.MjvCamera:
         places = self._data.xpos[self._bodies]
-        if self._places is not None:
-            moved = np.abs(places - self._places)[:, 2]
-            self._motion += (moved - self._motion) / _LASTING
-        self._places = places
-        # Of two that move alike, the one that is shown stays.
-        if self._motion.max() > 2 * self._motion[self._shown]:
-            self._shown = int(self._motion.argmax())
+        hands = np.array([self._data.site(name).xpos for name in self._tcps])
+        if len(hands):
+            gaps = np.linalg.norm(places[:, None] - hands, axis=-1).min(axis=1)
+            # What hands hold is shown until they have left it.
+            if gaps[self._shown] > max(_LEFT, 2 * gaps.min()):
+                self._shown = int(gaps.argmin())
         far, middle = overview(self._model, self._data)
         away = middle - far
         near = mujoco.MjvCamera()

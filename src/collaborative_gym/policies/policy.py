@@ -52,9 +52,9 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
         training run or of one of its players ("runs/league/main-3"), or to a network in
         ONNX (docs/clients.md); a function from observations to actions; or a model of
         Stable-Baselines3 that commands all robots. "limp" and "absent" are for one
-        agent, whom the worlds' randomization must name too, as `evaluate` sees to.
+        agent, which the worlds' randomization must name too; `evaluate` does this.
       env: the environment to play: a `VectorEnv`, or an environment of this package
-        under the contract of PettingZoo, Gymnasium or Stable-Baselines3, whose
+        with the interface of PettingZoo, Gymnasium or Stable-Baselines3, whose
         observations and actions the policy then takes and returns. Without it, you can
         give an id or a path, and the policy plays a `VectorEnv`.
       any_env: whether a trained policy may play another environment than its own, if

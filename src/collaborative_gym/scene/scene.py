@@ -400,9 +400,7 @@ class Scene:
 
     def _resolve(self, model: mujoco.MjModel) -> None:
         """Find everything in the compiled world that is reached by name."""
-        self.arms = {
-            agent: find_arm(model, agent, robot) for agent, robot in self.robots.items()
-        }
+        self.arms = {a: find_arm(model, a, robot) for a, robot in self.robots.items()}
         self.postures = {a: np.array(robot.home) for a, robot in self.robots.items()}
         if self.grips:
             self.hands = self.grasp.resolve(self.grips, model, self.arms)

@@ -12,7 +12,7 @@ on, a second cube follows, with its own target. Only neighbours reach each other
 place between them. Each arm observes, in the frame of its own base: its own cube, which
 is the one in its hand or else the first that it has not passed on; the vectors to this
 cube, and from it to the hand-over or the target; the share of cubes left. For each
-mate, the block `mates` has: whether there is one, how many seats away it is (over 7),
+mate, the block `mates` has: whether there is one, its distance in seats divided by 7,
 whether it grips, the vector from the arm's own tool centre point to the mate's, and the
 mate's distance from the arm's cube. The robot observes each component x, in m, of the
 vectors to cube and goal, and this distance, as log(1 + 100 |x|) with the sign of x. The

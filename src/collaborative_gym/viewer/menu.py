@@ -123,8 +123,9 @@ class Menu:
         return self._able(replace(choice, env=env, robots=robots, randomization=starts))
 
     def turned(self, choice: Choice, task: str) -> Choice:
-        """Return the choice of another task's first environment, as `moved` does."""
-        return self.moved(choice, self.tasks[task][0])
+        """Return the choice of another task's first environment, without idle arms."""
+        helping = (n if n in SHIPPED else "expert" for n in choice.policies)
+        return self.moved(replace(choice, policies=(*helping,)), self.tasks[task][0])
 
     def drawn(self, choice: Choice, randomization: str) -> Choice:
         """Return the choice of other starts."""
@@ -137,11 +138,15 @@ class Menu:
     def armed(self, choice: Choice, robot: str, *agents: int) -> Choice:
         """Return the choice of another arm for agents, by their indices.
 
-        The same policies go on if they can play with it; else the expert plays.
+        It is the task's environment with these arms, if there is one. The same policies
+        go on if they can play with it; else the expert plays.
         """
         given = self._policies if self._any_env else ()
         robots = _put(choice.robots, robot, agents)
-        return self._able(replace(choice, robots=robots), given)
+        alike = next(own for own in self.tasks.values() if choice.env in own)
+        able = [env for env in (choice.env, *alike) if self._usual(env) == robots]
+        env = (*able, choice.env)[0]
+        return self._able(replace(choice, env=env, robots=robots), given)
 
     def read(self, link: str) -> Choice:
         """Return the choice of a link; parts that it lacks are the usual ones.
@@ -219,7 +224,7 @@ class Menu:
         able = {*SCRIPTED, *STATES, *self._styles(choice), *given} - SHIPPED.keys()
         able.update(self._shipped(choice))
         names = [name if name in able else "expert" for name in choice.policies]
-        names += names[-1:] * len(choice.robots)
+        names += names[:1] * len(choice.robots)
         return replace(choice, policies=tuple(names[: len(choice.robots)]))
 
     def _styles(self, choice: Choice) -> list[str]:

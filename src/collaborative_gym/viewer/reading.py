@@ -72,9 +72,7 @@ def read(
     `before` is the reading of the step before, or None.
     """
     progress = env.progress
-    seed, episode, step = (
-        int(progress[name][world]) for name in ("seed", "episode", "step")
-    )
+    seed, episode, step = (int(progress[n][world]) for n in ("seed", "episode", "step"))
     infos = _one_world(infos, world)
     rewards = {
         agent: {name: float(term[0]) for name, term in named.items()}
@@ -153,9 +151,7 @@ def meanings(task: type[Task], facts: type) -> Mapping[str, str]:
             source = inspect.getsource(kind)
             comments = re.findall(r"^    (\w+):.*  # (.+)$", source, re.M)
             said |= {fact.replace("_", " "): text for fact, text in comments}
-    words = (
-        (name, text.replace("(num_envs,)", "").split()) for name, text in said.items()
-    )
+    words = ((n, text.replace("(num_envs,)", "").split()) for n, text in said.items())
     return {name: " ".join(own).strip(", ") for name, own in words}
 
 

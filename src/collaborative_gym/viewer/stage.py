@@ -185,7 +185,8 @@ class Stage:
         places = self._places
         own, looked_at = overview(model, data)
         if view == _HANDS:
-            shown = data.site_xpos[[model.site(f"{a}/tcp").id for a in self._arms]]
+            tcps = [data.site(f"{agent}/tcp").xpos for agent in self._arms]
+            shown = np.concatenate([tcps, data.mocap_pos])
         else:
             arms = [data.xpos[own] for own in self._arms.values()]
             # Tables and totes, at the height at which arms work.

@@ -38,6 +38,7 @@ class Page:
     def __init__(self, session: Session, menu: Menu, host: str, port: int):
         port = free_port(host, port)
         self._session, self._menu = session, menu
+        self._eyes: dict[int, np.ndarray] = {}  # where tabs were placed, by their ids
         with redirect_stdout(io.StringIO()):  # It announces itself.
             self._server = start_server(host, port, links=LINK, on_link=self._open)
         self.is_public = not is_loopback(host)
@@ -70,7 +71,7 @@ class Page:
     def _look(self, view: str) -> None:
         """Let all tabs look from a camera."""
         for client in self._server.get_clients().values():
-            self._stage.stand(client, view)
+            self._eyes[client.client_id] = self._stage.stand(client, view)
 
     def _join(self, client: viser.ClientHandle) -> None:
         """Place a new tab's camera, and again when its picture gets another shape.
@@ -81,10 +82,12 @@ class Page:
         if client.client_id not in self._server.get_clients():
             return  # It has left already.
         aspect = client.camera.aspect
-        eye = self._stage.stand(client, self._panel.view)
+        number = client.client_id
+        self._eyes[number] = self._stage.stand(client, self._panel.view)
 
         async def follow(camera: viser.CameraHandle) -> None:
-            nonlocal aspect, eye
+            nonlocal aspect
+            eye = self._eyes[number]
             first = self._server.initial_camera.position
             is_placed = np.allclose(camera.position, eye, atol=0.01)
             is_first = np.allclose(camera.position, first, atol=0.01)
@@ -92,7 +95,7 @@ class Page:
             is_lost = is_first and not is_placed
             if is_lost or (is_placed and has_new_shape):
                 aspect = camera.aspect
-                eye = self._stage.stand(client, self._panel.view)
+                self._eyes[number] = self._stage.stand(client, self._panel.view)
 
         client.camera.on_update(follow)
 
