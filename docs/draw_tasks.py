@@ -12,6 +12,7 @@ from draw_films import SHADOWS
 from PIL import Image
 
 import collaborative_gym as cg
+from collaborative_gym.pictures.recording import contact_sheet
 
 DOCS = Path(__file__).parent
 SIZE = 640, 360
@@ -86,6 +87,9 @@ PICTURES = {
 }
 """By name: the worlds side by side."""
 
+SHEET = "contact_sheet"
+"""Name of the picture of all tasks."""
+
 GUTTER = 8
 """Pixels between two worlds."""
 
@@ -103,13 +107,23 @@ def picture(world: World) -> np.ndarray:
     return pixels
 
 
+def draw(name: str) -> None:
+    """Draw worlds side by side, or one of each task for the page of all tasks."""
+    if name == SHEET:
+        tasks = cg.list_tasks()
+        pictures = [picture(PICTURES[task.lower()][0]) for task in tasks]
+        contact_sheet(pictures, tasks, DOCS / "media" / f"{SHEET}.png", columns=2)
+        return
+    worlds = [picture(each) for each in PICTURES[name]]
+    wide = len(worlds) * (SIZE[0] + GUTTER) - GUTTER
+    sheet = Image.new("RGB", (wide, SIZE[1]), "white")
+    for i, pixels in enumerate(worlds):
+        sheet.paste(Image.fromarray(pixels), (i * (SIZE[0] + GUTTER), 0))
+    sheet.save(DOCS / "media" / f"{name}.jpg", quality=88)
+
+
 if __name__ == "__main__":
     for example in ("simple_pick", "own_arm"):
         cg.load_module(str(DOCS.parent / "examples" / f"{example}.py"))
-    for name in sys.argv[1:] or PICTURES:
-        worlds = [picture(each) for each in PICTURES[name]]
-        wide = len(worlds) * (SIZE[0] + GUTTER) - GUTTER
-        sheet = Image.new("RGB", (wide, SIZE[1]), "white")
-        for i, pixels in enumerate(worlds):
-            sheet.paste(Image.fromarray(pixels), (i * (SIZE[0] + GUTTER), 0))
-        sheet.save(DOCS / "media" / f"{name}.jpg", quality=88)
+    for name in sys.argv[1:] or [*PICTURES, SHEET]:
+        draw(name)

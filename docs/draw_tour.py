@@ -18,14 +18,14 @@ STEPS, HOLD = 78, 10
 """Pictures, which are control steps, and how long a success is shown."""
 
 TOUR = {
-    "PokeTaskPandaSawyer-v0": (1.5, 0.4),
+    "PokeTaskPandaSawyer-v0": (1.25, 0.42),
     "LiftTaskSawyers-v0": (1.0, 0.5),
     "PassTaskJacoSawyer-v0": (1.0, 0.5),
     "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
     "ReachPandas4-v0": (1.1, 0.5),
     "SortPandas4-v0": (1.1, 0.5),
-    "AssemblePandas3-v0": (1.6, 0.4),
+    "AssemblePandas3-v0": (1.35, 0.42),
     "HockeyPandas-v0": (1.2, 0.45),
     "TugPandas-v0": (1.15, 0.5),
 }
@@ -112,7 +112,7 @@ if __name__ == "__main__":
         )
         for frames in zip(*films, strict=True)
     ]
-    plain, colours = Image.Dither.NONE, palette(pictures[::16])
+    plain, colours = Image.Dither.NONE, palette(pictures[::6])
     flat = [each.quantize(palette=colours, dither=plain) for each in pictures]
     path = Path(__file__).parent / "media" / "tour.gif"
     flat[0].save(path, save_all=True, append_images=flat[1:], duration=100, loop=0)

@@ -80,8 +80,8 @@ class Hyperparameters:
       min_learning_rate: PPO: least learning rate.
       max_learning_rate: PPO: greatest learning rate.
       replay_size: SAC: rows that the replay memory holds; they are part of each
-        checkpoint (120 MB for PassTaskSawyers; our choice, Haarnoja et al. 2018b, arXiv
-        1812.05905, hold 1e6).
+        checkpoint (120 MB for PassTaskSawyers; our choice; in arXiv 1812.05905,
+        Haarnoja et al. 2018b hold 1e6).
       warmup: SAC: rows before the first update (our choice).
       gradient_steps: SAC: gradient steps of an update (our choice, for speed; Haarnoja
         et al. do one after each step of one world).
@@ -99,8 +99,8 @@ class Hyperparameters:
         noise shrinks; 0 for none.
       grip_limit: greatest mean of a grip's command, 0 for no limit. Noise of half this
         size still makes a robot let go sometimes, so it learns what this gains.
-      grip_persistence: share of the grip's noise that persists in the next action, from
-        0 to below 1. Noise that opens a grip in single steps makes a robot drop what it
+      grip_persistence: share of the grip's noise, 0 to below 1, that persists in the
+        next action. Noise that opens a grip in single steps makes a robot drop what it
         carries; lasting noise tries long holds and long releases.
       assistance: share of the weight of loose things that the simulator carries at
         first. It falls by 0.01 after each rollout in which half of the episodes are
@@ -146,8 +146,8 @@ class Hyperparameters:
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
-      league_self: share of the main policy's worlds in which it plays against itself
-        (0.35 in AlphaStar's pseudocode, Vinyals et al. 2019, as the next numbers).
+      league_self: share of the main policy's worlds in which it plays against itself;
+        in AlphaStar's pseudocode (Vinyals et al. 2019) 0.35, as the next numbers.
       league_verify: share of the main policy's worlds in which it plays against
         exploiters, or former versions of itself, that it does not yet beat (0.15).
       league_exploited: the main policy verifies against an exploiter if it gains less
@@ -158,8 +158,8 @@ class Hyperparameters:
         points from each of its opponents (0.7).
       league_least_steps: least number of environment steps of a member between two
         copies (our choice; AlphaStar's is 2e9).
-      league_most_steps: number of steps after which a member leaves a copy in any case
-        (our choice; AlphaStar's is 4e9).
+      league_most_steps: number of steps after which a member leaves a copy in any case;
+        our choice (AlphaStar's is 4e9).
       league_reset: probability that the league exploiter restarts after a copy (0.25).
       league_fresh: probability that a restarting member takes the run's initial
         networks instead of main's (our choice).
