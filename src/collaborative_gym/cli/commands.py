@@ -329,12 +329,15 @@ class Check(Worlds):
 
     def run(self) -> None:
         """Print that all is well, or every broken promise and its remedy."""
+        from collaborative_gym.plugins import location_of
         from collaborative_gym.testing import check_task
 
         with warnings.catch_warnings(record=True) as told:
             try:
                 check_task(self.task(self.env), episodes=self.episodes)
             except (AssertionError, RuntimeError) as error:
+                if location_of(error):
+                    raise
                 show(str(error))
                 raise SystemExit(1) from error
             finally:

@@ -179,9 +179,8 @@ def _partners_table(tournament: Tournament, names: Mapping[str, str]) -> Table:
     rows = []
     for name, standing in tournament.standings.items():
         worst = standing.worst and f"worst: {names[standing.worst]}"
-        for label, measure in zip(
-            (names[name], worst, ""), tournament.measures, strict=True
-        ):
+        labels = names[name], worst, ""
+        for label, measure in zip(labels, tournament.measures, strict=True):
             means = standing.self_play, standing.gap, *standing.by_seat.values()
             own, gap, *seats = (format_measure(measure, m[measure].mean) for m in means)
             cross = _measured(measure, standing.cross_play[measure])

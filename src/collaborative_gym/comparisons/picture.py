@@ -129,9 +129,7 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
 
     width, height = figure.get_size_inches()
     labels = [fill(label, int((width - _MARK) / _LETTER)) for label in labels]
-    widest = _MARK + _LETTER * max(
-        len(line) for label in labels for line in label.splitlines()
-    )
+    widest = _MARK + _LETTER * max(len(s) for text in labels for s in text.splitlines())
     columns = max(1, int(width / widest))
     lines = max(len(label.splitlines()) for label in labels)
     lines *= math.ceil(len(labels) / columns)

@@ -62,6 +62,10 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     trial.check_targets(scene)
     if (facts := task.measure(sim)) is None:
         raise ValueError(f"{type(task).__name__}.measure() returns nothing")
+    if odd := sim.memory.keys() ^ task.remember(1).keys():
+        raise ValueError(
+            f"{type(task).__name__}: measure() and remember() differ in {sorted(odd)}"
+        )
     blocks = task.observe(facts)
     trial.check_blocks(blocks)
     for agent, felt in feel(sim).items():

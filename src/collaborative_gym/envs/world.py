@@ -69,6 +69,8 @@ class World:
     def of(cls, task: Task, *, strain: bool = False) -> "World":
         """Return the world of a task, compiled at the first call and then shared."""
         check_kind("task", task, Task, "a task, as cg.task returns it")
+        if not hasattr(task, "worlds"):
+            raise ValueError(f"{type(task).__name__}'s __init__() must call super()'s")
         worlds = task.worlds
         if strain not in worlds:
             worlds[strain] = cls(task, strain)

@@ -334,7 +334,7 @@ def strain_lines(report: Report) -> list[list[str]]:
     lines = []
     for name, worst in report.strain.items():
         factor, unit = next(
-            form for start, form in _STRAIN_FORMS.items() if name.startswith(start)
+            own for s, own in _STRAIN_FORMS.items() if name.startswith(s)
         )
         digits = 1 if name != ACTION_CHANGE else 3
         both = worst.mean, worst.worst

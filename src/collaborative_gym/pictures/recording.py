@@ -405,9 +405,7 @@ def _film(
         slow = first.decisive([own for own, *_ in rows]) if slow_motion else ()
         for j, row in enumerate(rows):
             drawn = zip(cast, row, strict=True)
-            for frames in zip(
-                *(s.draw(own, j in slow) for s, own in drawn), strict=True
-            ):
+            for frames in zip(*(s.draw(x, j in slow) for s, x in drawn), strict=True):
                 yield np.concatenate(frames, axis=1)
                 shown += 1 / first.rate
             if on_progress is not None:

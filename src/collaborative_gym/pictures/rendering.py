@@ -111,7 +111,7 @@ class Camera:
         if len(hands):
             gaps = np.linalg.norm(places[:, None] - hands, axis=-1).min(axis=1)
             # What hands hold is shown until they have left it.
-            if gaps[self._shown] > max(_LEFT, 2 * gaps.min()):
+            if gaps[self._shown] > max(_LEFT, 1.25 * gaps.min()):
                 self._shown = int(gaps.argmin())
         far, middle = overview(self._model, self._data)
         away = middle - far

@@ -305,9 +305,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
         pairs = list(combinations(self.agents, 2))
         deep = sim.sensordata[:, self._depths] < 0.0
         return {
-            agent: reduce(
-                or_, (deep[:, i] for i, pair in enumerate(pairs) if agent in pair)
-            )
+            agent: reduce(or_, (deep[:, i] for i, p in enumerate(pairs) if agent in p))
             for agent in self.agents
         }
 

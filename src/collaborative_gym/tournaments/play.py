@@ -269,11 +269,7 @@ def _play(
     num_threads: int,
     on_progress: OnProgress,
 ) -> Pairing:
-    team = {
-        agent: player.policies[agent]
-        for seat, player in cast.items()
-        for agent in seats[seat]
-    }
+    team = {a: player.policies[a] for seat, player in cast.items() for a in seats[seat]}
     episodes, seed = settings["episodes"], settings["seed"]
     task = as_played(env.task, team)  # Some arms may be limp or absent.
     with closing(VectorEnv(task, env.num_envs, num_threads=num_threads)) as world:
