@@ -238,6 +238,18 @@ def test_an_error_of_the_task_is_named_with_its_line(faults, monkeypatch):
         faults(success=success)
 
 
+def test_an_assert_of_the_task_is_an_error_of_its_own(faults, monkeypatch):
+    def success(self, own, facts):
+        if facts.height.max() > 0.52:
+            raise AssertionError("too high")
+        return own(self, facts)
+
+    monkeypatch.setattr(plugins, "_tried", {Path(__file__)})
+    told = r"AssertionError in a check: too high \(test_testing.py, line \d+, in success\)"
+    with pytest.raises(RuntimeError, match=told):
+        faults(success=success)
+
+
 def test_a_reward_whose_terms_change(faults):
     def reward(self, own, facts, commands):
         terms = own(self, facts, commands)

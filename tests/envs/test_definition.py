@@ -176,6 +176,22 @@ def test_facts_that_are_none_and_a_setup_that_forgets(carry, monkeypatch):
     hasty = type("Hasty", (base,), setup)
     with pytest.raises(ValueError, match=r"Hasty.setup\(\) must call super\(\).setup"):
         cg.VectorEnv(hasty(arms, settings), 1, num_threads=1)
+    bare = type("Bare", (base,), {"__init__": lambda self, robots, config: None})
+    with pytest.raises(ValueError, match=r"Bare's __init__\(\) must call super\(\)'s"):
+        cg.VectorEnv(bare(arms, settings), 1, num_threads=1)
+
+
+def test_memory_of_another_name(carry, monkeypatch):
+    base = type(carry())
+
+    def measure(self, sim):
+        sim.memory["hihgest"] = 1.0 * sim.time
+        return base.measure(self, sim)
+
+    wrong = type("Wrong", (base,), {"measure": measure})
+    said = r"Wrong: measure\(\) and remember\(\) differ in \['hihgest'\]"
+    with pytest.raises(ValueError, match=said):
+        cg.VectorEnv(wrong([cg.get_robot("panda")] * 2, carry().config), 1)
 
 
 @pytest.mark.parametrize("method", ["reward", "observe"])
