@@ -53,7 +53,7 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
       ValueError: if the task's methods return something that cannot be used, something
         starts inside something else, or no arm reaches a target; says what to change.
     """
-    trial, mode = _Trial(task, sim), task.action_mode
+    trial, mode, name = _Trial(task, sim), task.action_mode, type(task).__name__
     trial.check_grips(scene)
     sim.memory = task.remember(sim.num_envs)
     rng = EpisodeRandom(0 * trial.rows, trial.rows)
@@ -61,11 +61,9 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     sim.forward()
     trial.check_targets(scene)
     if (facts := task.measure(sim)) is None:
-        raise ValueError(f"{type(task).__name__}.measure() returns nothing")
+        raise ValueError(f"{name}.measure() returns nothing")
     if odd := sim.memory.keys() ^ task.remember(1).keys():
-        raise ValueError(
-            f"{type(task).__name__}: measure() and remember() differ in {sorted(odd)}"
-        )
+        raise ValueError(f"{name}: measure() and remember() differ in {sorted(odd)}")
     blocks = task.observe(facts)
     trial.check_blocks(blocks)
     for agent, felt in feel(sim).items():
