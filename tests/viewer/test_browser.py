@@ -368,6 +368,23 @@ def test_a_tab_that_takes_the_first_camera_late_gets_its_own_again(
     wait_until(lambda: np.allclose(camera.position, own, atol=0.1), timeout=PATIENCE)
 
 
+def test_a_link_in_another_tab_is_seen_from_its_own_camera(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    open_tab(page)
+    open_tab(page, "/play/env=BalanceTaskSawyers-v0")
+    assert session.env.task.name == "BalanceTaskSawyers-v0"
+    tabs = page._server.get_clients()
+    camera = tabs[max(tabs)].camera
+
+    def is_placed():
+        eye, _ = page._stage._place("overview", camera.aspect)
+        return np.allclose(camera.position, eye, atol=0.02)
+
+    wait_until(is_placed, timeout=PATIENCE)
+    time.sleep(2.0)  # The tab has told its size for the last time.
+    assert is_placed()
+
+
 def test_shadows_can_be_had(serve, open_tab, wait_until):
     _, page = serve(ENVS[0])
     tab = open_tab(page)
@@ -392,6 +409,9 @@ def test_keys_that_move_a_slider_leave_the_camera(serve, open_tab, wait_until):
     tab.mouse.click(200, 300)  # On the arms, where keys do move it.
     tab.keyboard.press("ArrowLeft", delay=1000)
     wait_until(lambda: np.abs(camera.position - before).max() > 0.1, timeout=PATIENCE)
+    tab.get_by_role("tab", name="Look").click()
+    press(tab, "Reset camera")
+    wait_until(lambda: np.allclose(camera.position, before, atol=0.01), PATIENCE)
 
 
 ATTACK = """async (url) => {

@@ -221,7 +221,8 @@ class VectorEnv:
           Observations, rewards, terminated and truncated by agent, and infos.
 
         Raises:
-          ValueError: if the actions are not what the spaces say.
+          ValueError: if the actions are not what the spaces say, or what the task's
+            methods return is not finite; the worlds are then as before.
           RuntimeError: before the first `reset`, after `close`, and where the episodes
             of all worlds have ended and none resets itself.
         """

@@ -53,7 +53,7 @@ class Panel:
         session: Session,
         menu: Menu,
         *,
-        on_view: Callable[[str], object],
+        on_view: Callable[[str], None],
     ):
         self._session, self._menu, self._gui = session, menu, server.gui
         self._said: Reading | None = None
@@ -167,6 +167,8 @@ class Panel:
         _on_user(self._speed, lambda value: setattr(session, "speed", value))
         self._view = gui.add_dropdown("Camera", [CAMERA], hint="Where you look from")
         _on_user(self._view, self._on_view)
+        back = gui.add_button("Reset camera", hint="Look from there again")
+        back.on_click(lambda _: self._on_view(self.view))
         hint = "Start the next episode a second after a success"
         moves_on = gui.add_checkbox("Move on", session.moves_on, hint=hint)
         _on_user(moves_on, lambda value: setattr(session, "moves_on", value))
