@@ -204,7 +204,7 @@ def test_a_reward_that_mixes_worlds_near_the_goal(faults, mixed):
 
     found = faults(reward=reward)
     assert any(
-        "another reward is returned beside other worlds" in each for each in found
+        "reward() returns other numbers beside other worlds" in each for each in found
     )
 
 
@@ -236,6 +236,20 @@ def test_an_error_of_the_task_is_named_with_its_line(faults, monkeypatch):
     told = r"LookupError in a check: late \(test_testing.py, line \d+, in success\)"
     with pytest.raises(RuntimeError, match=told):
         faults(success=success)
+
+
+def test_a_reward_of_the_wrong_sign(carry):
+    base = type(carry())
+
+    def reward(self, facts, commands):
+        return {
+            agent: {name: -rows for name, rows in terms.items()}
+            for agent, terms in base.reward(self, facts, commands).items()
+        }
+
+    task = type("Carry", (base,), {"reward": reward})
+    with pytest.warns(UserWarning, match="earns less than robots that hold still; has"):
+        check_task(task, episodes=2)
 
 
 def test_an_assert_of_the_task_is_an_error_of_its_own(faults, monkeypatch):
@@ -325,7 +339,7 @@ def test_an_expert_that_acts_otherwise_in_another_batch(faults):
         return {a: replace(m, change=m.change * pace) for a, m in motions.items()}
 
     found = faults(expert=expert)
-    assert any("the expert acts differently in another batch" in x for x in found)
+    assert any("expert() returns other numbers beside other worlds" in x for x in found)
 
 
 def test_a_definition_that_makes_no_world_says_so_itself(faults):

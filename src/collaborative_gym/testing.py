@@ -104,6 +104,7 @@ class TaskUnderTest:
     def __init__(self, task: Task, episodes: int = 20):
         self.task = task
         self.episodes = episodes
+        self.at_rest = -np.inf  # the mean return of robots that hold still
         self._made: dict[tuple[int, ...], VectorEnv] = {}
 
     def worlds(self, num_envs: int, num_threads: int = 1, copy: int = 0) -> VectorEnv:
@@ -304,6 +305,8 @@ def check_goal(tested: TaskUnderTest) -> None:
         f"robots that hold still reach the goal in all of {env.num_envs} episodes; ask"
         " more in success(), or start farther from the goal"
     )
+    if len(env.sides) == 1:
+        tested.at_rest = infos["metrics"]["return"].mean()
 
 
 def check_expert(tested: TaskUnderTest) -> None:
@@ -330,30 +333,27 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     for step in range(tested.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = (small.progress["episode"] == large.progress["episode"][rows]).all()
-        equal = all(np.array_equal(one[a], many[a][rows]) for a in one)
-        assert not is_same or equal, (
-            "the expert acts differently in another batch; treat rows alike, and"
-            " keep nothing on the task"
-        )
-        alone, _ = _step_of(small, {agent: one[agent] for agent in side})
-        beside, infos = _step_of(large, {agent: many[agent] for agent in side})
+        alone, _ = _step_of(small, one, side)
+        beside, infos = _step_of(large, many, side)
         for what, own in alone.items() if is_same else ():
-            assert all(
-                map(np.array_equal, own, (each[rows] for each in beside[what]))
-            ), (
-                f"in step {step + 1} of the expert, another {what} is returned beside"
-                f" other worlds; treat rows alike in {what}() and measure()"
+            alike = map(np.array_equal, own, (each[rows] for each in beside[what]))
+            assert all(alike), (
+                f"in step {step + 1} of the expert, {what}() returns other numbers"
+                " beside other worlds; treat rows alike, and keep nothing on the task"
             )
         nearest = np.minimum(nearest, _check_shortfall(large))
         is_first = infos["episode"] == np.arange(large.num_envs)
         reached |= _met(infos)[i] & is_first
         if is_divided and reached.any():
             return
-    failed = np.flatnonzero(~reached).tolist()
     assert not is_divided, (
         f"the expert never reaches the goal of {', '.join(side)}, though the others"
         " hold still; mend the expert"
     )
+    failed = np.flatnonzero(~reached).tolist()
+    if infos["ended"].all() and infos["metrics"]["return"].mean() < tested.at_rest:
+        said = "the expert earns less than robots that hold still"
+        warnings.warn(f"{said}; has a reward the wrong sign?", stacklevel=4)
     assert not failed, (
         f"the expert does not reach the goal in the episodes {failed} of seed 0 (its"
         f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}); watch it by"
@@ -363,12 +363,14 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
 
 
 def _step_of(
-    env: VectorEnv, actions: dict[str, np.ndarray]
+    env: VectorEnv, actions: dict[str, np.ndarray], side: Sequence[str]
 ) -> tuple[dict[str, list[np.ndarray]], Mapping[str, Any]]:
-    """Do a step by some agents; return what methods return, by name, and the infos."""
-    _, rewards, *_, infos = env.step(env.idle() | actions)
-    seen = infos["final_observation"].values()
-    given = {"reward": rewards.values(), "success": _met(infos), "observe": seen}
+    """Do a side's step; return what the task's methods return, and the infos."""
+    own = {agent: actions[agent] for agent in side}
+    _, rewards, *_, infos = env.step(env.idle() | own)
+    seen, gains = infos["final_observation"].values(), rewards.values()
+    given = {"expert": actions.values(), "reward": gains, "success": _met(infos)}
+    given["observe"] = seen
     return {name: list(arrays) for name, arrays in given.items()}, infos
 
 

@@ -28,8 +28,8 @@ WRONG_VALUES = [
     ({"name": ""}, "name must not be empty"),
     ({"name": "my arm"}, "name must be one word of letters, digits .*got 'my arm'"),
     ({"stand": "desk"}, "no stand 'desk'.*; stands: none, pedestal, table"),
-    ({"joints": ()}, "joints must name each arm joint once"),
-    ({"joints": ("joint_1",) * 6}, "joints must name each arm joint once"),
+    ({"joints": ()}, "joints must name each joint once"),
+    ({"joints": ("joint_1",) * 6}, "joints must name each joint once"),
     ({"home": (0.0,) * 5}, "has 6 joints but 5 values in home; give one per joint"),
     (
         {"home": (0.0, 3.0, 0, 0, 0, 0)},

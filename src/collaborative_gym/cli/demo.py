@@ -64,9 +64,7 @@ def draw(folder: Path) -> Iterator[Path]:
     with spawn.Pool(min(cores(), len(films)), _begin_worker) as pool:
         draw_one = partial(recording.picture, size=_SHEET_SIZE)
         pictures = pool.starmap(draw_one, cast.items(), chunksize=1)
-        yield recording.contact_sheet(
-            pictures, list(cast), folder / "contact_sheet.png"
-        )
+        yield recording.contact_sheet(pictures, [*cast], folder / "contact_sheet.png")
         yield from pool.imap(_film_one, films)
         pool.close()
         pool.join()

@@ -85,10 +85,8 @@ class Pool:
         policies = {name: latest(name) for name in members} | self.policies
         pairings = self._pairings(members[0])
         episodes = math.ceil(episodes / len(pairings)) * len(pairings)
-        worlds = worlds_for(episodes)
-        with closing(
-            VectorEnv(task, worlds, seed=seed, num_threads=num_threads)
-        ) as env:
+        count = worlds_for(episodes)
+        with closing(VectorEnv(task, count, seed=seed, num_threads=num_threads)) as env:
             guests = Guests(env, self._casting)
             guests.invite(Invitation(policies))
 

@@ -188,9 +188,7 @@ def _check_values(robot: RobotData) -> None:
         if robot.stand not in _STANDS:
             raise ValueError(errors.unknown("stand", robot.stand, _STANDS))
         if not count or len(set(robot.joints)) < count:
-            raise ValueError(
-                f"joints must name each arm joint once, got {robot.joints}"
-            )
+            raise ValueError(f"joints must name each joint once, got {robot.joints}")
     optional = ("torque_limits", "armature", "damping", "stiffness")
     for name in ("home", "velocity_limits", *optional):
         values = getattr(robot, name)
