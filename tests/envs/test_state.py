@@ -45,7 +45,7 @@ def with_physics(state, value):
         (lambda s: with_progress(s, "robot_1: height", np.nan), "is not finite"),
         (
             lambda s: {"physics": s.physics},
-            r"must come from get_state\(\), got a dict",
+            r"must come from get_state\(\), got <class .dict.>",
         ),
     ],
 )

@@ -82,10 +82,10 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     assert session.env is first
     choose(page, "robot_1, policy", "baseline")
     wait_until(lambda: session.policies["robot_1"] == "baseline")
-    choose(page, "robot_1, arm", "panda")
+    choose(page, "robot_1, arm", "jaco")
     wait_until(lambda: page._stage.env is not first, timeout=120)
-    assert session.env.task.robots["robot_1"].name == "panda"
-    wait_until(lambda: offers(page)["robot_1, arm"].value == "panda")
+    assert session.env.task.robots["robot_1"].name == "jaco"
+    wait_until(lambda: offers(page)["robot_1, arm"].value == "jaco")
     wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
     said = "baseline cannot play this, so the expert does"
     wait_until(lambda: said in page._panel._heading.content)
@@ -95,7 +95,7 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
     assert said not in page._panel._heading.content
     block = "<span style=display:inline-block>{}</span>".format
-    sides = map(block, ("robot_1 baseline <b>0</b>", "robot_2 random <b>0</b>"))
+    sides = map(block, ("robot_1 baseline <b>0</b>", "robot_2 expert <b>0</b>"))
     assert " : ".join(sides) in page._panel._heading.content
     wait_until(lambda: "HockeyPandas-v0" in page._panel._script.content)
     titles = {"reward of robot_1", "reward of robot_2", "measured in s"}

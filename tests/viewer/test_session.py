@@ -125,7 +125,7 @@ def test_it_keeps_the_speed(make_session, start, wait_until, speed):
 
 @pytest.mark.parametrize("speed", [0.0, SLOWEST / 2, 2 * FASTEST, float("nan")])
 def test_a_speed_out_of_bounds_is_refused(make_session, speed):
-    with pytest.raises(ValueError, match=r"between 0.1 and 4.0, got"):
+    with pytest.raises(ValueError, match=r"0.1 to 4.0, got"):
         make_session().speed = speed
 
 

@@ -77,9 +77,7 @@ def check_state(
     """
     from_another = check_flag("from_another", from_another)
     if not isinstance(state, EnvState):
-        raise TypeError(
-            f"state must come from get_state(), got a {type(state).__name__}"
-        )
+        raise TypeError(f"state must come from get_state(), got {type(state)}")
     check_kind("the state's identity", state.identity, Identity, "an Identity")
     differs = state.identity.differences(blank.identity, ignore=ON_STATE)
     if differs and not from_another:

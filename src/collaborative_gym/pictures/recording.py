@@ -341,7 +341,7 @@ class _Screen:
                 self._scored = seconds, f"\n{self._players[side]} scores"
             self._score[side] = points[0]
         since, who = self._scored
-        return who if 0 <= seconds - since < _HOLD * self.speed else ""
+        return who if 0 <= seconds - since < _HOLD * min(1, self.speed) else ""
 
     def decisive(self, steps: Sequence[_Step]) -> set[int]:
         """Return the steps around the last progress, first success, or all scores."""

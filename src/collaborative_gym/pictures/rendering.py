@@ -119,6 +119,7 @@ class Camera:
         near.lookat, near.distance = places[self._shown], distance
         near.azimuth = np.degrees(np.arctan2(away[1], away[0]))
         near.elevation = np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))
+        near.elevation -= 15.0 * (-60.0 < near.elevation < -35.0)  # Over teams' hands.
         return near
 
 

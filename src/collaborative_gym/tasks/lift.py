@@ -265,10 +265,12 @@ class Lift(Task[LiftConfig, LiftFacts]):
         scene.add_target("target", self.config.success_radius)
 
     def _add_arms(self, scene: Scene) -> None:
-        for agent, placement in self.placements.items():
+        for i, (agent, placement) in enumerate(self.placements.items()):
             (x, y, z), robot = placement.position, self.robots[agent]
             own = robot.stand == "pedestal" or self.config.placements is not None
             scene.add_robot(agent, robot, placement=placement, stand=own)
+            if len(self.agents) > 2:
+                scene.paint_hand(agent, teams.COLOURS[(i + 1) % len(teams.COLOURS)])
             if own:
                 continue
             if len(self.agents) > 2:

@@ -175,6 +175,7 @@ class Sort(Task[SortConfig, SortFacts]):
             place = self.placements[agent]
             own = robot.stand == "pedestal" or config.placements is not None
             scene.add_robot(agent, robot, placement=place, stand=own)
+            scene.paint_hand(agent, teams.COLOURS[i])
             spot = bases[i] + np.array([_ASIDE * robot.reach, 0.0, 0.0])
             self.totes[agent] = spot = np.array([*spot[:2], _TOTE_FLOOR])
             scene.add(f"{agent}_tote", tote(teams.COLOURS[i]), position=spot)
