@@ -252,6 +252,15 @@ def test_a_reward_of_the_wrong_sign(carry):
         check_task(task, episodes=2)
 
 
+def test_a_phase_of_the_expert_that_is_kept_on_the_task(faults):
+    def expert(self, own, sim, facts):
+        self.step = getattr(self, "step", 0) + 1
+        return own(self, sim, facts)
+
+    found = faults(expert=expert)
+    assert any("keeps ['step'] on itself; put that into sim.memory" in x for x in found)
+
+
 def test_an_assert_of_the_task_is_an_error_of_its_own(faults, monkeypatch):
     def success(self, own, facts):
         if facts.height.max() > 0.52:

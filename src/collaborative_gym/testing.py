@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -317,8 +318,13 @@ def check_expert(tested: TaskUnderTest) -> None:
     if type(tested.task).expert is Task.expert:
         said = "has no expert(), so nothing has shown that its goal can be reached"
         return warnings.warn(f"{type(tested.task).__name__} {said}", stacklevel=3)
+    task = tested.worlds(1).task
+    before = dict(vars(task))
     for i, side in enumerate(tested.task.sides):
         _check_side(tested, i, side)
+    kept = [n for n, own in vars(task).items() if before.get(n) is not own]
+    kept = [n for n in kept if type(getattr(type(task), n, 0)) is not cached_property]
+    assert not kept, f"the task keeps {kept} on itself; put that into sim.memory"
 
 
 def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
@@ -369,8 +375,8 @@ def _step_of(
     own = {agent: actions[agent] for agent in side}
     _, rewards, *_, infos = env.step(env.idle() | own)
     seen, gains = infos["final_observation"].values(), rewards.values()
-    given = {"expert": actions.values(), "reward": gains, "success": _met(infos)}
-    given["observe"] = seen
+    given = {"expert": actions.values(), "success": _met(infos), "observe": seen}
+    given["reward"] = gains  # At last: it may follow from the others.
     return {name: list(arrays) for name, arrays in given.items()}, infos
 
 

@@ -181,6 +181,24 @@ def test_facts_that_are_none_and_a_setup_that_forgets(carry, monkeypatch):
         cg.VectorEnv(bare(arms, settings), 1, num_threads=1)
 
 
+def test_blocks_that_change_places_later(carry):
+    base = type(carry())
+
+    def observe(self, facts):
+        found = base.observe(self, facts)
+        turn = facts.height.max() > 0.52
+        return {
+            a: dict(reversed(own.items())) if turn else own for a, own in found.items()
+        }
+
+    task = type("Late", (base,), {"observe": observe})
+    env = cg.VectorEnv(task([cg.get_robot("panda")] * 2, carry().config), 2)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"Late.observe\(\) has new blocks"):
+        for _ in range(10):
+            env.step(env.expert())
+
+
 def test_memory_of_another_name(carry, monkeypatch):
     base = type(carry())
 

@@ -201,9 +201,8 @@ def search(
                 least[number, group] = cost[row, 0]
                 best[group], nearest[group] = tried[row, 0], near[row, 0]
         before = least[max(0, number - _STALL), left]
-        left = left[
-            (least[number, left] > -1.0) & (before - least[number, left] > _GAIN)
-        ]
+        now = least[number, left]
+        left = left[(now > -1.0) & (before - now > _GAIN)]
         if not len(left):
             break
     return best, Results(least[number] <= -1.0, nearest, not len(left))

@@ -125,6 +125,9 @@ class World:
         """Return all blocks by agent, one after the other, (num_envs, k) float32."""
         flat = {}
         for agent, own in self.task.observe(facts).items():
+            names = [*self.definition.layout.observation[agent]]
+            if [*own] != names[: len(names) - (agent in felt)]:
+                raise ValueError(f"{type(self.task).__name__}.observe() has new blocks")
             rows = list(own.values())
             rows += [felt[agent]] if agent in felt else []
             rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]

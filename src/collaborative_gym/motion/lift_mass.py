@@ -92,11 +92,9 @@ def weigh(
     """
     ways, alone = [], []
     grasps = [force / GRAVITY for force in grasps]
-    for robot, placement, line, held in zip(
-        robots, placements, ends, grasps, strict=True
-    ):
-        [middle] = loads.from_base(placement, target[None])
-        ways.append(loads.mounted_way(robot, placement, line).at_most(IN_MOTION * held))
+    for robot, place, line, held in zip(robots, placements, ends, grasps, strict=True):
+        [middle] = loads.from_base(place, target[None])
+        ways.append(loads.mounted_way(robot, place, line).at_most(IN_MOTION * held))
         lifted = loads.greatest_load(robot, _places(np.array(middle), radius))
         alone.append(min(lifted, held))
     first, second = (way.load for way in ways)

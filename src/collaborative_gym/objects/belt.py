@@ -67,8 +67,6 @@ def tote(rgba: tuple[float, float, float, float]) -> mujoco.MjSpec:
             ((thick, half, WALL / 2), (aside, 0.0, WALL / 2)),
             ((half, thick, WALL / 2), (0.0, aside, WALL / 2)),
         ]
-    for i, (size, pos) in enumerate(walls):
-        body.add_geom(
-            name=f"tote_{i}", type=box, size=size, pos=pos, rgba=rgba, group=2
-        )
+    for i, (size, at) in enumerate(walls):
+        body.add_geom(name=f"tote_{i}", type=box, size=size, pos=at, rgba=rgba, group=2)
     return spec

@@ -40,9 +40,7 @@ def puck(restitution: float = 0.8) -> mujoco.MjSpec:
     spec, body = begin("puck")
     for name, axis in (("x", (1, 0, 0)), ("y", (0, 1, 0))):
         kind = mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(
-            name=name, type=kind, axis=axis, damping=[_DRAG, 0.0, _WILD_DRAG]
-        )
+        body.add_joint(name=name, type=kind, axis=axis, damping=[_DRAG, 0, _WILD_DRAG])
     body.add_geom(
         name="puck",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
