@@ -25,6 +25,7 @@ def on_page_markdown(markdown, page, config, files):
     path = page.file.src_uri
     is_guide = "/" not in path and path not in ("changelog.md", "contributing.md")
     boost = 0.2 if path.startswith("tables/") else 3 if is_guide else 1
+    boost = 6 if path == "index.md" else boost
     page.meta["search"] = {"boost": boost}
 
     def whole(made):

@@ -175,7 +175,7 @@ def measure_robustness(
 def worlds_for(episodes: int, num_envs: int | None = None) -> int:
     """Return `num_envs`, at most one for each episode, or as many as suit them."""
     if num_envs is not None:
-        return min(num_envs, episodes)
+        return min(check_count("num_envs", num_envs, 1), episodes)
     return math.ceil(episodes / math.ceil(episodes / _MOST_ENVS))
 
 

@@ -9,9 +9,9 @@ let go: if the receiver tears the cube out of its hand, both lose it.
 With two arms, the target hangs in the air in front of robot_2. Three or more arms form
 a relay: the cube goes through all hands to its target on the last table. From four arms
 on, a second cube follows, with its own target. Only neighbours reach each other, at one
-place between them. Each arm observes, in the frame of its own base: its own cube, which
-is the one in its hand or else the first that it has not passed on; the vectors to this
-cube, and from it to the hand-over or the target; the share of cubes left. For each
+place between them. In relays each arm observes, in its own base's frame: its own cube,
+which is the one in its hand or else the first that it has not passed on; the vectors to
+this cube, and from it to the hand-over or the target; the share of cubes left. For each
 mate, the block `mates` has: whether there is one, its distance in seats divided by 7,
 whether it grips, the vector from the arm's own tool centre point to the mate's, and the
 mate's distance from the arm's cube. The robot observes each component x, in m, of the

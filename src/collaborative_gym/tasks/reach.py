@@ -129,7 +129,7 @@ class ReachFacts:
 
 
 class Reach(Task[ReachConfig, ReachFacts]):
-    """Bring every hand to its goals, one after the other, and touch no other arm.
+    """Bring every hand to its goals in turn, and touch no other arm.
 
     Attributes:
       rests: by agent, where its tcp starts, (3,), in m.
