@@ -1,6 +1,6 @@
 """Draws the README's moving picture, `docs/media/tour.gif`: python docs/draw_tour.py.
 
-All ten tasks play side by side. A second after a success each goes on to its next
+All ten tasks, and two with teams, play side by side. A second after a success each goes on to its next
 start.
 """
 
@@ -20,7 +20,9 @@ STEPS, HOLD = 78, 10
 TOUR = {
     "PokeTaskPandaSawyer-v0": (1.25, 0.42),
     "LiftTaskSawyers-v0": (1.0, 0.5),
+    "LiftPandas4-v0": (1.35, 0.5),
     "PassTaskJacoSawyer-v0": (1.0, 0.5),
+    "PassPandas3-v0": (1.15, 0.5),
     "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
     "ReachPandas4-v0": (1.1, 0.5),
@@ -31,6 +33,9 @@ TOUR = {
 }
 """What the baselines play, in games against the expert, by environment: how much larger
 than the whole picture its part is drawn, whose middle is so far down."""
+TEAMS = "LiftPandas4-v0", "PassPandas3-v0"
+"""Those whose number of arms is said, beside a pair in the same task."""
+COLUMNS = 4
 MET = {"HockeyPandas-v0": "goal", "TugPandas-v0": "win"}
 """What is said of a met goal, if not `success`."""
 
@@ -65,7 +70,8 @@ def film(env_id: str, part: tuple[float, float]) -> list[np.ndarray]:
         pixels = env.render(width=width, height=height)
         pixels = pixels[down : down + SIZE[1], right : right + SIZE[0]]
         end = MET.get(env_id, "success") if met else ""
-        frames.append(captioned(pixels, type(env.task).__name__, end))
+        many = f", {len(env.agents)} arms" * (env_id in TEAMS)
+        frames.append(captioned(pixels, type(env.task).__name__ + many, end))
         left -= met
         if left < 0:
             (observations, infos), left, met = env.reset(), HOLD, False
@@ -108,7 +114,12 @@ if __name__ == "__main__":
     films = [film(env_id, part) for env_id, part in TOUR.items()]
     pictures = [
         Image.fromarray(
-            np.concatenate([np.concatenate(frames[i : i + 5], axis=1) for i in (0, 5)])
+            np.concatenate(
+                [
+                    np.concatenate(frames[i : i + COLUMNS], axis=1)
+                    for i in range(0, len(frames), COLUMNS)
+                ]
+            )
         )
         for frames in zip(*films, strict=True)
     ]

@@ -19,6 +19,7 @@ _FRICTION = (0.1, 0.005, 0.0001)
 _ICE = (0.93, 0.95, 0.98, 1.0)
 _DECK = (0.16, 0.27, 0.42, 1.0)
 _LINE = (0.75, 0.15, 0.15, 1.0)
+_GOALS = {-1.0: (0.85, 0.12, 0.1, 1.0), 1.0: (0.1, 0.25, 0.9, 1.0)}  # by x
 _DARK = (0.12, 0.12, 0.13, 1.0)
 
 
@@ -58,7 +59,7 @@ def rink(
         _box(body, place, (deep, half_goal, half), rgba=_DARK, priority=2, condim=1)
         bar = (_RAIL - _SLOT) / 2
         place = (side * (HALF_LENGTH + _POCKET / 2), 0, _RAIL - bar)
-        _box(lintels, place, (_POCKET / 2, half_goal, bar))
+        _box(lintels, place, (_POCKET / 2, half_goal, bar), rgba=_GOALS[side])
         size, place = (0.05, 0.8 * wide, HEIGHT / 2 - 0.03), (0.8 * side * long, 0)
         add_visual(body, _BOX, size=size, pos=(*place, -HEIGHT / 2 - 0.03), rgba=_DARK)
     for place in mounts:
@@ -79,10 +80,9 @@ def _box(
 def _paint(body: mujoco.MjsBody, half_width: float, half_goal: float) -> None:
     """Add the lines on the ice."""
     thin = 0.0005
-    size = (0.006, half_width, thin)
-    add_visual(body, _BOX, size=size, pos=(0, 0, 0), rgba=_LINE)
+    add_visual(body, _BOX, size=(0.006, half_width, thin), pos=(0, 0, 0), rgba=_LINE)
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
     add_visual(body, cylinder, size=(0.012, 2 * thin), rgba=_LINE)
     for side in (-1.0, 1.0):
-        place = (side * (HALF_LENGTH - 0.006), 0, 0)
-        add_visual(body, _BOX, size=(0.006, half_goal, thin), pos=place, rgba=_LINE)
+        size, place = (0.015, half_goal, thin), (side * (HALF_LENGTH - 0.015), 0, 0)
+        add_visual(body, _BOX, size=size, pos=place, rgba=_GOALS[side])
