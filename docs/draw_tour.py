@@ -1,7 +1,7 @@
 """Draws the README's moving picture, `docs/media/tour.gif`: python docs/draw_tour.py.
 
-All ten tasks, and two with teams, play side by side. A second after a success each goes on to its next
-start.
+All ten tasks play side by side, two of them also with teams. A second after a success
+each goes on to its next start.
 """
 
 from pathlib import Path
