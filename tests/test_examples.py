@@ -187,7 +187,7 @@ def test_the_notebook_runs_from_top_to_bottom(tmp_path):
 
 def test_the_table_names_every_example():
     names = re.findall(
-        r"^\| `(\w+\.(?:py|ipynb))` \|", (EXAMPLES / "README.md").read_text(), re.M
+        r"^\| \[`(\w+\.(?:py|ipynb))`\]\(", (EXAMPLES / "README.md").read_text(), re.M
     )
     files = (*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.ipynb"))
     assert sorted(names) == sorted(path.name for path in files)

@@ -126,7 +126,7 @@ class World:
         flat = {}
         for agent, own in self.task.observe(facts).items():
             names = [*self.definition.layout.observation[agent]]
-            if [*own] != names[: len(names) - (agent in felt)]:
+            if [*own] != (names[: len(own)] if agent in felt else names):
                 raise ValueError(f"{type(self.task).__name__}.observe() has new blocks")
             rows = list(own.values())
             rows += [felt[agent]] if agent in felt else []
