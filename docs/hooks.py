@@ -23,10 +23,9 @@ def on_page_markdown(markdown, page, config, files):
     before studies, and tables at last.
     """
     path = page.file.src_uri
-    is_guide = "/" not in path and path not in ("changelog.md", "contributing.md")
-    boost = 0.2 if path.startswith("tables/") else 3 if is_guide else 1
-    boost = 6 if path == "index.md" else boost
-    page.meta["search"] = {"boost": boost}
+    room = path.rpartition("/")[0] or path
+    boosts = {"index.md": 6, "changelog.md": 1, "contributing.md": 1, "tables": 0.2}
+    page.meta["search"] = {"boost": boosts.get(room, 1 if room != path else 3)}
 
     def whole(made):
         names = re.findall(r'^- <a id="(collaborative_gym[^"]*)"', made[0], re.M)

@@ -461,10 +461,11 @@ def _films(tasks: Sequence[str]) -> str:
         if name not in _AGAINST:
             why = f" Why not one arm? {row[1][0].upper()}{row[1][1:]}."
         paragraphs += [f"### {name}", f"{goal}{why}"]
-        for env_id, spec in _envs(name):
-            grasp = spec.settings.get("grasp", "magnet" * (name == "Pass"))
+        envs = _envs(name)
+        grasps_used = [spec.settings.get("grasp", "magnet") for _, spec in envs]
+        for (env_id, _), grasp in zip(envs, grasps_used, strict=True):
             how = ", against the expert (blue)" * (name in _AGAINST)
-            if grasp:
+            if len(set(grasps_used)) > 1:
                 how += f", with the [grasp](docs/concepts.md#grasps) `{grasp}`"
             for player, film in _film(env_id).items():
                 page = f"docs/tasks/{name.lower()}.md#{env_id.lower()}"

@@ -226,15 +226,16 @@ def test_a_thing_that_starts_on_nothing(carry):
     assert said.startswith("'cube' falls 0.46 m while robots hold still; should it")
 
 
-def test_an_error_of_the_task_is_named_with_its_line(faults, monkeypatch):
+@pytest.mark.parametrize("kind", [LookupError, AssertionError])
+def test_an_error_of_the_task_is_named_with_its_line(faults, monkeypatch, kind):
     def success(self, own, facts):
         if facts.height.max() > 0.52:
-            raise LookupError("late")
+            raise kind("late")
         return own(self, facts)
 
     monkeypatch.setattr(plugins, "_tried", {Path(__file__)})
-    told = r"LookupError in a check: late \(test_testing.py, line \d+, in success\)"
-    with pytest.raises(RuntimeError, match=told):
+    where = r"\(test_testing.py, line \d+, in success\)"
+    with pytest.raises(RuntimeError, match=f"{kind.__name__} in a check: late {where}"):
         faults(success=success)
 
 
@@ -259,18 +260,6 @@ def test_a_phase_of_the_expert_that_is_kept_on_the_task(faults):
 
     found = faults(expert=expert)
     assert any("keeps ['step'] on itself; put that into sim.memory" in x for x in found)
-
-
-def test_an_assert_of_the_task_is_an_error_of_its_own(faults, monkeypatch):
-    def success(self, own, facts):
-        if facts.height.max() > 0.52:
-            raise AssertionError("too high")
-        return own(self, facts)
-
-    monkeypatch.setattr(plugins, "_tried", {Path(__file__)})
-    told = r"AssertionError in a check: too high \(test_testing.py, line \d+"
-    with pytest.raises(RuntimeError, match=told):
-        faults(success=success)
 
 
 def test_a_reward_whose_terms_change(faults):

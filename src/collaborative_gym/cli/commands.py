@@ -90,9 +90,9 @@ class Record(_Policy, Watched):
         that evaluate names; not together with --seconds.
       size: width and height in pixels, of each policy's picture.
       speed: simulated seconds per second of the film, 0.1 to 2; 0.5 is slow motion.
-      slow_motion: show the team's last progress, such as a hand-over, more slowly.
+      slow_motion: show the team's last progress, or a game's scores, more slowly.
       close_up: a body of the world, such as pot/pot, to show from nearby beside it; of
-        several, the one that is lifted or put down most.
+        several, the one that hands are nearest to, until they leave it.
     """
 
     env: Env

@@ -54,8 +54,8 @@ class Camera:
     ):
         names = {model.body(i).name: i for i in range(1, model.nbody)}
         self._bodies = [look_up("body", body, names) for body in bodies]
-        sites = [model.site(i).name for i in range(model.nsite)]
-        self._shown, self._tcps = 0, [n for n in sites if n.endswith("/tcp")]
+        self._shown, sites = 0, range(model.nsite)
+        self._tcps = [i for i in sites if model.site(i).name.endswith("/tcp")]
         visual = model.vis.global_
         self.size = (
             check_count("width", width, 1, visual.offwidth),
@@ -107,9 +107,9 @@ class Camera:
 
     def _near(self, distance: float) -> mujoco.MjvCamera:
         places = self._data.xpos[self._bodies]
-        hands = np.array([self._data.site(name).xpos for name in self._tcps])
-        if len(hands):
-            gaps = np.linalg.norm(places[:, None] - hands, axis=-1).min(axis=1)
+        if self._tcps:
+            away = places[:, None] - self._data.site_xpos[self._tcps]
+            gaps = np.linalg.norm(away, axis=-1).min(axis=1)
             # What hands hold is shown until they have left it.
             if gaps[self._shown] > max(_LEFT, 1.25 * gaps.min()):
                 self._shown = int(gaps.argmin())

@@ -144,8 +144,8 @@ class Menu:
         given = self._policies if self._any_env else ()
         robots = _put(choice.robots, robot, agents)
         alike = next(own for own in self.tasks.values() if choice.env in own)
-        able = [env for env in (choice.env, *alike) if self._usual(env) == robots]
-        env = (*able, choice.env)[0]
+        able = (env for env in (choice.env, *alike) if self._usual(env) == robots)
+        env = next(able, choice.env)
         return self._able(replace(choice, env=env, robots=robots), given)
 
     def read(self, link: str) -> Choice:
