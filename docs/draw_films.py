@@ -23,14 +23,16 @@ SIZES = {
     "SortPandas4-v0": (960, 540),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
-SPEEDS = {"HockeyPandas-v0": 2.0, "SortPandas4-v0": 2.0, "TugPandas-v0": 0.25}
-"""Speeds of long films in which much is alike, and of one that is over in a second."""
+SPEEDS = {"Hockey": 2.0, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
+"""Speeds of tasks in which much is alike, and of one that is over in a second."""
+ROLLING = cg.Randomization(lost=1.0)
+"""Starts of films of Balance, whose ball would soon lie still: it already rolls."""
 SLOW = "Poke", "Pass", "Assemble", "Hockey"
-"""Beginnings of the ids in which single moments decide."""
+"""Tasks in which single moments decide."""
 BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
-SHADOWS = 8192
-"""Sides of the map of shadows, in pixels, twice as many as elsewhere."""
+SHADOWS = 3072
+"""Sides of the map of shadows, in pixels, more than elsewhere."""
 LEAST = 9.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
@@ -54,7 +56,8 @@ GAME, EPISODE = "HockeyPandas-v0", 8
 
 def sharp(env_id: str) -> cg.Task:
     """Return the task of an id, whose pictures have finer shadows than usual."""
-    task = cg.task(env_id)
+    starts = ROLLING if env_id.startswith("BalanceTask") else None
+    task = cg.task(env_id, randomization=starts)
     World.of(task).drawn_model.vis.quality.shadowsize = SHADOWS
     return task
 
@@ -64,15 +67,16 @@ def film(env_id: str) -> None:
     player = "baseline" if is_shipped("baseline", env_id) else "expert"
     path = MEDIA / f"{player}s" / f"{env_id}.mp4"
     task, policy = sharp(env_id), AGAINST
+    kind = type(task).__name__
     more = {
         "size": SIZES.get(env_id, SIZE),
-        "speed": SPEEDS.get(env_id, 1.0),
-        "slow_motion": env_id.startswith(SLOW),
+        "speed": SPEEDS.get(kind, 1.0),
+        "slow_motion": kind in SLOW,
     }
     if env_id == GAME:
         more["only_episodes"] = [EPISODE]
     elif len(task.sides) == 1:
-        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(type(task).__name__, ()))
+        near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(kind, ()))
         policy, more = player, more | {"seconds": LEAST, "close_up": near}
     record(task, path, policy=policy, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)

@@ -102,7 +102,7 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     while env.facts.height[0] < bound:
         *_, infos = env.step(env.expert())
     moment = int(infos["step"][0])
-    times = [float(text.split()[0]) for text in told if ", speed 0.2x, " in text]
+    times = [float(text.split()[1]) for text in told if ", speed 0.2x, " in text]
     # A start has one picture.
     shown = [step for step in range(moment - 5, moment + 2) if step >= 0]
     slow = [round(0.1 * step, 1) for step in shown for _ in range(5 if step else 1)]
@@ -123,7 +123,7 @@ def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
         size=SIZE,
         slow_motion=True,
     )
-    at = [round(10 * float(text.split()[0])) for text in told]
+    at = [round(10 * float(text.split()[1])) for text in told]
     steps = dict(zip(at, told, strict=True))
     scores = [steps[i].split(" : ")[0].split()[-1] for i in range(len(steps))]
     goals = [i for i in range(1, len(scores)) if scores[i] != scores[i - 1]]
@@ -133,15 +133,15 @@ def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
     assert slow == around & set(at)
 
 
-def test_close_up_follows_its_body_beside_the_whole(tmp_path):
+def test_close_up_follows_its_body_beside_the_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "_labelled", lambda frame, text: frame)
     pot = {"close_up": "pot/pot", "seconds": 0.1, "size": SIZE, "policy": "baseline"}
     path = recording.record("LiftTaskSawyers-v0", tmp_path / "a.gif", **pot)
     with Image.open(path) as video:
         frames = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
     width, height = SIZE
     assert frames[0].shape == (height, width + height, 3)
-    # The line between them; above it is the text.
-    assert (frames[0][height // 2 :, width : width + 2] > 240).all()
+    assert (frames[0][:, width : width + 2] > 240).all()  # the line between them
     for frame in frames[0], frames[-1]:  # On the table, and raised.
         reds = frame[..., 0].astype(float) - frame[..., 2] > 60  # Its handles.
         assert reds[:, width:].sum() > 0.013 * height**2
@@ -318,16 +318,17 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_has_no_room_behind_the_time_stands_below_it():
-    def lines(text, width):
+def test_a_label_is_as_large_as_its_width_allows():
+    def room(text, width):
         frame = recording._labelled(np.zeros((240, width, 3), np.uint8), text)
-        written = (frame > 128).any(axis=(1, 2))
-        return frame.shape, np.diff(written.astype(int)).tolist().count(1)
+        assert frame.shape == (240, width, 3)
+        down, right = np.nonzero((frame > 128).any(axis=2))
+        return down.max(), right.max()
 
-    assert lines("3.8 s, expert", 320) == ((240, 320, 3), 1)
-    long = "3.8 s, robot_1 baseline 0 : 1 robot_2 expert"
-    assert lines(long, 640)[1] == 1
-    assert lines(long, 240)[1] == 2
+    short, long = "3.8 s, expert", "3.8 s, robot_1 baseline 0 : 1 robot_2 expert"
+    assert room(short, 320)[0] == room(short, 240)[0] > room(long, 240)[0]
+    assert room(long, 640)[0] > room(short, 320)[0]
+    assert room(long, 240)[1] < 240 and room(f"{short}\n{long}", 240)[1] < 240
 
 
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
@@ -347,7 +348,8 @@ def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
         seconds=1.0,
         size=SIZE,
     )
-    assert {text[7:] for text in named} == {"robot_1 idle, robot_2 random", "expert"}
+    players = {text.partition(" s, ")[2] for text in named}
+    assert players == {"robot_1 idle, robot_2 random", "expert"}
     with Image.open(path) as video:
         assert video.size == (2 * SIZE[0], SIZE[1])
 
@@ -363,8 +365,8 @@ def test_the_next_start_comes_a_second_after_the_first_policys_success(
         carry(), tmp_path / "a.gif", policy=["expert", "idle"], seconds=3.0, size=SIZE
     )
     experts, others = told[::2], told[1::2]
-    starts = [i for i, text in enumerate(experts) if text.startswith("0.0 s")]
-    assert starts == [i for i, text in enumerate(others) if text.startswith("0.0 s")]
+    starts = [i for i, text in enumerate(experts) if "\n0.0 s" in text]
+    assert starts == [i for i, text in enumerate(others) if "\n0.0 s" in text]
     assert len(starts) > 1 and not any("success" in text for text in others)
     for start, end in zip(starts, [*starts[1:], len(experts)], strict=True):
         first = next(i for i in range(start, end) if "success" in experts[i])
@@ -408,8 +410,10 @@ def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     )
     # It lasts longer than was asked for, and only its end is the whole.
     assert shares == sorted(shares) and shares.count(1.0) == 1
-    assert told[0] == "0.0 s, robot_1 expert 0 : 0 robot_2 idle"
-    assert told[-1][7:] == "robot_1 expert 1 : 0 robot_2 idle\nrobot_1 expert wins"
+    assert told[0] == "TugPandas-v0\n0.0 s, robot_1 expert 0 : 0 robot_2 idle"
+    [_, last, result] = told[-1].split("\n")
+    assert last[7:] == "robot_1 expert 1 : 0 robot_2 idle"
+    assert result == "robot_1 expert wins"
     # The end is shown for a second.
     with Image.open(path) as video:
         ends = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]

@@ -167,6 +167,31 @@ def test_what_stands_before_a_close_up_is_cut_away():
         camera.close()
 
 
+def test_shadows_and_edges_fade():
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <visual><headlight ambient="0.2 0.2 0.2" diffuse="0 0 0"/></visual>
+          <worldbody>
+            <camera name="overview" pos="0 0 4" xyaxes="1 0 0 0 1 0"/>
+            <light type="directional" pos="0 0 3" dir="0.3 0 -1" diffuse="0.6 0.6 0.6"/>
+            <geom type="plane" size="4 4 1" group="2"/>
+            <geom type="box" size="0.3 0.3 0.01" pos="0 0 1.5" group="2"/>
+          </worldbody>
+        </mujoco>
+        """
+    )
+    camera = Camera(model, 320, 240)
+    picture = camera.picture(np.zeros(0), np.zeros((0, 3)))
+    camera.close()
+    # Along the row through the middle: floor, box, floor, its shadow, floor.
+    row = picture[120, 160:, 0].astype(int)
+    floor, dark = row[-1], row[40:].min()
+    assert dark < 0.7 * floor
+    # A hard shadow has one such pixel at each of its two edges, or none.
+    assert ((row > dark + 5) & (row < floor - 5)).sum() >= 3
+
+
 def test_zoom_takes_a_close_up_nearer():
     model = mujoco.MjModel.from_xml_string(
         """

@@ -153,12 +153,12 @@ class Report:
     """
 
     environment: str
-    settings: dict[str, Any]
+    settings: dict[str, Any] = field(repr=False)
     sides: dict[str, Score]
     returns: dict[str, Statistic]
-    episodes: tuple[dict[str, Any], ...]
+    episodes: tuple[dict[str, Any], ...] = field(repr=False)
     steps_per_second: float
-    strain: dict[str, Worst] = field(default_factory=dict)
+    strain: dict[str, Worst] = field(default_factory=dict, repr=False)
     coordination: dict[str, tuple[str, Statistic]] = field(default_factory=dict)
 
     @property

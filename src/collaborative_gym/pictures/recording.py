@@ -84,9 +84,9 @@ def record(
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s at speed 1) or `.gif` (10 frames/s).
       policy: as `evaluate` takes it. Several are shown side by side, in the same
-        episodes; the first one decides when the next start comes. Each picture says
-        the time, who plays, how far a team has come, and whether the goal is met or
-        what the score is.
+        episodes; the first one decides when the next start comes. Each picture names
+        the environment and says the time, who plays, how far a team has come, and
+        whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
       seconds: least length of the film of the first episodes, up to 36,000; None for
         10. An episode that has begun by then is shown to its end.
@@ -324,7 +324,8 @@ class _Screen:
         pace = self.speed * (self._shots / self._most if is_slow else 1)
         said = f", speed {pace:g}x" if pace != 1 else ""
         seconds = step.infos["step"][0] * CONTROL_DT
-        label = f"{seconds:.1f} s{said}, {standing(self._players, step.infos)}"
+        name, now = self._env.task.name, standing(self._players, step.infos)
+        label = f"{name}\n{seconds:.1f} s{said}, {now}"
         if not step.infos["ended"][0]:  # Then the label says who wins.
             label += self._cheer(seconds, step.infos["metrics"].get("score", {}))
         is_share = self._stage and self._env.task.units.get(self._stage) == ""
@@ -417,22 +418,13 @@ def _film(
 
 
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
-    """Return a frame with a text in its corner, as large as its width allows.
-
-    If there is no room for all in a line, the part after the time comes below.
-    """
+    """Return a frame with a text in its corner, as large as its width allows."""
     picture = import_extra("PIL.Image").fromarray(frame)
     pen = import_extra("PIL.ImageDraw").Draw(picture)
     load, (height, wide) = import_extra("PIL.ImageFont").load_default, frame.shape[:2]
-    size = max(9, height // 18, wide // 55)  # Pages make wide films small.
-    room = wide - size
-
-    def width() -> float:
-        return pen.textbbox((0, 0), text, load(size=size))[2]
-
-    if width() > room:
-        text = text.replace(", ", "\n", 1)
-    font = load(size=max(9, min(size, int(size * room / width()))))
+    size = max(9, height // 18, wide // 40)  # Pages make wide films small.
+    width = pen.textbbox((0, 0), text, load(size=size))[2]
+    font = load(size=max(9, min(size, int(size * (wide - size) / width))))
     *_, right, down = pen.textbbox((size // 2, size // 3), text, font)
     pen.rectangle((0, 0, right + size // 2, down + size // 3), "#202428")
     pen.text((size // 2, size // 3), text, "white", font)

@@ -72,7 +72,8 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     light.ambient, light.diffuse = [0.28, 0.29, 0.31], [0.15] * 3
     light.specular = [0.05] * 3
     visual.global_.offwidth, visual.global_.offheight = LARGEST
-    visual.quality.shadowsize, visual.quality.offsamples = 4096, 4
+    # A picture off-screen is the mean of several.
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 0
     visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.

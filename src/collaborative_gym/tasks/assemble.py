@@ -88,6 +88,7 @@ _YAW = np.pi / 4  # of what is assembled, so that each knob is before its arm
 _BESIDE, _TURNED = 0.003, 0.1  # m and rad, of an axis in a hole
 _ENOUGH = 1.0 - 0.004 / np.maximum(DEEP, 0.004)  # shares of their way, for 4 mm less
 _SEEN = 4.0  # m and rad, within which parts are seen: one that rolls off goes far
+_FAINT = (0.0, 0.7, 0.2, 0.35)  # colour of the goal, which lies over the joint
 _LEVER = 0.05  # m; about what two pads bear on a knob that is 0.04 m wide and high
 
 
@@ -196,7 +197,7 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
             most = config.picking_threshold
             knob = {"threshold": most, "width": KNOB, "lever": _LEVER}
             scene.add_grip(agent, f"{name}/knob", **knob)
-        scene.add_target("target", config.success_radius)
+        scene.add_target("target", config.success_radius, rgba=_FAINT)
         scene.spec.visual.map.shadowclip = 4.5  # Tables stand around the arms.
         spots = [spot for spot, _ in self.tables.values()]
         teams.add_team_camera(scene, self.placements, below=0.7, also=spots)
