@@ -1,5 +1,6 @@
 """Checks of a task's promises and of an arm, for whoever writes or adds one."""
 
+import difflib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
@@ -251,17 +252,17 @@ def check_measuring(tested: TaskUnderTest) -> None:
     for _ in range(4):
         _check_methods(env)
         play(env, 2)
-    seen = [name for own in env.observation_blocks.values() for name in own]
-    seen += [plain_name(name, env.agents) for name in seen]
-    for what, method, names in (
-        ("units", "measure", [*named_facts(env.facts)]),
-        ("block_units", "observe", seen),
-    ):
-        unknown = [name for name in getattr(env.task, what) if name not in names]
-        assert not unknown, (
-            f"{what} has {unknown}, which {method}() does not return; it returns"
-            f" {[*dict.fromkeys(names)]}"
-        )
+    named = [*named_facts(env.facts)]
+    unknown = [name for name in env.task.units if name not in named]
+    assert not unknown, (
+        f"units has {unknown}, which measure() does not return; it returns {named}"
+    )
+    # Units of other names may be for teams of another size.
+    blocks = [each for own in env.observation_blocks.values() for each in own.values()]
+    bare = {plain_name(block.name, env.agents) for block in blocks if not block.unit}
+    for name in env.task.block_units:
+        near = difflib.get_close_matches(name, bare - {name}, 1, 0.8)
+        assert not near, f"block_units has {name!r}, but no unit for {near[0]!r}"
 
 
 def check_goal(tested: TaskUnderTest) -> None:
