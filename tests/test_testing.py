@@ -71,13 +71,147 @@ def test_a_goal_that_is_reached_by_doing_nothing(faults):
     assert any("robots that hold still reach the goal in all" in each for each in found)
 
 
-@pytest.mark.parametrize("wrong", [0.5, -1.0, np.nan])
-def test_a_shortfall_that_is_none(faults, wrong):
+@pytest.mark.parametrize(
+    ("away", "at_goal", "said"),
+    [
+        (1.0, 0.5, "shortfall() is 0.5 where success() is True; "),
+        (1.0, -1.0, "shortfall() is -1 where success() is True; "),
+        (1.0, np.nan, "shortfall() is nan where success() is True; "),
+        (0.0, 0.0, "shortfall() is 0 where success() is False; "),
+        (
+            [[1.0]],
+            [[0.0]],
+            "shortfall() has shape (1, 4); it must be a number for each",
+        ),
+    ],
+)
+def test_a_shortfall_that_is_none(faults, away, at_goal, said):
     def shortfall(self, own, facts):
-        return np.where(own(self, facts) > 0.0, 1.0, wrong)
+        return np.where(own(self, facts) > 0.0, away, at_goal)
 
     (found,) = faults(shortfall=shortfall)[1:]
-    assert "at least 0, and 0 where the goal is met" in found
+    assert said in found and len(found) < 130
+    assert "shape" in said or "at least 0, and 0 where the goal is met and" in found
+
+
+def changed_observe(self, own, facts):
+    facts.joints["robot_1"][:] -= 0.1
+    return own(self, facts)
+
+
+def changed_reward(self, own, facts, commands):
+    facts.distance["robot_2"][facts.height > 0.52] += 0.1
+    return own(self, facts, commands)
+
+
+def changed_success(self, own, facts):
+    facts.height[:] *= 0.999
+    return own(self, facts)
+
+
+@pytest.mark.parametrize(
+    ("method", "fact"),
+    [
+        (changed_observe, "facts.joints['robot_1']"),
+        (changed_reward, "facts.distance['robot_2']"),
+        (changed_success, "facts.cube[0]"),  # of which the height is a part
+    ],
+)
+def test_a_method_that_changes_the_facts_is_named(faults, method, fact):
+    name = method.__name__.removeprefix("changed_")
+    found = faults(**{name: method})
+    assert f"{name}() changes {fact}; make new arrays" in " ".join(found)
+    assert "measure()" not in " ".join(found)
+
+
+def test_a_method_that_changes_the_worlds_is_named(faults):
+    def success(self, own, facts):
+        self.seen.qvel[:, -1] += 0.5
+        return own(self, facts)
+
+    def measure(self, own, sim):
+        self.seen = sim
+        return own(self, sim)
+
+    found = faults(success=success, measure=measure)
+    assert any("() changes sim.state; make new arrays" in each for each in found)
+
+
+def test_a_count_of_measurements_near_the_goal(faults):
+    def measure(self, own, sim):
+        facts = own(self, sim)
+        is_near = (facts.height > 0.52)[:, None]
+        sim.memory["push"] = sim.memory["push"] + is_near
+        return facts
+
+    found = faults(measure=measure)
+    assert any("the same state (sim.memory['push']); update" in each for each in found)
+
+
+def test_a_write_to_the_memory_near_the_goal(faults):
+    def measure(self, own, sim):
+        facts = own(self, sim)
+        if (facts.height > 0.52).any():
+            sim.memory["push"][:, 0] = 3.0
+        return facts
+
+    said = r"read-only; put a new array into sim.memory instead \(test_testing.py, line"
+    with pytest.raises(RuntimeError, match=said):
+        faults(measure=measure)
+
+
+@pytest.mark.parametrize(
+    ("method", "late", "said"),
+    [
+        ("success", lambda own: own.all(), "success() is bool of shape ()"),
+        ("success", lambda own: 1.0 * own, "success() is float64 of shape (4,)"),
+        ("reward", lambda own: {"robot_1": own["robot_1"]}, "no entry for robot_2"),
+        (
+            "reward",
+            lambda own: {
+                a: {n: x[:, None] for n, x in o.items()} for a, o in own.items()
+            },
+            "term 'distance' of robot_1 has shape (4, 1)",
+        ),
+        ("observe", lambda own: {"robot_1": own["robot_1"]}, "no entry for robot_2"),
+        (
+            "observe",
+            lambda own: {a: {n: x[0] for n, x in o.items()} for a, o in own.items()},
+            "block 'joints' of robot_1 has shape (7,)",
+        ),
+        (
+            "performing",
+            lambda own: np.zeros(4),
+            "performing() is float64 of shape (4,)",
+        ),
+    ],
+)
+def test_what_is_of_another_kind_near_the_goal_is_named(faults, method, late, said):
+    def changed(self, own, facts, *commands):
+        found = own(self, facts, *commands)
+        return late(found) if facts.height.max() > 0.55 else found
+
+    with pytest.raises(RuntimeError) as raised:
+        faults(**{method: changed})
+    told = str(raised.value)
+    assert said in told or said.replace("4", "1") in told
+    assert "broadcast" not in told
+
+
+def test_the_line_of_an_error_is_named_without_load_module(faults):
+    def reward(self, own, facts, commands):
+        if facts.height > 0.55:
+            return {}
+        return own(self, facts, commands)
+
+    with pytest.raises(ValueError, match="truth value"):
+        faults(reward=reward)
+
+    def late(self, own, facts):
+        return own(self, facts) if facts.height.max() < 0.55 else facts.heihgt
+
+    with pytest.raises(RuntimeError, match=r"\(test_testing.py, line \d+, in late\)"):
+        faults(success=late)
 
 
 def test_a_reset_of_other_worlds(faults):
@@ -162,10 +296,23 @@ def test_a_memory_that_is_written_to(faults):
         faults(measure=measure)
 
 
-def test_a_unit_of_nothing(carry):
-    broken = type("Broken", (type(carry()),), {"units": {"hieght": "m"}})
-    with pytest.raises(AssertionError, match=r"units has \['hieght'\], which measure"):
+@pytest.mark.parametrize(
+    ("name", "wrong", "said"),
+    [
+        ("units", "hieght", r"units has \['hieght'\], which measure"),
+        ("block_units", "jionts", "block_units has 'jionts', but no unit for 'joints'"),
+    ],
+)
+def test_a_unit_of_nothing(carry, name, wrong, said):
+    broken = type("Broken", (type(carry()),), {name: {wrong: "m"}})
+    with pytest.raises(AssertionError, match=said):
         check_task(broken([cg.get_robot("panda")] * 2, carry().config), episodes=2)
+
+
+def test_it_tells_how_far_it_is(carry):
+    told = []
+    check_task(type(carry()), episodes=1, on_progress=told.append)
+    assert told == sorted(told) and told[0] == 0.0 and len(told) > 5
 
 
 def test_an_observation_that_blows_up(faults):
@@ -178,7 +325,7 @@ def test_an_observation_that_blows_up(faults):
         }
 
     with pytest.raises(
-        RuntimeError, match=r"observe\(\): 'late' of robot_1 is not fin"
+        RuntimeError, match=r"observe\(\): block 'late' of robot_1 is not finite"
     ):
         faults(observe=observe)
 
@@ -189,7 +336,8 @@ def test_a_reward_that_blows_up_near_the_goal(faults):
         terms["robot_1"]["late"] = np.where(self.success(facts), np.nan, 0.0)
         return terms
 
-    with pytest.raises(RuntimeError, match=r"reward\(\): 'late' of robot_1 is not fin"):
+    said = r"reward\(\): term 'late' of robot_1 is not finite"
+    with pytest.raises(RuntimeError, match=said):
         faults(reward=reward)
 
 

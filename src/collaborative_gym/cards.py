@@ -30,8 +30,7 @@ from collaborative_gym.tournaments.result import Tournament, format_estimate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PLOT = 4.2, 3.2
-"""Width and height of a panel, in inches."""
+_PLOT = 4.2, 3.2  # width and height of a panel, in inches
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,6 @@ def draw_card(card: ReportCard, path: str | Path) -> None:
 
 
 def _draw_times(axes: "Axes", card: ReportCard) -> None:
-    """Draw which share of the episodes has succeeded by which time."""
     for name, report in card.reports.items():
         for side in report.sides:
             column, label = "time_to_success", name
@@ -223,7 +221,6 @@ def _draw_times(axes: "Axes", card: ReportCard) -> None:
 
 
 def _draw_robustness(axes: "Axes", card: ReportCard) -> None:
-    """Draw the completion with each disturbance, and its interval."""
     height = 0.8 / len(card.robustness)
     for i, (policy, own) in enumerate(card.robustness.items()):
         scores = [next(iter(report.sides.values())) for report in own.values()]

@@ -26,11 +26,13 @@ _REMEDIES = {
     "mass and inertia of moving bodies": "give it a mass in kg and an inertia in kg m2",
     "A + B >= C": "no body has this inertia: give it in kg m2, about the mass's centre",
     "opening file": "put the mesh beside the model file, or where its meshdir says",
+    "truth value of an array": "rows are worlds; use np.where or a mask",
+    "be broadcast": "rows are worlds; index one number for each as [:, None]",
+    "read-only": "put a new array into sim.memory instead",
 }
-"""Remedies of frequent faults of models, by a part of MuJoCo's words."""
+"""Remedies of frequent faults, by a part of MuJoCo's or NumPy's words."""
 
-_NO_NUMBERS = bool, np.timedelta64
-"""Python and NumPy count these as integers."""
+_NO_NUMBERS = bool, np.timedelta64  # python and NumPy count these as integers
 
 
 class SimulationDiverged(RuntimeError):
@@ -121,9 +123,13 @@ def counted(names: Iterable[str]) -> str:
 def told_by_mujoco(error: ValueError) -> str:
     """Return MuJoCo's complaint about a model, on one line, and a remedy."""
     lines = re.sub("(XML )?Error: ", "", str(error)).splitlines()
-    text = ", ".join(line.strip() for line in lines if line.strip())
+    return with_remedy(", ".join(line.strip() for line in lines if line.strip()))
+
+
+def with_remedy(text: str) -> str:
+    """Return another library's words, with the remedy of a frequent fault."""
     remedy = next((do for part, do in _REMEDIES.items() if part in text), "")
-    return f"{text}; {remedy}" if remedy else text
+    return f"{text.rstrip('.')}; {remedy}" if remedy else text
 
 
 def look_up(kind: str, given: object, table: Mapping[str, T]) -> T:

@@ -16,11 +16,9 @@ from collaborative_gym.errors import UnknownName, check_name
 GROUP = "collaborative_gym.tasks"
 """Entry points of this group name modules that register tasks, ids and arms."""
 
-_loaded: dict[Path, ModuleType] = {}
-"""Imported files."""
+_loaded: dict[Path, ModuleType] = {}  # imported files
 
-_tried: set[Path] = set()
-"""Imported files, and those that failed."""
+_tried: set[Path] = set()  # imported files, and those that failed
 
 _registering: set[str] = set()
 """Names of modules that have registered something while they were imported."""
@@ -103,14 +101,20 @@ def loaded_files() -> tuple[str, ...]:
     return tuple(map(str, _loaded))
 
 
-def location_of(error: BaseException) -> str:
+def location_of(error: BaseException, kind: type = object) -> str:
     """Return the innermost line of an error in files of `load_module`.
 
-    An example is "my_task.py, line 41, in measure".
+    An example is "my_task.py, line 41, in measure". Files of the classes from which a
+    `kind` derives count too, unless they are this package's.
     """
+    own, package = set(_tried), __name__.partition(".")[0]
+    for base in kind.__mro__:
+        file = getattr(sys.modules.get(base.__module__), "__file__", None)
+        if file and base.__module__.partition(".")[0] != package:
+            own.add(Path(file))
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
-        if path in _tried:
+        if path in own:
             where = "" if frame.name == "<module>" else f", in {frame.name}"
             return f"{path.name}, line {frame.lineno}{where}"
     return ""
@@ -130,7 +134,6 @@ def load_entry_points() -> None:
 
 
 def _check_registers(name: str, module: str) -> None:
-    """Raise ValueError unless a module, or one within it, has registered something."""
     if not any(f"{own}.".startswith(f"{module}.") for own in _registering):
         raise ValueError(
             f"module {name} registers no task, environment or arm; it must call"

@@ -1,5 +1,6 @@
 """Checks of a task's promises and of an arm, for whoever writes or adds one."""
 
+import difflib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
@@ -9,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym.envs.definition import Trial, plain_name
 from collaborative_gym.envs.starts import DEEPEST, deepest, draw_starts
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.errors import check_count
+from collaborative_gym.errors import check_count, with_remedy
 from collaborative_gym.plugins import location_of
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.robots import Robot, get_robot
+from collaborative_gym.tasks.declared import check_class
 from collaborative_gym.tasks.registry import as_task, list_tasks
 from collaborative_gym.tasks.task import Task, named_facts
 from collaborative_gym.trying import try_robot, unusual
@@ -25,6 +28,7 @@ def check_task(
     robots: Sequence[str | Robot] | None = None,
     *,
     episodes: int = 20,
+    on_progress: Callable[[float], object] | None = None,
 ) -> None:
     """Check that a task keeps every promise that environments make.
 
@@ -38,6 +42,7 @@ def check_task(
       robots: its arms, in the order of the agents; None for the environment's own, and
         for Pandas where a class is given. Only beside a name or a class.
       episodes: number of the expert's episodes.
+      on_progress: called with the share of the checks that are done.
 
     Raises:
       AssertionError: lists every broken promise and its remedy.
@@ -46,25 +51,30 @@ def check_task(
       ValueError: if no world can be made of the definition.
     """
     if isinstance(task, type):
+        check_class(task)
         arms = [get_robot(name) for name in robots or ("panda",) * task.robot_counts[0]]
         task, robots = task(arms, task.config_class()), None
     tested = TaskUnderTest(as_task(task, robots), check_count("episodes", episodes, 1))
     faults, errors = [], []
     try:
         tested.worlds(1)  # A definition that makes no world needs no further checks.
-        for check in CHECKS:
+        for i, check in enumerate(CHECKS):
+            if on_progress is not None:
+                on_progress(i / len(CHECKS))
             try:
                 check(tested)
             except Exception as error:
-                where = location_of(error)
+                where = location_of(error, type(tested.task))
+                if any(str(error) in fault for fault in faults):
+                    continue  # Several checks come upon it.
                 if isinstance(error, AssertionError) and not where:
                     follows = bool(faults) and check in _MAY_FOLLOW
                     faults.append("perhaps by the same fault, " * follows + str(error))
                     continue
                 errors.append(error)
-                told = f"{type(error).__name__} in a check: {error}"
+                told = f"{type(error).__name__} in a check: {with_remedy(str(error))}"
                 told += f" ({where})" if where else ""
-                faults += [told] * (told not in faults)
+                faults.append(told)
     finally:
         tested.close()
     first = f"{type(tested.task).__name__} fails check_task:"
@@ -145,24 +155,12 @@ def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
 
 def leaves(value: Any) -> list[Any]:
     """Return the arrays in nested dataclasses, namespaces, dictionaries and tuples."""
-    if is_dataclass(value) or isinstance(value, SimpleNamespace):
-        value = vars(value)
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if not isinstance(value, (tuple, list)):
-        return [value]
-    return [leaf for part in value for leaf in leaves(part)]
+    return [*_named(value, "").values()]
 
 
 def check_values(tested: TaskUnderTest) -> None:
-    """Steps take what the task's methods return; scores are finite."""
-    env = tested.worlds(7)
-    for _ in range(20):
-        *_, infos = env.step(_episode_actions(env))
-        for points in infos["metrics"].get("score", {}).values():
-            assert np.isfinite(points).all(), (
-                "the score is not finite; look for a division in score()"
-            )
+    """Steps take what the task's methods return."""
+    play(tested.worlds(7), 20)
 
 
 def check_starts(tested: TaskUnderTest) -> None:
@@ -170,10 +168,8 @@ def check_starts(tested: TaskUnderTest) -> None:
     env = tested.worlds(7)
     for i in range(env.num_envs):
         depth, told = deepest(env.sim, i)
-        assert depth < DEEPEST, (
-            f"{told} at the start of episode {i}; place them apart in build() or"
-            " reset()"
-        )
+        told += f" at the start of episode {i}; place them apart in build() or reset()"
+        assert depth < DEEPEST, told
     for agent, arm in env.scene.arms.items():
         low, high = arm.joint_range
         angle = env.sim.qpos[:, arm.qpos]
@@ -181,10 +177,8 @@ def check_starts(tested: TaskUnderTest) -> None:
             f"{agent} starts beyond its joints' ranges; clip the start angles in"
             " reset(): np.clip(angles, *arm.joint_range)"
         )
-        assert not np.asarray(env.sim.qvel[:, arm.dof]).any(), (
-            f"{agent} moves at the start of an episode; write no qvel of an arm in"
-            " reset()"
-        )
+        said = "moves at the start of an episode; write no qvel of an arm in reset()"
+        assert not np.asarray(env.sim.qvel[:, arm.dof]).any(), f"{agent} {said}"
     rows = np.concatenate(list(env.reset(seed=0)[0].values()), axis=1)
     assert len(np.unique(rows, axis=0)) == env.num_envs, (
         "episodes start alike under the randomization 'default'; draw places and joint"
@@ -206,9 +200,9 @@ def check_batches(tested: TaskUnderTest) -> None:
         env.reset(seed=0, episodes=range(env.num_envs)[::-1])  # in other rows
         for key, given in play(env, 4).items():
             assert _agree(given, expected.get(key, b"")), (
-                f"episode {key[1]} of seed {key[0]} depends on the {env.num_envs}"
-                " worlds beside it; draw only from rng in reset(), treat rows alike,"
-                " and keep nothing on the task but what remember() returns"
+                f"episode {key[1]} of seed {key[0]} depends on the other worlds; draw"
+                " only from rng in reset(), treat rows alike, and keep nothing on the"
+                " task but what remember() returns"
             )
 
 
@@ -226,8 +220,8 @@ def check_isolation(tested: TaskUnderTest) -> None:
         )
     sim, others = other.sim, np.array([0, 2, 4, 5, 6])
     sim.memory = {name: array.copy() for name, array in sim.memory.items()}
-    state, memory = sim.get_state(others), dict(sim.memory)
-    memory = {name: array[others] for name, array in memory.items()}
+    state = sim.get_state(others)
+    memory = {name: array[others] for name, array in sim.memory.items()}
     begun = np.array([1, 3])
     other.task.reset(sim, begun, rng=EpisodeRandom(0 * begun, begun))
     assert np.array_equal(sim.get_state(others), state) and all(
@@ -253,40 +247,22 @@ def check_saving(tested: TaskUnderTest) -> None:
 
 
 def check_measuring(tested: TaskUnderTest) -> None:
-    """Measuring twice in one state changes nothing; names of units are measured."""
+    """Methods return the same again, and change nothing; names of units are there."""
     env = tested.worlds(7)
-    play(env, 3)
-    task = env.task
+    for _ in range(4):
+        _check_methods(env)
+        play(env, 2)
     named = [*named_facts(env.facts)]
-    unknown = [name for name in task.units if name not in named]
+    unknown = [name for name in env.task.units if name not in named]
     assert not unknown, (
         f"units has {unknown}, which measure() does not return; it returns {named}"
     )
-    memory = {name: array.copy() for name, array in env.sim.memory.items()}
-    first = [np.array(leaf) for leaf in leaves(env.facts)]
-    second = leaves(task.measure(env.sim))
-    same = len(first) == len(second) and all(map(np.array_equal, first, second))
-    kept = all(np.array_equal(a, env.sim.memory[name]) for name, a in memory.items())
-    assert same and kept, (
-        "measure() returns other facts when it is called again in the same state;"
-        " update sim.memory so that a second time changes nothing, as"
-        " maximum(old, new) does"
-    )
-    for array in env.sim.memory.values():
-        array.flags.writeable = False  # They are kept in case the step fails.
-    play(env, 5)
-    commands = env.action_mode.commands(_episode_actions(env))
-    for name, ask in (
-        ("observe", lambda: task.observe(env.facts)),
-        ("reward", lambda: task.reward(env.facts, commands)),
-        ("success", lambda: task.success(env.facts)),
-        ("score", lambda: task.score(env.facts)),
-    ):
-        once, twice = leaves(ask()), leaves(ask())
-        assert all(map(np.array_equal, once, twice)), (
-            f"{name}() returns another value when it is called again; it must depend on"
-            " its arguments alone"
-        )
+    # Units of other names may be for teams of another size.
+    blocks = [each for own in env.observation_blocks.values() for each in own.values()]
+    bare = {plain_name(block.name, env.agents) for block in blocks if not block.unit}
+    for name in env.task.block_units:
+        near = difflib.get_close_matches(name, bare - {name}, 1, 0.8)
+        assert not near, f"block_units has {name!r}, but no unit for {near[0]!r}"
 
 
 def check_goal(tested: TaskUnderTest) -> None:
@@ -328,7 +304,6 @@ def check_expert(tested: TaskUnderTest) -> None:
 
 
 def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
-    """Check that the expert reaches a side's goal."""
     large, count = tested.worlds(tested.episodes), tested.episodes
     # Tasks that mix worlds often do so by the first or the last one.
     rows = np.arange(1, max(2, count - 1), 5) % count
@@ -339,6 +314,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     for step in range(tested.task.config.max_episode_steps):
         one, many = small.expert(), large.expert()
         is_same = (small.progress["episode"] == large.progress["episode"][rows]).all()
+        _check_methods(small)
         alone, _ = _step_of(small, one, side)
         beside, infos = _step_of(large, many, side)
         for what, own in alone.items() if is_same else ():
@@ -357,15 +333,78 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
         " hold still; mend the expert"
     )
     failed = np.flatnonzero(~reached).tolist()
+    asks = " after which success_for or success_after asks for more"
     if infos["ended"].all() and infos["metrics"]["return"].mean() < tested.at_rest:
         said = "the expert earns less than robots that hold still"
         warnings.warn(f"{said}; has a reward the wrong sign?", stacklevel=4)
     assert not failed, (
         f"the expert does not reach the goal in the episodes {failed} of seed 0 (its"
-        f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}); watch it by"
+        f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}"
+        f"{asks * (not nearest[failed[0]])}); watch it by"
         f" `record`, --only-episodes {failed[0]} --output failed.mp4 and this command's"
         " options, and mend the expert, or what reset() draws"
     )
+
+
+def _check_methods(env: VectorEnv) -> None:
+    """Check what the task's methods return, and change, in the present state."""
+    task, sim = env.task, env.sim
+    commands = env.action_mode.commands(_episode_actions(env))
+
+    def worlds() -> dict[str, bytes]:
+        now = SimpleNamespace(state=sim.get_state(), memory=sim.memory)
+        return _bits(now, "sim")
+
+    before, facts = worlds(), task.measure(sim)
+    first = _bits(facts)
+    changed = _changed(before, worlds()) or _changed(first, _bits(task.measure(sim)))
+    assert not changed, (
+        "measure() returns other facts when it is called again in the same state"
+        f" ({changed}); update sim.memory so that a second time changes nothing, as"
+        " maximum(old, new) does"
+    )
+    asked: dict[str, tuple[Any, ...]] = dict.fromkeys(_JUDGING, (facts,))
+    asked |= {"reward": (facts, commands), "expert": (sim, facts)}
+    for name, given in asked.items():
+        if name == "expert" and type(task).expert is Task.expert:
+            continue
+        once = _bits(getattr(task, name)(*given))
+        differs = _changed(once, _bits(getattr(task, name)(*given)))
+        changed = _changed(first, _bits(facts)) or _changed(before, worlds())
+        assert not changed, (
+            f"{name}() changes {changed}; make new arrays, as a = a + b does, and not a"
+            " += b"
+        )
+        assert not differs, (
+            f"{name}() returns another value when it is called again; it must depend on"
+            " its arguments alone"
+        )
+    Trial(task, sim).check(facts, commands)
+    for array in sim.memory.values():
+        array.flags.writeable = False  # They are kept in case the step fails.
+
+
+def _named(value: Any, name: str) -> dict[str, Any]:
+    """Return the arrays of which a value consists, by names within it."""
+    if is_dataclass(value) or isinstance(value, SimpleNamespace):
+        parts = {f"{name}.{own}": part for own, part in vars(value).items()}
+    elif isinstance(value, Mapping):
+        parts = {f"{name}[{own!r}]": part for own, part in value.items()}
+    elif isinstance(value, (tuple, list)):
+        parts = {f"{name}[{i}]": part for i, part in enumerate(value)}
+    else:
+        return {name: value}
+    found = (_named(part, own) for own, part in parts.items())
+    return {name: leaf for named in found for name, leaf in named.items()}
+
+
+def _bits(value: Any, name: str = "facts") -> dict[str, bytes]:
+    return {own: np.asarray(x).tobytes() for own, x in _named(value, name).items()}
+
+
+def _changed(before: dict[str, bytes], now: dict[str, bytes]) -> str:
+    """Return the name of the first array that is not as before, or nothing."""
+    return next((name for name in before if before[name] != now.get(name)), "")
 
 
 def _step_of(
@@ -382,20 +421,21 @@ def _step_of(
 
 CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
     check_values,
+    check_measuring,
     check_starts,
     check_batches,
     check_isolation,
     check_saving,
-    check_measuring,
     check_goal,
     check_expert,
 )
 """Checks of `check_task`; each raises AssertionError with a remedy."""
 
-_FALLEN = 0.3
-"""What a thing that is not held may fall in two seconds, in m."""
+_JUDGING = "observe", "success", "performing", "score", "over", "shortfall"
 
-_MAY_FOLLOW = check_isolation, check_saving, check_expert
+_FALLEN = 0.3  # what a thing that is not held may fall in two seconds, in m
+
+_MAY_FOLLOW = check_batches, check_isolation, check_saving, check_expert
 """Checks that also fail where rows are mixed or things are kept on the task."""
 
 
@@ -420,17 +460,19 @@ def _check_shortfall(env: VectorEnv) -> np.ndarray | float:
     """Return how far the worlds of one side are from its goal."""
     if len(env.sides) > 1:
         return np.inf
-    task, missing = env.task, np.asarray(env.task.shortfall(env.facts))
-    is_number = missing.shape == (env.num_envs,) and np.isfinite(missing).all()
-    met = np.asarray(task.success(env.facts))
-    assert is_number and (missing >= 0.0).all() and not missing[met].any(), (
-        f"shortfall() is {missing} where success() is {met}; it must be a number for"
-        " each world, at least 0, and 0 where the goal is met"
-    )
+    met: Any = env.task.success(env.facts)
+    Trial(env.task, env.sim).check_masks("success", met)
+    missing, worlds = np.asarray(env.task.shortfall(env.facts)), env.num_envs
+    said = f"has shape {missing.shape}; it must be a number for each world, ({worlds},)"
+    assert missing.shape == (worlds,), f"shortfall() {said}"
+    for far, is_met in zip(missing.tolist(), met.tolist(), strict=True):
+        assert 0.0 <= far < np.inf and (far == 0.0) == is_met, (
+            f"shortfall() is {far:.3g} where success() is {is_met}; it must be at least"
+            " 0, and 0 where the goal is met and nowhere else"
+        )
     return missing
 
 
 def _met(infos: Mapping[str, Any]) -> list[np.ndarray]:
-    """Return in which worlds each side meets its goal."""
     success = infos["success"]
     return list(success.values()) if isinstance(success, Mapping) else [success]

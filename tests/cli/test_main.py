@@ -19,7 +19,7 @@ from rich.console import Console
 import collaborative_gym as cg
 from collaborative_gym import viewer
 from collaborative_gym.cli import demo, environments, terminal
-from collaborative_gym.cli.commands import Evaluate, Record, Reproduce, View
+from collaborative_gym.cli.commands import Check, Evaluate, Record, Reproduce, View
 from collaborative_gym.cli.main import main
 from collaborative_gym.cli.terminal import new_table, progress_bars, read_policies
 from collaborative_gym.cli.train import Train
@@ -51,6 +51,24 @@ def test_check_lists_the_broken_promises_of_a_task(carry_id, capsys):
     told = " ".join(capsys.readouterr().out.split())
     assert "the expert does not reach the goal in the episodes [0, 1]" in told
     assert "`record`, --only-episodes 0 --output failed.mp4 and this command's" in told
+
+
+def test_check_shows_how_far_it_is(carry_id, capsys, monkeypatch):
+    monkeypatch.setattr(terminal, "_LINE_INTERVAL", 0.0)
+    assert main(["check", carry_id, "--episodes", "2"]) == 0
+    assert f"checking {carry_id}: 50%\n" in capsys.readouterr().err
+
+
+def test_a_renderer_that_mujoco_does_not_know_is_told_in_a_sentence():
+    run = "import collaborative_gym_command as own; own.main()"
+    done = subprocess.run(
+        [sys.executable, "-c", run, "list"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MUJOCO_GL": "foo"},
+    )
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "MUJOCO_GL: foo; give egl, osmesa or glfw" in done.stderr
 
 
 def test_check_says_what_it_could_not_test(carry, carry_id, capsys, monkeypatch):
@@ -95,6 +113,11 @@ def test_steps_may_be_written_with_an_exponent(monkeypatch):
     monkeypatch.setattr(Train, "run", lambda self: asked.append(self))
     assert main(["train", "Poke", "--total-steps", "1.5e6"]) == 0
     assert asked[0].hyperparameters.total_steps == 1_500_000
+    monkeypatch.setattr(Check, "run", lambda self: asked.append(self))
+    for words in (["--settings", "max_episode_steps=1e2"], ["--episodes=1e2"]):
+        assert main(["check", "Poke", *words]) == 0
+    assert asked[1].settings == ("max_episode_steps=100",)
+    assert asked[2].episodes == 100
 
 
 def test_a_benchmark_warns_of_more_threads_than_cpus(capsys, monkeypatch):
@@ -373,6 +396,7 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --robots panda jako", "did you mean 'jaco'?"),
         ("evaluate Carry --randomization none", "default, hard, lost, paper, wide"),
         ("evaluate Carry --episodes 0", "episodes must be at least 1"),
+        ("evaluate Carry Lift Carry", "Carry is named twice; name each environment"),
         ("record Carry --output a.avi", ".gif or .mp4"),
         ("certify", "environments to certify, or pass --all"),
         ("certify Cary", "did you mean 'Carry'?"),
@@ -475,7 +499,7 @@ def test_benchmark_takes_a_tasks_name(capsys):
         ("record Poke", "record needs --output FILE, the video, .mp4 or .gif; missing"),
         (
             "view",
-            "view needs ENV, environment id, or a task's name\n",
+            "view needs ENV, an environment's id, or a task's name\n",
         ),
         ("-v", "collaborative-gym does not take -v; options begin with --"),
         ("report Poke --policy expert", "report has no --policy; give --policies"),
@@ -542,6 +566,14 @@ def test_help_fits_a_terminal(capsys, command):
     with pytest.raises(SystemExit, match="0"):
         main([*command.split(), "--help"])
     assert "usage: collaborative-gym" in capsys.readouterr().out
+
+
+def test_help_has_no_words_of_the_parser(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["train", "--help-all"])
+    page = capsys.readouterr().out
+    assert "--ray-address HOST:PORT" in page and "(default: none)" in page
+    assert "(default: )" not in page and "{None}" not in page
 
 
 def test_the_help_of_train_is_short_and_names_all_options(capsys):

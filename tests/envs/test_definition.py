@@ -116,6 +116,145 @@ def test_a_method_with_a_slip_in_its_name(carry, monkeypatch):
         cg.VectorEnv(carry(), 1, num_threads=1)
 
 
+def nothing(*_):
+    return None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("units", ["height"], "must be a dictionary of a str for each name, got"),
+        ("units", {"height": 3}, "must be a dictionary of a str for each name, got"),
+        ("block_units", "joints", "must be a dictionary of a str for each name"),
+        ("styles", ["late"], "must be a dictionary of a str for each name"),
+        ("styles", {"late": "It waits."}, r"has styles, but no styled\(\); write one"),
+        ("coordination", ("height",), "must be a dictionary of a str for each name"),
+        (
+            "coordination",
+            {"height": "max"},
+            r"\['height'\] must be one of .*'greatest'",
+        ),
+        ("progress_name", "height", "is 'height', which is not in its coord.*: none"),
+        ("success_after", 0.5, "must be an integer, got 0.5"),
+        ("success_for", "5", "must be an integer, got '5'"),
+        ("success_for", 0, "must be at least 1, got 0"),
+        ("performance_from_start", 1, "must be True or False, got 1"),
+        ("gripping", "yes", "must be True or False, got 'yes'"),
+        ("randomizations", {}, "has no 'default'; add one"),
+        ("randomizations", {"default": 3}, "must be a dictionary of a Randomization"),
+        ("robot_counts", 2, r"must be counts of robots, such as \(2,\), got 2"),
+        ("robot_counts", ("2",), "must be an integer, got '2'"),
+        ("robot_counts", (), "must be at least 1, got 0"),
+        ("success", 0.05, "must be a method, got 0.05"),
+        ("sides", nothing, "is a method; write @property above it"),
+        ("max_episode_steps", 50, "is a setting; make it a field of config_class"),
+        (
+            "max_episode_step",
+            50,
+            "is no name of Task; write max_episode_steps, or _max",
+        ),
+        ("succes_after", 5, "is no name of Task; write success_after"),
+        ("robot_count", (2,), "is no name of Task; write robot_counts"),
+        ("block_unit", {}, "is no name of Task; write block_units"),
+        ("disturbe", nothing, "is no name of Task; write disturb, or _disturbe for"),
+        ("shortfal", nothing, "is no name of Task; write shortfall"),
+        ("performin", nothing, "is no name of Task; write performing"),
+        ("mishapp", nothing, "is no name of Task; write mishap"),
+        ("sucess", nothing, "is no name of Task; write success"),
+        (
+            "measure",
+            lambda self: 0,
+            r"has the arguments \(self\), but is .*\(self, sim\)",
+        ),
+        (
+            "reset",
+            lambda self, sim, env_ids: 0,
+            r"but is called with \(self, sim, env_ids, \*, rng\)",
+        ),
+    ],
+)
+def test_a_declaration_that_means_nothing(carry, name, value, message):
+    wrong = type("Wrong", (type(carry()),), {name: value})
+    with pytest.raises(
+        (TypeError, ValueError), match=rf"Wrong\W?.*{message}"
+    ) as raised:
+        cg.VectorEnv(wrong([cg.get_robot("panda")] * 2, carry().config), 1)
+    assert name in str(raised.value)
+
+
+def test_names_of_its_own_are_a_tasks_own_affair(carry):
+    own = {"joint": nothing, "hover": nothing, "_disturbe": nothing, "height_m": 0.5}
+    task = type("Mine", (type(carry()),), own)
+    cg.VectorEnv(task([cg.get_robot("panda")] * 2, carry().config), 1).close()
+
+
+def test_a_declaration_is_refused_where_it_is_registered_with_its_line(tmp_path):
+    path = tmp_path / "slip.py"
+    path.write_text(
+        "import collaborative_gym as cg\n\n\nclass Slip(cg.Task):\n"
+        "    robot_count = 2\n\n\ncg.register_task('Slip', Slip)\n"
+    )
+    with pytest.raises(TypeError, match=r"Slip.robot_count .* \(slip.py, line 5\)$"):
+        cg.load_module(str(path))
+
+
+@pytest.mark.parametrize(
+    ("memory", "message"),
+    [
+        (
+            lambda n: None,
+            r"remember\(\) is of type NoneType; it must give arrays by name",
+        ),
+        (lambda n: [np.zeros(n)], r"remember\(\) is of type list; it must give arrays"),
+        (lambda n: {"a": 0.0}, r"remember\(\): 'a' is of type float for 1 world"),
+        (
+            lambda n: {"a": np.zeros(3)},
+            r"'a' is of type ndarray of shape \(3,\) for 1 w",
+        ),
+        (
+            lambda n: {"highest": np.zeros(n, int), "push": np.zeros((n, 3))},
+            r"makes sim.memory\['highest'\] float64 \(3,\), which was int64",
+        ),
+        (
+            lambda n: {"highest": np.zeros((n, 1)), "push": np.zeros((n, 3))},
+            r"\['highest'\] float64 \(3, 3\), which was float64 \(3, 1\)",
+        ),
+    ],
+)
+def test_a_memory_that_is_none(carry, memory, message):
+    wrong = type("Wrong", (type(carry()),), {"remember": lambda self, n: memory(n)})
+    with pytest.raises(ValueError, match=rf"Wrong\..*{message}"):
+        cg.VectorEnv(wrong([cg.get_robot("panda")] * 2, carry().config), 1)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(-1.0, "is -0.487"), (9.0, "is 4.38")])
+def test_coordination_that_is_no_share(carry, scale, said):
+    base = type(carry())
+
+    def measure(self, sim):
+        facts = base.measure(self, sim)
+        object.__setattr__(facts, "highest", scale * facts.height)
+        return facts
+
+    parts = {"measure": measure, "coordination": {"highest": "mean"}}
+    wrong = type("Wrong", (base,), parts)
+    with pytest.raises(
+        ValueError, match=f"coordination: highest {said}; it must be at"
+    ):
+        cg.VectorEnv(wrong([cg.get_robot("panda")] * 2, carry().config), 1)
+
+
+@pytest.mark.parametrize(
+    "mounts", [None, {"robot_1": 3}, [(0, 0, 0), (0, 1, 0)]], ids=str
+)
+def test_mounts_that_are_no_placements(carry, mounts):
+    wrong = type("Wrong", (type(carry()),), {"mounts": lambda self: mounts})
+    with pytest.raises(
+        TypeError, match=r"what Wrong.mounts\(\) returns must be a|a Plac"
+    ):
+        cg.VectorEnv(wrong([cg.get_robot("panda")] * 2, carry().config), 1)
+
+
 def test_grips_that_no_action_closes(carry, monkeypatch):
     monkeypatch.setattr(type(carry()), "gripping", False)
     with pytest.raises(
@@ -225,8 +364,47 @@ def test_what_is_not_finite_later_is_refused_in_its_step(carry, method):
     task = type("Late", (base,), {method: late})
     env = cg.VectorEnv(task([cg.get_robot("panda")] * 2, carry().config), 2)
     env.reset(seed=0)
-    said = rf"Late.{method}\(\): 'distance' of robot_2 is not finite"
+    said = rf"Late.{method}\(\): (block|term) 'distance' of robot_2 is not finite"
     with pytest.raises(ValueError, match=said):
+        for _ in range(10):
+            env.step(env.expert())
+
+
+@pytest.mark.parametrize(
+    ("method", "late", "said"),
+    [
+        (
+            "reward",
+            lambda own: {"robot_1": own["robot_1"]},
+            "no entry for robot_2; add",
+        ),
+        (
+            "success",
+            lambda own: 1.0 * own,
+            r"is float64 of shape \(2,\); it needs a bool",
+        ),
+        (
+            "reward",
+            lambda own: {
+                a: {n: x[:, None] for n, x in o.items()} for a, o in own.items()
+            },
+            r"term 'distance' of robot_1 has shape \(2, 1\); it needs one number",
+        ),
+    ],
+)
+def test_what_is_of_another_kind_later_is_refused_in_its_step(
+    carry, method, late, said
+):
+    base = type(carry())
+
+    def changed(self, facts, *commands):
+        found = getattr(base, method)(self, facts, *commands)
+        return late(found) if facts.height.max() > 0.52 else found
+
+    task = type("Late", (base,), {method: changed})
+    env = cg.VectorEnv(task([cg.get_robot("panda")] * 2, carry().config), 2)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=rf"Late.{method}\(\).*{said}"):
         for _ in range(10):
             env.step(env.expert())
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from collaborative_gym.errors import check_number, check_numbers
 from collaborative_gym.tasks.settings import bounded, check_settings
 
-_MOST = 10**12
-"""Bound of all numbers, larger than could be spent."""
+_MOST = 10**12  # bound of all numbers, larger than could be spent
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,11 +35,8 @@ from collaborative_gym.tasks.task import Randomization, Task
 FILE = "certificate.json"
 """Name of a certificate in its folder."""
 
-_WORLDS = 256
-"""Number of worlds; more run hardly faster."""
-
-_TRAINING_STATES = 256
-"""Number of states in which a training begins its episodes."""
+_WORLDS = 256  # number of worlds; more run hardly faster
+_TRAINING_STATES = 256  # number of states in which a training begins its episodes
 
 Row = tuple[str, str, float]
 """A still arm: its agent, its policy, and the fraction at which it froze."""
@@ -241,7 +238,6 @@ class Work:
 
     @cached_property
     def _training(self) -> dict[float, EnvState]:
-        """The states to search and to train from."""
         count = self._budget.training_starts
         if self._budget.ppo_steps:
             count = max(count, _TRAINING_STATES)
@@ -293,7 +289,6 @@ class Work:
     def _best_record(
         self, motions: Motions, starts: EnvState, group: np.ndarray
     ) -> int:
-        """Return the recorded episode that does best on these starts."""
         count = len(motions.records)
         episodes = np.repeat(np.arange(count), len(group))
         cast = motions.cast(np.zeros((len(episodes), *motions.shape)), episodes)
@@ -358,7 +353,6 @@ class Work:
 
 
 def _still(row: Row) -> dict[str, str]:
-    """Return the policy of a row's still arm, by its agent."""
     return {} if row == TEAM else {row[0]: row[1]}
 
 

@@ -23,8 +23,7 @@ PLAYERS = {
 TEAM = "team", "blind", 0.0
 """In place of a still arm: the whole team plays, and looks at nothing."""
 
-_FORMAT = 1
-"""Number of the file format; others are refused."""
+_FORMAT = 1  # number of the file format; others are refused
 
 _CONFIDENCE = 0.95
 

@@ -18,15 +18,13 @@ _FIRST_STD, _NEAR_STD, _LEAST_STD = 0.7, 0.3, 0.05
 """Standard deviation of the first candidates, of those near a recorded episode, and the
 least one later."""
 
-_ELITE = 0.1
-"""Share of the candidates around which the next ones are drawn."""
+_ELITE = 0.1  # share of the candidates around which the next ones are drawn
 
 _SCREENED, _GO_ON = 8, 0.15
 """Of more starts than this, each round draws so many for all candidates; only so large
 a share of them, the best, is then tried on the others."""
 
-_AFTER = 10
-"""Control steps of a try after the end of its motion."""
+_AFTER = 10  # control steps of a try after the end of its motion
 
 _GAIN, _STALL = 0.01, 6
 """A search has converged if the best motion gains less than this in so many rounds, of

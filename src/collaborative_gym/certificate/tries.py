@@ -19,8 +19,7 @@ _REST, _PATIENCE = 5e-4, 10
 """A round is over if joints are slower than this, in rad/s or m/s, and no shortfall
 changes by so much, for so many control steps in all of its worlds."""
 
-_MOST_TRIES = 4
-"""Most episodes that the expert plays for each state that is wanted."""
+_MOST_TRIES = 4  # most episodes that the expert plays for each state that is wanted
 
 
 class Results(NamedTuple):
@@ -116,7 +115,6 @@ def find_starts(
 def _on_the_way(
     env: VectorEnv, seed: int, episodes: range, fractions: Sequence[float]
 ) -> dict[float, EnvState]:
-    """Return the states of these episodes, one world each."""
     if not fractions:
         return {}
     later = [fraction for fraction in fractions if fraction > 0.0]

@@ -82,7 +82,7 @@ class Record(_Policy, Watched):
     """Write a video of a policy at work.
 
     Attributes:
-      env: environment id, or a task's name.
+      env: an environment's id, or a task's name.
       output: the video, .mp4 or .gif; missing folders are made.
       beside: other policies to show beside it in the same episodes, named likewise.
       seconds: least length of the film; the last episode is shown to its end.
@@ -191,7 +191,6 @@ class Evaluate(_Policy, Measured):
         put(self.csv, report.reports_to_csv(reports))
 
     def _title(self) -> str:
-        """Return who plays in what, as far as it is not the usual."""
         action = f", action {self.action}" if self.action else ""
         delay = f", delay {self.delay}" if self.delay else ""
         how = "".join([self.randomization, action, *(f", {s}" for s in self.settings)])
@@ -319,7 +318,7 @@ class Check(Worlds):
     """Check that a task of your own keeps every promise that environments make.
 
     Attributes:
-      env: environment id, or a task's name.
+      env: an environment's id, or a task's name.
       episodes: number of the expert's episodes.
     """
 
@@ -334,7 +333,10 @@ class Check(Worlds):
 
         with warnings.catch_warnings(record=True) as told:
             try:
-                check_task(self.task(self.env), episodes=self.episodes)
+                with progress_bars() as progress:
+                    told_of = progress(f"checking {self.env}")
+                    task = self.task(self.env)
+                    check_task(task, episodes=self.episodes, on_progress=told_of)
             except (AssertionError, RuntimeError) as error:
                 if location_of(error):
                     raise
@@ -391,7 +393,7 @@ class View(_Policy, Watched):
     page you can change environment, robots, policies and starts without a restart.
 
     Attributes:
-      env: environment id, or a task's name.
+      env: an environment's id, or a task's name.
       num_envs: worlds to show beside one another in the browser, up to 16.
       web: serve a page for the browser, even if a window can be opened.
       host: address at which the page is served. Whoever can reach it can watch and
@@ -472,7 +474,6 @@ class Demo:
         )
 
     def _draw(self) -> None:
-        """Draw and film, or say why not."""
         from collaborative_gym.cli import demo
         from collaborative_gym.pictures import recording
 

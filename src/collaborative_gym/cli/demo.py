@@ -21,8 +21,7 @@ _SHEET_SIZE = (480, 270)
 _GAME, _GAME_STEPS, _GAME_EPISODE = "HockeyPandas-v0", 100, 6
 """A game, its control steps, and an episode in which the baseline scores a goal."""
 
-_FILM_SIZE = (640, 360)
-"""Width and height of a film, in pixels."""
+_FILM_SIZE = (640, 360)  # width and height of a film, in pixels
 
 _SECONDS = 6.0
 """Least length of a film, in s. Without a graphics card, a second of it takes
@@ -79,7 +78,6 @@ def _begin_worker() -> None:
 
 
 def _film_one(job: tuple[str, str | dict[str, str], Path]) -> Path:
-    """Record one video and return its path."""
     env_id, policy, output = job
     task = make_task(env_id)
     what: dict[str, Any] = {"seconds": _SECONDS}

@@ -41,6 +41,10 @@ def finished(page: str, verb: str, kind: type, whole: bool) -> str:
     rest = re.sub("^[^╭│╰\n]+$", lambda line: fill(line[0]), rest, flags=re.M)
     values = r"\[(\w+) \[\1 \.\.\.\]\]"
     rest = re.sub(values, lambda of: f"{of[1]} ...".ljust(len(of[0])), rest)
+    rest = rest.replace("{None}|STR", "HOST:PORT ").replace(
+        "(default: N", "(default: n"
+    )
+    rest = re.sub(r"\(default: \)( {4})?", "(default: none)", rest)
     if not verb:
         return f"{usage}\n{rest}"
     shared = [n for n, base in owners(kind).items() if issubclass(Watched, base)]

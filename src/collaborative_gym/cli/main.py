@@ -19,22 +19,12 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from collaborative_gym.cli.commands import (
-    Benchmark,
-    Certify,
-    Check,
-    Demo,
-    Evaluate,
-    List,
-    Record,
-    Reproduce,
-    View,
-)
+from collaborative_gym.cli import commands
 from collaborative_gym.cli.help import finished, owners
 from collaborative_gym.cli.studies import Compare, Report, Tournament
 from collaborative_gym.cli.terminal import Command, show
 from collaborative_gym.cli.train import Train
-from collaborative_gym.errors import UnknownName, unknown
+from collaborative_gym.errors import UnknownName, unknown, with_remedy
 from collaborative_gym.plugins import load_modules, location_of
 
 _CANNOT, _BAD_INPUT, _INTERRUPTED, _UNREAD, _TERMINATED = 1, 2, 130, 141, 143
@@ -78,19 +68,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 _VERBS = {
-    "list": List,
-    "view": View,
-    "record": Record,
+    "list": commands.List,
+    "view": commands.View,
+    "record": commands.Record,
     "train": Train,
-    "evaluate": Evaluate,
+    "evaluate": commands.Evaluate,
     "tournament": Tournament,
     "compare": Compare,
     "report": Report,
-    "reproduce": Reproduce,
-    "certify": Certify,
-    "check": Check,
-    "benchmark": Benchmark,
-    "demo": Demo,
+    "reproduce": commands.Reproduce,
+    "certify": commands.Certify,
+    "check": commands.Check,
+    "benchmark": commands.Benchmark,
+    "demo": commands.Demo,
 }
 
 _INSTEAD = {
@@ -149,9 +139,11 @@ def _run(arguments: list[str]) -> None:
         return
     if arguments[:1] == ["help"]:
         arguments = [*arguments[1:], "--help"]
-    # The parser takes no 1e6 for a whole number.
-    is_large = re.compile(r"[1-9](\.\d)?e[1-9]").fullmatch
-    arguments = [f"{float(w):.0f}" if is_large(w) else w for w in arguments]
+    # The parser takes no 1e6 for a whole number, and a setting may be one, too.
+    large = re.compile(r"(^|=)([1-9](\.\d)?e[1-9])$")
+    arguments = [
+        large.sub(lambda of: f"{of[1]}{float(of[2]):.0f}", word) for word in arguments
+    ]
     verb = arguments[0] if arguments else ""
     for word in arguments:
         option, _, value = word.partition("=")
@@ -251,15 +243,18 @@ def _complaint(box: str, verb: str) -> Exception:
 
 
 def _check_given(command: Any, arguments: list[str]) -> None:
-    """Raise ValueError if an option of several values has none."""
+    """Raise ValueError if an option has no values, or an environment is there twice."""
     for name, value in vars(command).items():
         option = f"--{name.replace('_', '-')}"
         if value == () and option in arguments:
             raise ValueError(f"{option} takes a value, or several, got none")
+    envs = getattr(command, "envs", ())
+    for env in envs:
+        if envs.count(env) > 1:
+            raise ValueError(f"{env} is named twice; name each environment once")
 
 
 def _any_command() -> Any:
-    """Return the union of the commands, each with the first line of its help."""
     kinds = [
         Annotated[kind, tyro.conf.subcommand(verb, description=doc.partition("\n")[0])]
         for verb, kind in _VERBS.items()
@@ -287,13 +282,13 @@ def _fail(error: Exception, arguments: list[str]) -> int:
         of = error.filename or "a file without a name, such as the output"
         words = f"the system says {error.strerror!r} of {of}"
         _drop_output()
-    if location:
+    if location and not re.search(r"\w\.py, line \d", words):
         # Python's own words are often not a sentence, as those of a KeyError.
         raised_in = traceback.extract_tb(error.__traceback__)[-1].filename
         if _PACKAGE not in Path(raised_in).parents:
-            words = f"{type(error).__name__}: {words}"
+            words = f"{type(error).__name__}: {with_remedy(words)}"
         words = f"{words} ({location})"
-    elif not (cannot or isinstance(error, _BAD)):
+    elif not (location or cannot or isinstance(error, _BAD)):
         raise error
     words = _in_options(words, arguments)
     return _end(f"error: {words}", _CANNOT if cannot else _BAD_INPUT)

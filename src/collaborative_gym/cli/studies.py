@@ -33,11 +33,10 @@ class Tournament(Measured):
     A seat is a robot; if robots play against one another, it is a side. Players that
     work together are compared by completion, performance and return; opponents by wins,
     scores and ratings on Elo's scale. Every pairing plays the same episodes. Policies
-    in one folder count as training runs of one kind, with results of their own; see
-    also --groups.
+    in one folder count as training runs of one kind, with own results; see --groups.
 
     Attributes:
-      env: environment id, or a task's name.
+      env: an environment's id, or a task's name.
       policies: two players or more, each as --policy of evaluate takes it.
       episodes: number of episodes of each pairing.
       seats: seats that each player takes in turn, while another player has the others:

@@ -26,8 +26,7 @@ from collaborative_gym.tasks.task import Task
 if TYPE_CHECKING:
     from rich.markdown import Markdown
 
-_GAP = 2
-"""Spaces between the columns of a table."""
+_GAP = 2  # spaces between the columns of a table
 
 _SPACES = re.compile(r"\n|(?<![\dN]) | (?=to\b|\d)")
 """Where a cell may fold, which leaves a number and its unit together."""
@@ -143,7 +142,6 @@ class Worlds(Command):
 
     @property
     def _how(self) -> tuple[Any, ...]:
-        """The choices besides the arms."""
         return self.num_robots, self.randomization, self.action, self.settings
 
 
@@ -390,14 +388,8 @@ def progress_bars() -> Iterator[Progress]:
     if not console.is_terminal:
         yield lambda name: _lines(console, name)
         return
-    bars = Bars(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )
+    shown = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
+    bars = Bars(*shown, TimeRemainingColumn(), console=console, transient=True)
 
     def add(name: str) -> Callable[[float], None]:
         bar = bars.add_task(name, total=1.0)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from collaborative_gym.learning.many import Outcome
     from collaborative_gym.learning.settings import Options
 
-_MOST_SEEDS = 10_000
-"""More runs of one kind than anybody trains."""
+_MOST_SEEDS = 10_000  # more runs of one kind than anybody trains
 
 _Flat = tyro.conf.arg(name="")
 
@@ -180,7 +179,6 @@ class Train(Worlds):
         return given
 
     def _options(self) -> "Options":
-        """Return the options that hold for one run as for several."""
         return {
             "opponent": self.opponent or None,
             "partner": self.partner or None,
@@ -192,7 +190,6 @@ class Train(Worlds):
         }
 
     def _train_several(self) -> None:
-        """Train several runs, and name those that failed at the end."""
         for name, other in (("seed", "--seeds"), ("resume", "the same command")):
             if getattr(self, name) is not None:
                 raise ValueError(f"--{name} is for one run; give {other} instead")
@@ -208,7 +205,6 @@ class Train(Worlds):
         _raise_failures(outcomes)
 
     def _train_all(self) -> None:
-        """Train all baselines, and write their cards."""
         from collaborative_gym import list_envs
         from collaborative_gym.learning.baselines import write_baseline
 

@@ -33,8 +33,7 @@ _LETTER, _MARK, _LEGEND_LINE = 0.065, 0.5, 0.15
 """Widths of a letter and of the mark before a name in the legend, and height of a line
 of it, in inches, nearly."""
 
-_MOST_LETTERS = 36
-"""Letters in a line of a panel."""
+_MOST_LETTERS = 36  # letters in a line of a panel
 
 _STYLES = ("solid", "dashed", "dashdot", "dotted")
 """Styles of lines, for eyes and printers without colours."""
@@ -134,13 +133,11 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
     lines = max(len(label.splitlines()) for label in labels)
     lines *= math.ceil(len(labels) / columns)
     figure.set_figheight(height + (1 + lines) * _LEGEND_LINE)
-    figure.legend(
-        [Line2D([], [], **style) for style in styles.values()],
-        labels,
-        loc="outside upper left",
-        ncols=columns,
-        frameon=False,
+    lines, at = (
+        [Line2D([], [], **each) for each in styles.values()],
+        "outside upper left",
     )
+    figure.legend(lines, labels, loc=at, ncols=columns, frameon=False)
 
 
 def _draw_curves(
@@ -171,7 +168,6 @@ def _draw_band(
     style: Mapping[str, Any],
     name: str,
 ) -> None:
-    """Draw values as a line and their intervals as a band."""
     values, low, high = (
         _factor(measure)
         * np.array([(each.value, each.low, each.high) for each in estimates]).T
@@ -196,7 +192,6 @@ def _draw_profiles(
 def _draw_improvements(
     axes: "Axes", comparison: Comparison, numbers: Mapping[str, str]
 ) -> None:
-    """Draw each probability and its interval, with its title above it."""
     for i, (both, chance) in enumerate(comparison.improvements.items()):
         ends = 100 * np.array([chance.low, chance.high])
         axes.plot(ends, [i, i], color=COLOURS[0], linewidth=2.0)

@@ -21,22 +21,12 @@ from collaborative_gym.comparisons.runs import (
     in_all,
 )
 from collaborative_gym.errors import check_kind, look_up
-from collaborative_gym.evaluation.intervals import (
-    Estimate,
-    chance_of,
-    iqm_of,
-    mean_of,
-    median_of,
-    share_of,
-)
+from collaborative_gym.evaluation import intervals
 from collaborative_gym.evaluation.report import format_interval, is_share
 from collaborative_gym.evaluation.table import escaped, markdown_table, to_csv, to_json
 
-_GOAL = 0.9
-"""Completion that counts as learned."""
-
-_POINTS = 51
-"""Number of scores at which a performance profile has a value."""
+_GOAL = 0.9  # completion that counts as learned
+_POINTS = 51  # number of scores at which a performance profile has a value
 
 Table = tuple[str, list[str], list[list[str]]]
 """A title, the columns' heads, and the lines' cells, for people."""
@@ -68,9 +58,9 @@ class Entry:
 class Aggregates:
     """Interquartile mean, median and mean of scores, with intervals over seeds."""
 
-    iqm: Estimate
-    median: Estimate
-    mean: Estimate
+    iqm: intervals.Estimate
+    median: intervals.Estimate
+    mean: intervals.Estimate
 
 
 @dataclass(frozen=True)
@@ -78,8 +68,12 @@ class Reached:
     """First validations of which a share of `_GOAL` was completed."""
 
     runs: int  # number of runs with such a validation
-    steps: Estimate  # median until then; infinite if half of the runs have none
-    core_seconds: Estimate  # median of the CPU time; NaN where it is not known
+    steps: (
+        intervals.Estimate
+    )  # median until then; infinite if half of the runs have none
+    core_seconds: (
+        intervals.Estimate
+    )  # median of the CPU time; NaN where it is not known
 
 
 @dataclass(frozen=True)
@@ -150,14 +144,14 @@ class Comparison:
         """Return the aggregates of an entry's scores."""
         strata, share = entry.scores(measure), is_share(measure)
         return Aggregates(
-            iqm_of(strata, is_share=share)[0],
-            median_of(strata)[0],
-            mean_of(strata, is_share=share)[0],
+            intervals.iqm_of(strata, is_share=share)[0],
+            intervals.median_of(strata)[0],
+            intervals.mean_of(strata, is_share=share)[0],
         )
 
-    def curve(self, group: Group, measure: str) -> list[Estimate]:
+    def curve(self, group: Group, measure: str) -> list[intervals.Estimate]:
         """Return the interquartile mean of a group's validations, by `group.steps`."""
-        return iqm_of([group.values(measure)], is_share=is_share(measure))
+        return intervals.iqm_of([group.values(measure)], is_share=is_share(measure))
 
     @cached_property
     def levels(self) -> np.ndarray:
@@ -174,15 +168,15 @@ class Comparison:
         return {n: e.scores(self.measure) for n, e in self.contestants.items()}
 
     @cached_property
-    def profiles(self) -> dict[str, list[Estimate]]:
+    def profiles(self) -> dict[str, list[intervals.Estimate]]:
         """By contestant, the share of runs that score at least each of `levels`."""
         return {
-            name: share_of(np.concatenate(scores) >= self.levels)
+            name: intervals.share_of(np.concatenate(scores) >= self.levels)
             for name, scores in self._scores.items()
         }
 
     @cached_property
-    def improvements(self) -> dict[tuple[str, str], Estimate]:
+    def improvements(self) -> dict[tuple[str, str], intervals.Estimate]:
         """Probability that a run of the first contestant beats one of the second.
 
         It is the mean over environments, and a tie counts a half.
@@ -191,7 +185,7 @@ class Comparison:
         for (one, first), (other, second) in combinations(self._scores.items(), 2):
             # Of several environments, each has runs of both.
             pairs = zip(map(np.ravel, first), map(np.ravel, second), strict=True)
-            found[one, other] = chance_of(pairs)
+            found[one, other] = intervals.chance_of(pairs)
         return found
 
     def reached(self, group: Group) -> Reached | None:
@@ -206,7 +200,7 @@ class Comparison:
         medians = []
         for name in ("steps", "core_seconds"):
             taken = [row.get(name, math.nan) if row else math.inf for row in firsts]
-            medians += median_of([np.array(taken)[:, None]])
+            medians += intervals.median_of([np.array(taken)[:, None]])
         return Reached(sum(map(bool, firsts)), *medians)
 
     @cached_property
@@ -411,13 +405,12 @@ def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _cell(number: Estimate, measure: str) -> str:
-    """Return a score and its interval for people."""
+def _cell(number: intervals.Estimate, measure: str) -> str:
     ends = number.value, number.low, number.high
     return format_interval(*ends, percent=is_share(measure))
 
 
-def _counted(number: Estimate) -> str:
+def _counted(number: intervals.Estimate) -> str:
     """Return a large number and its interval for people; a dash where unknown."""
     if math.isnan(number.value):
         return "-"

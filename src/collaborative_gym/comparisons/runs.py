@@ -25,8 +25,7 @@ _REMEDY = (
 _NO_SETTINGS = ("seed", "layout", "observation_sizes", "action_sizes", "start.metadata")
 """Settings that follow from others, or that make no groups."""
 
-_NAMELESS = "algorithm", "mode"
-"""Settings that need no name beside their value."""
+_NAMELESS = "algorithm", "mode"  # settings that need no name beside their value
 
 _MOST_NAMED = 3
 """Settings in a method's name, even if fewer would distinguish the groups."""

@@ -72,7 +72,6 @@ class Impedance(TcpChanges):
             self._servos[agent].gains = gains
 
     def _gains(self, sim: Sim) -> dict[str, Gains]:
-        """Return the gains by agent that the present postures ask for."""
         gains: dict[str, Gains] = {}
         xp, jacobian = sim.xp, self._kinematics(self._angles(sim))[1]
         stiffness = xp.sum(self._springs * jacobian * jacobian, axis=0)

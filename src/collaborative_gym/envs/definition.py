@@ -1,6 +1,6 @@
 """A task's definition, tried out once before anything is built on it."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from collaborative_gym.blocks import Block, Layout
+from collaborative_gym.control import Commands
 from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.envs.wrists import FELT, felt_blocks
 from collaborative_gym.errors import unknown
@@ -19,18 +20,8 @@ from collaborative_gym.tasks.task import Task, named_facts
 
 _NUMBERS = "bool", "integral", "real floating"  # kinds of which a block may be
 _FARTHEST = 50.0  # distance of an object, in m; beyond it a place is in mm
+_MEMORY = "it must give arrays by name, each with a row for each world"
 _HAND, _TOOL = 0.3, 1.3  # what a hand, and its tool, add to an arm's reach, in m
-
-
-class NotFinite(ValueError):
-    """A task returned infinite numbers, or NaN, by name for an agent."""
-
-    def __init__(self, task: Task, method: str, agent: str, named: Mapping[str, Array]):
-        bad = [n for n, rows in named.items() if not np.isfinite(rows).all()]
-        super().__init__(
-            f"{type(task).__name__}.{method}(): {', '.join(map(repr, bad))} of {agent}"
-            " is not finite; look for a division or a root there and in measure()"
-        )
 
 
 @dataclass(frozen=True)
@@ -53,31 +44,19 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
       ValueError: if the task's methods return something that cannot be used, something
         starts inside something else, or no arm reaches a target; says what to change.
     """
-    trial, mode, name = _Trial(task, sim), task.action_mode, type(task).__name__
+    rows, mode = np.arange(min(sim.num_envs, 2)), task.action_mode
+    trial = Trial(task, sim, rows)
     trial.check_grips(scene)
+    for count in 1, sim.num_envs:
+        trial.check_memory(task.remember(count), count)
     sim.memory = task.remember(sim.num_envs)
-    rng = EpisodeRandom(0 * trial.rows, trial.rows)
-    draw_starts(task, sim, mode, trial.rows, rng)
+    draw_starts(task, sim, mode, rows, EpisodeRandom(0 * rows, rows))
     sim.forward()
     trial.check_targets(scene)
-    if (facts := task.measure(sim)) is None:
-        raise ValueError(f"{name}.measure() returns nothing")
-    if odd := sim.memory.keys() ^ task.remember(1).keys():
-        raise ValueError(f"{name}: measure() and remember() differ in {sorted(odd)}")
-    blocks = task.observe(facts)
-    trial.check_blocks(blocks)
+    idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
+    blocks, terms = trial.check(task.measure(sim), mode.commands(idle))
     for agent, felt in feel(sim).items():
         blocks = {**blocks, agent: {**blocks[agent], **felt_blocks(task.config, felt)}}
-    idle = {a: sim.xp.asarray(rows) for a, rows in mode.idle(sim.num_envs).items()}
-    terms = task.reward(facts, mode.commands(idle))
-    trial.check_terms(terms)
-    trial.check_masks("success", task.success(facts))
-    performing = task.performing(facts)
-    if performing is not None:
-        trial.check_masks("performing", performing)
-    trial.check_score(task.score(facts))
-    trial.check_coordination(facts)
-    trial.check_over(task.over(facts))
     named = {
         agent: {name: trial.block(name, each) for name, each in blocks[agent].items()}
         for agent in task.agents
@@ -93,13 +72,54 @@ def try_out(task: Task, scene: Scene, sim: Sim, feel: Callable) -> Definition:
     )
 
 
-class _Trial:
-    """Checks what a task's methods return; `rows` are the worlds that are tried."""
+class Trial:
+    """Checks what methods return of all worlds, or of those that just `started`."""
 
-    def __init__(self, task: Task, sim: Sim):
+    def __init__(self, task: Task, sim: Sim, started: np.ndarray | None = None):
         self._name, self._task, self._sim = type(task).__name__, task, sim
-        self.rows = np.arange(min(sim.num_envs, 2))
+        self._rows, self._when = slice(None), ""
+        if started is not None:
+            self._rows, self._when = started, " at the start of an episode"
         self.sides = self._sides()
+
+    def check(self, facts: Any, commands: Commands) -> tuple[Any, Any]:
+        """Return blocks and terms; raise ValueError if a return cannot be used."""
+        task = self._task
+        if facts is None:
+            raise ValueError(f"{self._name}.measure() returns nothing")
+        self.check_memory(self._sim.memory, self._sim.num_envs, "measure")
+        blocks, terms = task.observe(facts), task.reward(facts, commands)
+        self._check_blocks(blocks)
+        self._check_terms(terms)
+        self.check_masks("success", task.success(facts))
+        for method in ("performing", "over"):
+            if (mask := getattr(task, method)(facts)) is not None:
+                self.check_masks(method, mask)
+        if self._when and mask is not None and self._sim.xp.any(mask[self._rows]):
+            raise ValueError(
+                f"{self._name}.over() ends an episode at its start; begin episodes in"
+                " a state that is not over"
+            )
+        self._check_score(task.score(facts))
+        self._check_coordination(facts)
+        return blocks, terms
+
+    def check_memory(self, memory: Any, worlds: int, method: str = "remember") -> None:
+        """Raise unless a method gives arrays to remember, as `remember` does."""
+        what = f"{self._name}.{method}()"
+        if not isinstance(memory, Mapping):
+            raise ValueError(f"{what} is {_kind(memory)}; {_MEMORY}")
+        if odd := memory.keys() ^ (own := self._task.remember(worlds)).keys():
+            said = f"measure() and remember() differ in {sorted(odd)}"
+            raise ValueError(f"{self._name}: {said}")
+        for name, array in memory.items():
+            if not hasattr(array, "dtype") or np.shape(array)[:1] != (worlds,):
+                said = f"{name!r} is {_kind(array)} for {worlds} world(s)"
+                raise ValueError(f"{what}: {said}; {_MEMORY}")
+            made, first = (f"{x.dtype} {x.shape}" for x in (array, own[name]))
+            if made != first:
+                said = f"makes sim.memory[{name!r}] {made}, which was {first}"
+                raise ValueError(f"{what} {said} in remember(); keep type and shape")
 
     def check_grips(self, scene: Scene) -> None:
         """Raise if no action can close the grips of a scene."""
@@ -132,16 +152,11 @@ class _Trial:
                     " arm, or mount an arm nearer to it"
                 )
 
-    def check_blocks(self, blocks: Any) -> None:
-        worlds, xp = self._sim.num_envs, self._sim.xp
+    def _check_blocks(self, blocks: Any) -> None:
+        worlds = self._sim.num_envs
         for what, rows in self._each("observe", "block", blocks):
-            shape, kind = np.shape(rows), getattr(rows, "dtype", type(rows).__name__)
-            if not hasattr(rows, "dtype") or not xp.isdtype(kind, _NUMBERS):
-                raise ValueError(
-                    f"{what} is of type {kind}; it must be an array of real numbers,"
-                    " integers or booleans"
-                )
-            if len(shape) < 2 or shape[0] != worlds:
+            shape = np.shape(rows)
+            if len(shape) < 2 or shape[0] != worlds or 0 in shape:
                 raise ValueError(
                     f"{what} has shape {shape}; it needs a row for each world,"
                     f" ({worlds}, k) or with more axes: index one number per world as"
@@ -154,16 +169,16 @@ class _Trial:
         task = self._task
         is_real = self._sim.xp.isdtype(rows.dtype, "real floating")
         dtype = "float32" if is_real else str(rows.dtype).removeprefix("torch.")
-        words = [w for w in name.split() if w not in task.agents and not w.isdigit()]
         units = FELT | dict(task.block_units)
-        unit = units.get(name, units.get(" ".join(words), ""))
+        unit = units.get(name, units.get(plain_name(name, task.agents), ""))
         return Block(name, tuple(rows.shape[1:]), dtype, unit)
 
-    def check_terms(self, terms: Any) -> None:
+    def _check_terms(self, terms: Any) -> None:
         for what, values in self._each("reward", "term", terms):
-            self._check_numbers(what, f"has shape {np.shape(values)}", values)
+            self._check_numbers(what, values)
 
     def check_masks(self, method: str, given: Any) -> None:
+        """Raise unless a method gives a bool for each world, or for each of a side."""
         for what, mask in self._by_side(method, given):
             kind = getattr(mask, "dtype", type(mask).__name__)
             worlds = self._sim.num_envs
@@ -173,7 +188,7 @@ class _Trial:
                     f" each world, ({worlds},), as a comparison gives"
                 )
 
-    def check_score(self, points: Any) -> None:
+    def _check_score(self, points: Any) -> None:
         if points is None:
             return
         if len(self.sides) == 1:
@@ -182,27 +197,23 @@ class _Trial:
                 " judged by success() and reward()"
             )
         for what, gained in self._by_side("score", points):
-            self._check_numbers(what, f"is {_kind(gained)}", gained)
+            self._check_numbers(what, gained)
 
-    def check_coordination(self, facts: Any) -> None:
+    def _check_coordination(self, facts: Any) -> None:
         facts, what = named_facts(facts), f"{self._name}.coordination"
         if self._task.coordination and len(self.sides) > 1:
             raise ValueError(f"{what} is for tasks of one side; leave it out")
         for name in self._task.coordination:
             if name not in facts:
                 raise ValueError(f"{what}: {unknown('fact', name, facts)}")
-            shape = np.shape(facts[name])
-            self._check_numbers(f"{what}: {name}", f"has shape {shape}", facts[name])
-
-    def check_over(self, over: Any) -> None:
-        if over is None:  # Only time ends an episode.
-            return
-        self.check_masks("over", over)
-        if self._sim.xp.any(over[self.rows]):
-            raise ValueError(
-                f"{self._name}.over() ends an episode at its start; begin episodes in"
-                " a state that is not over"
-            )
+            self._check_numbers(f"{what}: {name}", facts[name])
+            values = np.asarray(facts[name])[self._rows]
+            most = np.inf if self._task.units.get(name) else 1.0 + 1e-9
+            if (wrong := values[(values < 0.0) | (values > most)]).size:
+                raise ValueError(
+                    f"{what}: {name} is {wrong[0]:.3g}; it must be at least 0, and at"
+                    " most 1 unless `units` has its unit"
+                )
 
     def _sides(self) -> dict[str, tuple[str, ...]]:
         task = self._task
@@ -254,21 +265,32 @@ class _Trial:
             )
         return [(f"{what} of {s}", own) for s, own in zip(sides, given, strict=True)]
 
-    def _check_numbers(self, what: str, found: str, values: Any) -> None:
-        worlds = self._sim.num_envs
-        if np.shape(values) != (worlds,):
+    def _check_numbers(self, what: str, values: Any) -> None:
+        shape, worlds = np.shape(values), self._sim.num_envs
+        if shape != (worlds,):
             raise ValueError(
-                f"{what} {found}; it needs one number for each world, ({worlds},)"
+                f"{what} has shape {shape}; it needs one number for each world,"
+                f" ({worlds},)"
             )
         self._check_finite(what, values)
 
-    def _check_finite(self, what: str, values: Array) -> None:
-        xp = self._sim.xp
-        if not xp.all(xp.isfinite(xp.asarray(values)[self.rows])):
+    def _check_finite(self, what: str, values: Any) -> None:
+        xp, kind = self._sim.xp, getattr(values, "dtype", type(values).__name__)
+        if isinstance(kind, str) or not xp.isdtype(kind, _NUMBERS):
             raise ValueError(
-                f"{what} is not finite at the start of an episode; look for a division"
-                " by zero, or for a place that reset() does not write"
+                f"{what} is of type {kind}; it must be an array of real numbers,"
+                " integers or booleans"
             )
+        if not xp.all(xp.isfinite(values[self._rows])):
+            raise ValueError(
+                f"{what} is not finite{self._when}; look for a division by zero, or for"
+                " a place that reset() does not write"
+            )
+
+
+def plain_name(name: str, agents: Collection[str]) -> str:
+    """Return a block's name without agents and numbers, as `block_units` has it."""
+    return " ".join(w for w in name.split() if w not in agents and not w.isdigit())
 
 
 def _kind(thing: Any) -> str:

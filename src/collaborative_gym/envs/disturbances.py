@@ -206,7 +206,6 @@ class Disturbances:
         return {agent: f + wrong[:, i] for i, (agent, f) in enumerate(felt.items())}
 
     def _now(self, drawn: np.ndarray) -> np.ndarray:
-        """Return the draws for the present step of each world."""
         steps = np.asarray(self._progress.rows["step"])
         # The worlds that rest at their episode's end have no next step.
         steps = np.minimum(steps, drawn.shape[1] - 1)

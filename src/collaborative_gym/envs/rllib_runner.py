@@ -161,7 +161,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
     def _play(
         self, num_timesteps: int | None, num_episodes: int | None, explore: bool
     ) -> tuple[list[Columned], list[_Part], list[_Part]]:
-        """Return all steps, the episodes that ended, and those that go on."""
         by_agent = self.config.count_steps_by == "agent_steps"
         size = self.num_envs * (len(self._observations) if by_agent else 1)
         steps: list[Columned] = []
@@ -199,7 +198,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         )
 
     def _map(self) -> None:
-        """Note for each module which worlds it plays for which agent."""
         self._rows = {}
         for agent in self._observations:
             modules = np.array([chunk.module_for(agent) for chunk in self._chunks])
@@ -248,7 +246,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         return columns
 
     def _fill(self, parts: list[_Part], steps: list[Columned], since: float) -> None:
-        """Write what happened in each part into its episode."""
         whole = tree.map_structure(lambda *rows: np.stack(rows, axis=1), *steps)
         for part in parts:
             episode, world, played = part.episode, part.world, part.steps
@@ -281,7 +278,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
 def _single(
     episode: MultiAgentEpisode, agent: str, rows: dict[str, np.ndarray]
 ) -> SingleAgentEpisode:
-    """Return an agent's part of an episode."""
     last = rows[Columns.NEXT_OBS][-1:]
     return SingleAgentEpisode(
         f"{episode.id_}_{agent}",

@@ -16,8 +16,7 @@ deep; from a few mm on, a contact throws an arm out of what it is in."""
 OVERLAP = "mm deep in one another"
 """Words of every error about such a start."""
 
-_DRAWS = 100
-"""Draws of a start, before an error says that there is none."""
+_DRAWS = 100  # draws of a start, before an error says that there is none
 
 
 def draw_starts(

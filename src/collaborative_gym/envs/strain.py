@@ -52,20 +52,14 @@ from collaborative_gym import math
 from collaborative_gym.control import ActionMode
 from collaborative_gym.envs.wrists import Wrists
 from collaborative_gym.math import Array
-from collaborative_gym.scene import Scene
-from collaborative_gym.scene.contacts import (
-    DEPTHS,
-    add_contact_sensor,
-    contact_pairs,
-    depth_sensors,
-)
+from collaborative_gym.scene import Scene, contacts
 from collaborative_gym.sim.cpu import CpuSim
 from collaborative_gym.sim.sim import EnvIds
 from collaborative_gym.timing import SIM_DT, SUBSTEPS
 
 _BLANK = {
-    **{f"contact_depth_{kind}": 0.0 for kind in DEPTHS},
-    **{f"contact_force_{kind}": 0.0 for kind in DEPTHS},
+    **{f"contact_depth_{kind}": 0.0 for kind in contacts.DEPTHS},
+    **{f"contact_force_{kind}": 0.0 for kind in contacts.DEPTHS},
     "torque_limit_share": 0.0,
     "torque_over_limit": 0.0,
     "speed_over_limit": 0.0,
@@ -119,13 +113,15 @@ _TOGETHER: dict[str, Callable[..., np.ndarray]] = dict.fromkeys(STRAIN, np.max) 
 def add_strain_sensors(scene: Scene) -> None:
     """Add to a scene that is not compiled yet what `Strain` reads."""
     spec = scene.spec
-    pairs = contact_pairs(spec, scene.robots)
-    for kind in DEPTHS:
+    pairs = contacts.contact_pairs(spec, scene.robots)
+    for kind in contacts.DEPTHS:
         for i, pair in enumerate(pairs[kind]):
-            add_contact_sensor(spec, f"{kind} net {i}", *pair)
+            contacts.add_contact_sensor(spec, f"{kind} net {i}", *pair)
     sites = {spec.site(b.name1).parent.name: b.name1 for b in _bonds(scene)}
     for body, site in sites.items():
-        add_contact_sensor(spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body))
+        contacts.add_contact_sensor(
+            spec, f"{body} net", (mujoco.mjtObj.mjOBJ_BODY, body)
+        )
         # Nobody reads it, but because of it MuJoCo computes `cfrc_ext` and `cfrc_int`.
         spec.add_sensor(
             name=f"{body} force",
@@ -172,9 +168,11 @@ class Strain:
         self._servos = np.r_[*(arm.servos for arm in arms)]
         self._dofs = np.r_[*(arm.dof for arm in arms)]
         self._speed = np.concatenate([arm.robot.velocity_limits for arm in arms])
-        sensors = depth_sensors(model).items()
+        sensors = contacts.depth_sensors(model).items()
         self._deep = {kind: model.sensor_adr[ids] for kind, ids in sensors}
-        self._forces = {kind: _columns(model, f"{kind} net") for kind in DEPTHS}
+        self._forces = {
+            kind: _columns(model, f"{kind} net") for kind in contacts.DEPTHS
+        }
         self._held = _held(scene, model)
         self._wrists = Wrists(scene, model, is_raw=False)
         self._pairs, self._radii = _pairs(scene, model), model.geom_rbound
@@ -182,7 +180,7 @@ class Strain:
         self._data = mujoco.MjData(model)
         self._centres = sim.geom_xpos
         self._records: dict[str, np.ndarray] = {}
-        self.depths = dict.fromkeys(DEPTHS, np.zeros(sim.num_envs))
+        self.depths = dict.fromkeys(contacts.DEPTHS, np.zeros(sim.num_envs))
         self.internal_force = np.zeros(sim.num_envs)
         self.energy = np.zeros(sim.num_envs)
 
@@ -205,7 +203,7 @@ class Strain:
                 found[name][env_ids, steps] = _TOGETHER[name](values, axis=1)
         self.depths |= {
             kind: found[f"contact_depth_{kind}"].max(axis=1)
-            for kind in DEPTHS
+            for kind in contacts.DEPTHS
             if f"contact_depth_{kind}" in found
         }
         self.energy = found["energy"].sum(axis=1)
@@ -252,7 +250,7 @@ class Strain:
         felt = np.stack([*self._wrists.sensed(sensed).values()])
         for name, own in zip(("force", "torque"), np.split(felt, 2, -1), strict=True):
             found[f"wrist_{name}"] = math.norm(own).max(axis=0)
-        for kind in DEPTHS:
+        for kind in contacts.DEPTHS:
             if len(self._deep[kind]):
                 depth = -sensed[:, :, self._deep[kind]]
                 found[f"contact_depth_{kind}"] = depth.max(axis=2)

@@ -5,23 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from collaborative_gym import errors
 from collaborative_gym.control import Commands
 from collaborative_gym.envs.arguments import check_env_ids, check_episodes
-from collaborative_gym.envs.definition import NotFinite
+from collaborative_gym.envs.definition import Trial
 from collaborative_gym.envs.disturbances import Disturbances
 from collaborative_gym.envs.progress import Progress, copied, where
 from collaborative_gym.envs.state import EnvState, check_state, made_anew, put, take
 from collaborative_gym.envs.strain import Strain
 from collaborative_gym.envs.turns import Turns
 from collaborative_gym.envs.world import Starts, World
-from collaborative_gym.errors import (
-    MOST_ENVS,
-    MOST_THREADS,
-    SimulationDiverged,
-    check_callback,
-    check_count,
-    check_flag,
-)
 from collaborative_gym.math import Array
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.rng import EpisodeDraws, Stream, check_seed
@@ -111,10 +104,12 @@ class VectorEnv:
         auto_reset: bool = True,
         strain: bool = False,
     ):
-        num_envs = check_count("num_envs", num_envs, 1, MOST_ENVS)
-        num_threads = check_count("num_threads", num_threads, 0, MOST_THREADS)
-        seed, auto_reset = check_seed(seed), check_flag("auto_reset", auto_reset)
-        strain = check_flag("strain", strain)
+        num_envs = errors.check_count("num_envs", num_envs, 1, errors.MOST_ENVS)
+        num_threads = errors.check_count(
+            "num_threads", num_threads, 0, errors.MOST_THREADS
+        )
+        seed, auto_reset = check_seed(seed), errors.check_flag("auto_reset", auto_reset)
+        strain = errors.check_flag("strain", strain)
         self._options = dict(num_envs=num_envs, seed=seed, num_threads=num_threads)
         self._options |= dict(auto_reset=auto_reset, strain=strain)
         self.world = world = World.of(task, strain=strain)
@@ -192,7 +187,7 @@ class VectorEnv:
             if seed is None and episodes is not None:
                 raise ValueError("episodes are counted within a seed; pass seed too")
             first = rows if episodes is None else check_episodes(episodes, len(rows))
-            stagger = check_flag("stagger", stagger)
+            stagger = errors.check_flag("stagger", stagger)
             new_seed = None if seed is None else check_seed(seed)
             if new_seed is not None:
                 self._progress.begin(new_seed, first, rows)
@@ -238,9 +233,13 @@ class VectorEnv:
             commands, diverged = self._advance(actions, resting)
             facts = self._facts = self.task.measure(self.sim)
             lost = resting | diverged
-            terms, rewards = self._reward(facts, commands, lost)
-            success = progress.count(facts, terms, diverged, resting)
-            last = self._seen()
+            try:
+                terms, rewards = self._reward(facts, commands, lost)
+                success = progress.count(facts, terms, diverged, resting)
+                last = self._seen()
+            except Exception:  # Our own words, where a method returns what it may not.
+                Trial(self.task, self.sim).check(facts, commands)
+                raise
             if xp.any(lost):
                 for agent in self.agents:
                     last[agent][lost] = self._observations[agent][lost]
@@ -269,11 +268,8 @@ class VectorEnv:
                 motions = self.task.styled(*at, style=style, draws=draws)
             else:
                 motions = self.task.expert(*at)
-            try:
+            with errors.naming(f"{type(self.task).__name__}.expert()"):
                 return self.action_mode.check(self.action_mode.encode(motions, pace))
-            except ValueError as error:
-                name = type(self.task).__name__
-                raise ValueError(f"{name}.expert(): {error}") from None
 
     def idle(
         self, grips: Mapping[str, Array | bool] | bool = False
@@ -344,10 +340,10 @@ class VectorEnv:
           shots: how often per control step, evenly spread and the last at its end;
             must divide `substeps`.
         """
-        shots = check_count("shots", shots)
+        shots = errors.check_count("shots", shots)
         if shots < 1 or self.substeps % shots:
             raise ValueError(f"shots must divide {self.substeps}, got {shots}")
-        check_callback("watcher", watcher)
+        errors.check_callback("watcher", watcher)
         self._watcher, self._shots = watcher, 1 if watcher is None else shots
 
     def render(
@@ -362,11 +358,13 @@ class VectorEnv:
         """
         with self._turns.take():
             self._check_started("render")
-            size = check_count("width", width), check_count("height", height)
-            if not 0 <= check_count("env_id", env_id, -(2**63)) < self.num_envs:
-                raise IndexError(
-                    f"no world {env_id}; worlds are 0 to {self.num_envs - 1}"
-                )
+            size = (
+                errors.check_count("width", width),
+                errors.check_count("height", height),
+            )
+            last = self.num_envs - 1
+            if not 0 <= errors.check_count("env_id", env_id, -(2**63)) <= last:
+                raise IndexError(f"no world {env_id}; worlds are 0 to {last}")
             if self._camera is None or self._camera.size != size:
                 self._close_camera()
                 self._camera = Camera(self.world.drawn_model, *size)
@@ -424,7 +422,7 @@ class VectorEnv:
                 records = strain.records(length) if strain else None
                 now = controls[:, start : start + length]
                 sim.step(now, records, self.action_mode.tears, moving)
-            except SimulationDiverged as error:
+            except errors.SimulationDiverged as error:
                 diverged[list(error.env_ids)] = True
             if strain:
                 strain.count(self._progress.rows, ~(resting | diverged))
@@ -462,9 +460,10 @@ class VectorEnv:
             if xp.any(lost):
                 own = {name: xp.where(lost, 0.0, term) for name, term in own.items()}
             terms[agent] = {n: xp.astype(term, xp.float32) for n, term in own.items()}
-            total = rewards[agent] = sum(terms[agent].values())
-            if not xp.all(xp.isfinite(total)):
-                raise NotFinite(self.task, "reward", agent, terms[agent])
+            total: Any = sum(terms[agent].values())
+            rewards[agent] = total
+            if total.shape != lost.shape or not xp.all(xp.isfinite(total)):
+                raise ValueError(f"the reward of {agent} is no number in each world")
         return terms, rewards
 
     def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:
@@ -490,7 +489,6 @@ class VectorEnv:
         self._facts = None
 
     def _seen(self) -> Observations:
-        """Return what the robots see of the present state."""
         world, facts, felt = self.world, self.facts, {}
         if world.feels:
             felt = self._disturbances.feel(world.feel(self.sim))

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from collaborative_gym.control import ActionMode, get_mode
-from collaborative_gym.envs.definition import NotFinite, try_out
+from collaborative_gym.envs.definition import try_out
 from collaborative_gym.envs.starts import draw_starts
 from collaborative_gym.envs.strain import add_strain_sensors
 from collaborative_gym.envs.wrists import Wrists, add_wrist_sensors
@@ -18,6 +18,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Scene, refinement
 from collaborative_gym.sim.cpu import CpuSim
+from collaborative_gym.tasks.declared import check_attributes, check_class
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.task import Task
 
@@ -41,6 +42,8 @@ class World:
     """
 
     def __init__(self, task: Task, strain: bool = False):
+        check_class(type(task))
+        check_attributes(task)
         self.task, self.has_strain = copy(task), strain
         self.scene = Scene(task.config.grasp)
         self.mode = get_mode(task.config.action)
@@ -132,8 +135,10 @@ class World:
             rows += [felt[agent]] if agent in felt else []
             rows = [b if b.ndim == 2 else xp.reshape(b, (len(b), -1)) for b in rows]
             flat[agent] = xp.astype(xp.concat(rows, axis=1), xp.float32)
-            if not xp.all(xp.isfinite(flat[agent])):
-                raise NotFinite(self.task, "observe", agent, own)
+            seen, space = flat[agent], self.definition.observation_spaces[agent]
+            if seen.shape[1:] != space.shape or not xp.all(xp.isfinite(seen)):
+                name = f"{type(self.task).__name__}.observe()"
+                raise ValueError(f"{name} gives {agent} other shapes, or infinity")
         return flat
 
     @cached_property

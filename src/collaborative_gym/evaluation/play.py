@@ -34,11 +34,8 @@ from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tasks.registry import as_task, disturbed
 from collaborative_gym.tasks.task import Randomization, Task
 
-_MOST_DELAY = 100
-"""Greatest delay, in control steps: ten seconds."""
-
-_MOST_ENVS = 64
-"""Default number of worlds; more are hardly faster on a CPU."""
+_MOST_DELAY = 100  # greatest delay, in control steps: ten seconds
+_MOST_ENVS = 64  # default number of worlds; more are hardly faster on a CPU
 
 OnProgress = Callable[[float], object] | None
 """Called with the share that is done, 0 to 1."""

@@ -29,11 +29,8 @@ _Clock = Callable[[], float]
 _ROUNDS = 11
 """Rounds in which bare physics and environment take turns; their median counts."""
 
-_STEPS = 8
-"""Control steps of a round."""
-
-_MEMORY_ENVS = 1024
-"""Worlds whose memory is measured."""
+_STEPS = 8  # control steps of a round
+_MEMORY_ENVS = 1024  # worlds whose memory is measured
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,6 @@ def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str
 
 
 def _network(settings: Settings) -> tuple[str, str]:
-    """Return whom networks command, and their layers, in words."""
     numbers = settings.hyperparameters
     layers = " x ".join(map(str, numbers.hidden_sizes))
     if numbers.network == "set":

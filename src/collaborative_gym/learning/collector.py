@@ -208,16 +208,13 @@ class Player:
         return Rollout(seen, actions, log_prob, earned, over, late, finals, advice)
 
     def _seen(self, observations: Observations) -> np.ndarray:
-        """Return the rows of its worlds."""
         return self.learner.observations(self._own(observations))
 
     def _per_row(self, ends: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return rows of values that are by agent and world."""
         own = list(self._own(ends).values())
         return np.concatenate(own) if self.learner.stacked else own[0]
 
     def _own(self, by_agent: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return the values of its worlds, by agent."""
         return {agent: by_agent[agent][rows] for agent, rows in self.worlds.items()}
 
 
@@ -239,15 +236,12 @@ class Collector:
     count = 1
 
     def __init__(self, job: Job, index: int = 0, count: int = 1):
-        self._job = job
-        self._index = index
+        self._job, self._index = job, index
         share = len(range(index, job.hyperparameters.num_envs, count))
+        seed, threads = training_seed(job.seed), job.num_threads
+        strain = job.hyperparameters.contact_penalty > 0.0
         self.env = VectorEnv(
-            job.task,
-            share,
-            seed=training_seed(job.seed),
-            num_threads=job.num_threads,
-            strain=job.hyperparameters.contact_penalty > 0.0,
+            job.task, share, seed=seed, num_threads=threads, strain=strain
         )
         if not job.hyperparameters.refined:
             self.env.sim.refinement = None
@@ -347,7 +341,6 @@ class Collector:
     def _act(
         self, observations: Observations, rng: np.random.Generator
     ) -> dict[str, np.ndarray]:
-        """Return the actions of all robots."""
         actions = {a: np.empty_like(still) for a, still in self.env.idle().items()}
         advice = None
         if self._job.hyperparameters.imitation:
@@ -388,7 +381,6 @@ class Collector:
         return observations, rewards, *ends, infos
 
     def _start(self, iteration: int, rng: np.random.Generator) -> Observations:
-        """Start episodes that no collector has played."""
         for player in self._players:
             player.start(rng)
         self._guests.draw(np.arange(self.env.num_envs), rng)

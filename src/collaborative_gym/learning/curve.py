@@ -18,11 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WINDOW = 0.02
-"""Share of the run that the moving mean takes in."""
-
-_SIZE = 8.0, 6.0
-"""Width and height of a picture, in inches."""
+_WINDOW = 0.02  # share of the run that the moving mean takes in
+_SIZE = 8.0, 6.0  # width and height of a picture, in inches
 
 _INK = "#222222"
 """Colour of text."""
@@ -129,14 +126,12 @@ def _finish(figure: "Figure", all_axes: Sequence["Axes"], title: str) -> None:
         open_axes(axes)
         if axes.get_legend_handles_labels()[0]:
             # Above the axes, where no curve can run into the names.
-            axes.legend(
-                loc="lower left",
-                bbox_to_anchor=(0.0, 1.0),
-                ncols=5,
-                frameon=False,
-                fontsize="small",
-                borderaxespad=0.2,
-            )
+            where = {
+                "loc": "lower left",
+                "bbox_to_anchor": (0, 1),
+                "borderaxespad": 0.2,
+            }
+            axes.legend(ncols=5, frameon=False, fontsize="small", **where)
     figure.suptitle(title, x=0.01, horizontalalignment="left", color=_INK)
 
 
@@ -168,7 +163,6 @@ def _draw_shares(axes: "Axes", rows: _Rows, columns: Iterable[str]) -> None:
 def _draw_line(
     axes: "Axes", rows: _Rows, column: str, label: str, **style: Any
 ) -> None:
-    """Draw a column pale as it is and strong as its moving mean."""
     steps, values = _points(rows, column)
     if not len(steps):
         return
@@ -185,7 +179,6 @@ def _draw_line(
 
 
 def _draw_dots(axes: "Axes", rows: _Rows, column: str, label: str, colour: str) -> None:
-    """Draw the validations of a column."""
     steps, values = _points(rows, f"validation/{column}")
     if len(steps):
         axes.plot(
@@ -210,7 +203,6 @@ def _points(rows: _Rows, column: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _moving_mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Return the mean over a window around each value, shorter at the ends."""
     half = window // 2
     sums = np.concatenate([[0.0], np.cumsum(values)])
     low = np.maximum(np.arange(len(values)) - half, 0)

@@ -19,8 +19,7 @@ from collaborative_gym.learning.curve import robots_of, sides_of
 _LINE_INTERVAL = 30.0
 """Least time between two lines where the output is no terminal, in s."""
 
-_WIDTH = 100
-"""Most columns of the panel."""
+_WIDTH = 100  # most columns of the panel
 
 UPDATE = {
     "kl": ("KL", ".4f"),
@@ -65,7 +64,6 @@ class _Screen:
             self._print()
 
     def _show(self, drawing: Any, is_due: bool = False) -> None:
-        """Show a drawing, or a line if one is due."""
         self._is_news = True
         if self._is_live:
             self._live.update(drawing(), refresh=True)
@@ -136,13 +134,8 @@ class Display(_Screen):
         if needed <= width - frame:
             body = Table.grid(padding=(0, gap))
             body.add_row(*blocks)
-        return Panel(
-            Group(progress, "", body),
-            title=Text(self._title),
-            title_align="left",
-            box=box.ROUNDED,
-            width=width,
-        )
+        whole, title = Group(progress, "", body), Text(self._title)
+        return Panel(whole, box.ROUNDED, title=title, title_align="left", width=width)
 
     def _pace(self) -> list[str]:
         """Return steps, steps per second and the time left, or taken in the end."""
@@ -170,7 +163,6 @@ class Display(_Screen):
         return names + ["points"] * ("validation/points" in self._known)
 
     def _results(self) -> Table:
-        """Return the results of training and validations."""
         lines = {
             name.replace("/", " "): [
                 format_result(self._known, name),
@@ -182,7 +174,6 @@ class Display(_Screen):
         return _table(["", "training", "validation", "best"], lines)
 
     def _rewards(self) -> Table:
-        """Return each robot's return and its terms."""
         robots = robots_of(self._known)
         named = (name.rpartition("/") for name in self._known)
         terms = [term for robot, _, term in named if robot in robots]
@@ -194,7 +185,6 @@ class Display(_Screen):
         return _table(["reward" if robots else "", *robots], lines)
 
     def _learners(self) -> Table:
-        """Return the numbers of the last update, by learner."""
         end = "/learning_rate"
         learners = [n.removesuffix(end) for n in self._known if n.endswith(end)]
         lines = {}

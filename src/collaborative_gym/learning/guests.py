@@ -161,7 +161,6 @@ class Guests:
         self._groups = {key: np.array(worlds) for key, worlds in groups.items()}
 
     def _policy(self, name: str, agents: Sequence[str]) -> Any:
-        """Return the policy of a guest for some agents."""
         key = name, tuple(agents)
         if key not in self._policies:
             given = self._invitation.policies[name]

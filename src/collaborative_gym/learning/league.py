@@ -227,7 +227,6 @@ class League(Pool):
                     own[away] = [decay * games + 1.0, taken]
 
     def _is_due(self, member: str) -> bool:
-        """Return whether a member leaves a copy now."""
         since, numbers = self._players[member].since, self._numbers
         if since < numbers.league_least_steps:
             return False
@@ -236,7 +235,6 @@ class League(Pool):
         return bool(beats_all) or since >= numbers.league_most_steps
 
     def _copy(self, member: str, latest: Latest) -> None:
-        """Let a member leave a copy of itself."""
         count = sum(own.parent == member for own in self._players.values())
         name = f"{member}-{count + (member != MAIN)}"
         policy = latest(member)

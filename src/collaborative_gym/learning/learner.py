@@ -122,14 +122,12 @@ class SkrlLearner(ABC):
             module.load_state_dict(state[name])
 
     def _critic(self, *names: str) -> "Critic":
-        """Return a critic of inputs with skrl's names."""
         return Critic(
             names, self._hyperparameters, self._device, self._spaces, self._seen
         )
 
     @property
     def _scaler(self) -> "Scaler":
-        """Standardizes observations."""
         return self._modules["observation_preprocessor"]
 
     def _configured(self, config: Any) -> Any:
@@ -150,13 +148,11 @@ class SkrlLearner(ABC):
         return config
 
     def _normalization(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the mean that is subtracted from observations, and the divisor."""
         scaler = self._scaler
         std = scaler.running_variance.float().sqrt() + scaler.epsilon
         return scaler.running_mean.float(), std
 
     def _tensors(self, rollout: Rollout) -> dict[str, torch.Tensor]:
-        """Return a rollout's arrays as tensors, by name."""
         # Copies, because nobody may write to what Ray hands over.
         return {
             name: torch.tensor(array, device=self._device)
@@ -164,7 +160,6 @@ class SkrlLearner(ABC):
         }
 
     def _weight_norm(self, *models: nn.Module) -> float:
-        """Return the norm of the weights of the policy and these models."""
         weights = [p for model in (self._policy, *models) for p in model.parameters()]
         with torch.no_grad():
             return float(nn.utils.get_total_norm(weights))

@@ -42,8 +42,7 @@ _COMMAND = [
 ]
 """Trains the run that its standard input describes."""
 
-_HEED = 0.2
-"""Longest time until Ctrl-C is heeded, in s."""
+_HEED = 0.2  # longest time until Ctrl-C is heeded, in s
 
 
 @dataclass(frozen=True)
@@ -255,7 +254,6 @@ class _Crew:
 
 
 def _several(kind: str, given: Any) -> Sequence[Any]:
-    """Return one or several as a sequence that is not empty."""
     if isinstance(given, str | Task):
         return [given]
     a = f"one {kind} or several"

@@ -22,11 +22,8 @@ Row = dict[str, float]
 _NOT_AVERAGED = {"episode", "seed", "time_to_success", "length", "diverged"}
 """Entries of an episode's row whose mean says nothing about learning."""
 
-_REDRAW_INTERVAL = 20.0
-"""Least time between two drawings of the curve, in s."""
-
-_DRAWING_SHARE = 0.01
-"""Most of the run's time that goes into drawing the curve."""
+_REDRAW_INTERVAL = 20.0  # least time between two drawings of the curve, in s
+_DRAWING_SHARE = 0.01  # most of the run's time that goes into drawing the curve
 
 
 def summarize(
@@ -163,7 +160,6 @@ class Monitor:
             write_text(self._path, "".join(lines))
 
     def _line(self, row: Row) -> str:
-        """Return a row's line; its numbers read back exactly."""
         return self._lines.line({name: repr(value) for name, value in row.items()})
 
     def _draw(self) -> None:
@@ -175,5 +171,4 @@ class Monitor:
 
 
 def _plain(row: Mapping[str, float]) -> Row:
-    """Return a row with Python's own numbers."""
     return {name: np.asarray(value).item() for name, value in row.items()}

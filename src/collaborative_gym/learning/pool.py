@@ -165,7 +165,6 @@ class Pool:
         return found
 
     def _names(self, seat: str) -> list[str]:
-        """Return who may be drawn for a seat."""
         return [name for name in self.policies if split_word(name)[0] in ("", seat)]
 
 

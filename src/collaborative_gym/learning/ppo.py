@@ -19,8 +19,7 @@ _LOSSES = {
 }
 """skrl's names of the numbers of `UPDATE` that it reports itself."""
 
-_ESTIMATES = "returns", "advantages"
-"""Columns that skrl fills in itself."""
+_ESTIMATES = "returns", "advantages"  # columns that skrl fills in itself
 
 
 class PPOLearner(SkrlLearner):
@@ -121,9 +120,8 @@ class PPOLearner(SkrlLearner):
             value_preprocessor=Scaler,
             value_preprocessor_kwargs={"size": 1, "device": self._device},
             ratio_clip=numbers.clip,
-            # With a clip the critic follows the first, large changes of the returns so
-            # slowly that the policy learns from noise: Pass stood still for 0.6 M
-            # steps.
+            # With a clip the critic follows large first changes of returns so slowly
+            # that the policy learns from noise: Pass stood still for 0.6 M steps.
             value_clip=0.0,
             # The policy itself weighs what skrl takes for its entropy.
             entropy_loss_scale=float(

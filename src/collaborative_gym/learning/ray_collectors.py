@@ -39,11 +39,8 @@ from collaborative_gym.learning.collector import ActorState, Collected, Collecto
 from collaborative_gym.learning.guests import NOBODY, Invitation
 from collaborative_gym.plugins import loaded_files
 
-_PATIENCE = 300.0
-"""Seconds to wait for any collector if all are lost or starting."""
-
-_PROBE = 5.0
-"""Seconds that a machine has to accept a connection."""
+_PATIENCE = 300.0  # seconds to wait for any collector if all are lost or starting
+_PROBE = 5.0  # seconds that a machine has to accept a connection
 
 _HEALTH = 12.0
 """Seconds that a cluster then has to answer; a process must start that asks it."""

@@ -378,7 +378,6 @@ class Run:
 
 
 def _make_collectors(task: Task, settings: Settings, resources: Resources) -> Any:
-    """Return a collector, or several elsewhere that are called as one is."""
     if settings.hyperparameters.mishaps:
         task = disturbed(task, lost=settings.hyperparameters.mishaps)
     teams = task, *(resized(task, n) for n in settings.hyperparameters.team_sizes)

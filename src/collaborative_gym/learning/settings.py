@@ -6,16 +6,10 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypedDict
 
+from collaborative_gym import errors
 from collaborative_gym.blocks import Layout
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.envs.world import World
-from collaborative_gym.errors import (
-    UnknownOption,
-    check_count,
-    check_kind,
-    check_name,
-    unknown,
-)
 from collaborative_gym.learning.casting import (
     LEAGUE,
     POPULATION,
@@ -95,12 +89,12 @@ def take_interval(options: Options) -> int:
     names = Options.__annotations__
     for name in options:
         if name not in names:
-            raise UnknownOption(
+            raise errors.UnknownOption(
                 f"got an unexpected keyword argument {name!r};"
-                f" {unknown('option', name, names)}"
+                f" {errors.unknown('option', name, names)}"
             )
     interval = options.pop("checkpoint_interval", 100_000)
-    return check_count("checkpoint_interval", interval, at_least=1)
+    return errors.check_count("checkpoint_interval", interval, at_least=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +232,7 @@ def make_settings(
     asked["seed"] = check_run_seed(asked["seed"])
     settings = Settings(**asked | {"identity": Identity.of(task), "layout": layout})
     if settings.backend not in BACKENDS:
-        raise ValueError(unknown("backend", settings.backend, BACKENDS))
+        raise ValueError(errors.unknown("backend", settings.backend, BACKENDS))
     _check_seats(settings, task)
     numbers = changed(settings.hyperparameters)
     if started is not None:
@@ -258,18 +252,19 @@ def make_settings(
 
 
 def _plain(asked: dict[str, Any]) -> dict[str, Any]:
-    """Return checked arguments, by the names of `Settings`."""
     if "hyperparameters" in asked:
         kind = "cg.Hyperparameters(...), or left out for the environment's recipe"
         given = asked["hyperparameters"]
-        check_kind("hyperparameters", given, Hyperparameters, kind)
+        errors.check_kind("hyperparameters", given, Hyperparameters, kind)
     for name in ("opponent", "partner"):
         if name in asked:
             asked[f"{name}s"] = _words(name, asked.pop(name))
     if "start_from" in asked:
-        check_kind("start_from", asked["start_from"], (str, Path), "a policy's name")
+        errors.check_kind(
+            "start_from", asked["start_from"], (str, Path), "a policy's name"
+        )
         asked["start_from"] = str(asked["start_from"])
-        check_name("start_from", asked["start_from"])
+        errors.check_name("start_from", asked["start_from"])
     return asked
 
 
@@ -325,20 +320,21 @@ def first_policy(settings: Settings, task: Task) -> NetworkPolicy:
 
 
 def _words(name: str, given: Any) -> tuple[str, ...]:
-    """Return the names of opponents or partners as a tuple of words."""
     if isinstance(given, str | Path):
         given = [given]
     a = "a policy's name, several, or one for each of some seats"
-    check_kind(name, given, (Sequence, Mapping), a)
+    errors.check_kind(name, given, (Sequence, Mapping), a)
     if isinstance(given, Mapping):
         for seat, policy in given.items():
-            check_kind(f"each seat of {name}", seat, str, "a string")
-            check_kind(f"the {name} {seat}", policy, (str, Path), "a policy's name")
+            errors.check_kind(f"each seat of {name}", seat, str, "a string")
+            errors.check_kind(
+                f"the {name} {seat}", policy, (str, Path), "a policy's name"
+            )
         given = [f"{seat}={policy}" for seat, policy in given.items()]
     words = []
     for word in given:
-        check_kind(f"each {name}", word, (str, Path), "a policy's name")
-        check_name(name, str(word))
+        errors.check_kind(f"each {name}", word, (str, Path), "a policy's name")
+        errors.check_name(name, str(word))
         if str(word) in words:
             raise ValueError(f"{name} names {word} twice; name each policy once")
         words.append(str(word))

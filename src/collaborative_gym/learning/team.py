@@ -190,7 +190,6 @@ def make_learners(
 
 
 def _shared_parts(agents: Sequence[str], network: Network) -> tuple[Part, ...]:
-    """Return one network's parts for all agents."""
     if network == "set":
         return tuple(Part((agent,), "shared") for agent in agents)
     count = len(agents)
@@ -207,7 +206,6 @@ def _check_equal(kind: str, sizes: Mapping[str, int]) -> None:
 
 
 def _check_sets(mode: Mode, layout: Layout, agents: Sequence[str]) -> None:
-    """Raise ValueError unless networks for sets suit these agents."""
     if mode == "centralized":
         raise ValueError(
             "network=set is for policies of one robot each; choose the mode shared,"

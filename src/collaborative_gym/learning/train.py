@@ -89,9 +89,10 @@ def train(
             stack.enter_context(claimed(folder, LAST))
             started = Checkpoint.load(folder / LAST)
         task = _task(env, started)
+        before = None if started is None else started.settings
         settings = make_settings(
             task,
-            None if started is None else started.settings,
+            before,
             mode=mode,
             seed=seed,
             hyperparameters=hyperparameters,
@@ -119,7 +120,6 @@ def train(
 
 
 def _checked(resources: Resources | None) -> Resources:
-    """Return the resources, if torch has the device."""
     resources = Resources() if resources is None else resources
     errors.check_kind("resources", resources, Resources, "Resources(...)")
     try:

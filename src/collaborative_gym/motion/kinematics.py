@@ -134,7 +134,6 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product over the first axis."""
     xp = array_namespace(a)
     a, b = xp.concat([a, a], axis=0), xp.concat([b, b], axis=0)
     return a[1:4] * b[2:5] - a[2:5] * b[1:4]

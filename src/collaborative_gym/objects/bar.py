@@ -36,15 +36,9 @@ def bar(mass: float = 0.5) -> mujoco.MjSpec:
     body.add_freejoint()
     shaft = LENGTH / 2 - _ROOM
     capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-    body.add_geom(
-        name="shaft",
-        type=capsule,
-        size=(_RADIUS, 0.0, 0.0),
-        fromto=(0.0, -shaft, 0.0, 0.0, shaft, 0.0),
-        mass=mass,
-        rgba=_RGBA,
-        group=2,
-    )
+    ends, size = (0.0, -shaft, 0.0, 0.0, shaft, 0.0), (_RADIUS, 0.0, 0.0)
+    own = {"fromto": ends, "mass": mass, "rgba": _RGBA, "group": 2}
+    body.add_geom(name="shaft", type=capsule, size=size, **own)
     body.add_site(name="bar")
     end = LENGTH / 2
     ends = (0.0, -end, 0.0, 0.0, end, 0.0)

@@ -76,22 +76,16 @@ def board(
     check_count("count", count, 2, 100)
     spec, body = begin("board")
     box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
-    rectangle = (_WIDTH / 2, _LENGTH / 2, THICKNESS / 2)
-    body.add_geom(
-        name="plate",
-        type=box if count == 2 else cylinder,
-        size=rectangle if count == 2 else (_RADIUS, THICKNESS / 2, 0.0),
-        mass=mass,
-        rgba=_RGBA,
-        group=2,
-    )
+    shape, size = cylinder, (_RADIUS, THICKNESS / 2, 0.0)
+    if count == 2:
+        shape, size = box, (_WIDTH / 2, _LENGTH / 2, THICKNESS / 2)
+    body.add_geom(name="plate", type=shape, size=size, mass=mass, rgba=_RGBA, group=2)
     body.add_site(name="board")
     for i, direction in enumerate(handle_directions(count)):
         _add_handle(body, f"handle_{i + 1}", direction, handle_radius(count))
     if marked_radius > 0:
-        disc, size = cylinder, (marked_radius, 0.0005)
-        pos = (0, 0, THICKNESS / 2)
-        add_visual(body, disc, size=size, rgba=_CENTRE_RGBA, pos=pos)
+        size, pos = (marked_radius, 0.0005), (0, 0, THICKNESS / 2)
+        add_visual(body, cylinder, size=size, rgba=_CENTRE_RGBA, pos=pos)
     return spec
 
 

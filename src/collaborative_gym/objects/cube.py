@@ -37,13 +37,7 @@ def cube(
     check_number("mass", mass, at_least=1e-6, at_most=1e4)
     spec, body = begin("cube")
     body.add_joint(type=mujoco.mjtJoint.mjJNT_FREE, name="free", damping=_DAMPING)
-    body.add_geom(
-        name="cube",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[size / 2] * 3,
-        rgba=rgba,
-        mass=mass,
-        group=2,
-    )
+    box, half = mujoco.mjtGeom.mjGEOM_BOX, [size / 2] * 3
+    body.add_geom(name="cube", type=box, size=half, rgba=rgba, mass=mass, group=2)
     body.add_site(name="centre")
     return spec

@@ -29,15 +29,10 @@ def donut() -> mujoco.MjSpec:
         "rear": ((0, -middle, 0), (short, BAR / 2, half)),
         "front": ((0, middle, 0), (short, BAR / 2, half)),
     }
-    area = OUTER**2 - HOLE**2
-    for name, (position, size) in bars.items():
+    box, area = mujoco.mjtGeom.mjGEOM_BOX, OUTER**2 - HOLE**2
+    for name, (at, size) in bars.items():
+        mass = _MASS * 4 * size[0] * size[1] / area
         body.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=position,
-            size=size,
-            mass=_MASS * 4 * size[0] * size[1] / area,
-            rgba=_RGBA,
-            group=2,
+            name=name, type=box, pos=at, size=size, mass=mass, rgba=_RGBA, group=2
         )
     return spec

@@ -60,7 +60,6 @@ def pedestal(height: float, *, rgba: Sequence[float] = _BLACK) -> mujoco.MjSpec:
 
 
 def _add_base(body: mujoco.MjsBody) -> None:
-    """Add the base plate and its four splayed feet, each on a caster."""
     shapes = mujoco.mjtGeom
     plate, place = (0.25, 0.2, 0.03), (_BASE_X, 0.0, 0.1)
     add_visual(body, shapes.mjGEOM_BOX, size=plate, rgba=_BLACK, pos=place)

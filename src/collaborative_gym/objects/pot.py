@@ -11,11 +11,9 @@ _MOST_BALANCE = 0.059  # m; the contents are at least 2 mm wide
 _HANDLE_SIZE = (0.06, 0.01, 0.01)  # m, half lengths, from the original environment
 _HANDLE_Z = 0.05  # m above the pot's centre
 _GRIP_Y = 0.14  # m from the pot's centre to where a handle is gripped
-
 _HANDLE_SPACING = 0.21  # m along the circle of handles; hands beside one another fit
 _GRIP_ROOM = 0.08  # m between wall and grip; with two handles as in the original
 _LEAST_CONTENTS = 0.01  # m, least radius of what is in a round pot
-
 _SWING_DAMPING = 0.05  # N m s/rad per kg, our choice; as a drag it is negligible
 
 GRIP_RADIUS = float((_GRIP_Y**2 + _HANDLE_Z**2) ** 0.5)
@@ -142,25 +140,10 @@ def _begin_pot(
     body.add_freejoint().damping = (_SWING_DAMPING * mass, 0.0, 0.0)
     body.add_site(name="pot")
     # Polished steel slides on wood at 0.2 to 0.6 times its weight.
-    body.add_geom(
-        name="pot_collision",
-        type=shape,
-        size=sizes[0],
-        mass=0.0,
-        friction=(0.4, 0.005, 0.0001),
-        priority=1,
-        group=3,
-    )
-    body.add_geom(
-        name="contents",
-        type=shape,
-        size=sizes[1],
-        pos=centre,
-        mass=mass,
-        contype=0,
-        conaffinity=0,
-        group=4,
-    )
+    steel = {"friction": (0.4, 0.005, 0.0001), "priority": 1, "mass": 0.0, "group": 3}
+    body.add_geom(name="pot_collision", type=shape, size=sizes[0], **steel)
+    inside = {"contype": 0, "conaffinity": 0, "pos": centre, "mass": mass, "group": 4}
+    body.add_geom(name="contents", type=shape, size=sizes[1], **inside)
     return spec, body
 
 

@@ -78,7 +78,6 @@ def _box(
 
 
 def _paint(body: mujoco.MjsBody, half_width: float, half_goal: float) -> None:
-    """Add the lines on the ice."""
     thin = 0.0005
     add_visual(body, _BOX, size=(0.006, half_width, thin), pos=(0, 0, 0), rgba=_LINE)
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER

@@ -18,12 +18,6 @@ def stick() -> mujoco.MjSpec:
     """
     spec, body = begin("stick")
     body.add_site(name="stick")
-    body.add_geom(
-        name="stick",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=(SIDE / 2, SIDE / 2, LENGTH / 2),
-        mass=_MASS,
-        rgba=_RGBA,
-        group=2,
-    )
+    box, size = mujoco.mjtGeom.mjGEOM_BOX, (SIDE / 2, SIDE / 2, LENGTH / 2)
+    body.add_geom(name="stick", type=box, size=size, mass=_MASS, rgba=_RGBA, group=2)
     return spec

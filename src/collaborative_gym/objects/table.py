@@ -44,16 +44,11 @@ def table(
     pos = (0, 0, height - _TOP_THICKNESS / 2)
     body.add_geom(name="table_top_collision", type=box, size=size, pos=pos, group=3)
     add_visual(body, box, size=size, pos=pos, rgba=_TOP_RGBA)
-    leg_length = height - _TOP_THICKNESS
+    middle, capsule = (height - _TOP_THICKNESS) / 2, mujoco.mjtGeom.mjGEOM_CAPSULE
+    size, seen = (_LEG_RADIUS, middle - _LEG_RADIUS, 0), {"rgba": _LEG_RGBA, "group": 2}
     for x in (_LEG_INSET - length / 2, length / 2 - _LEG_INSET):
         for y in (_LEG_INSET - width / 2, width / 2 - _LEG_INSET):
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=(_LEG_RADIUS, leg_length / 2 - _LEG_RADIUS, 0),
-                pos=(x, y, leg_length / 2),
-                rgba=_LEG_RGBA,
-                group=2,
-            )
+            body.add_geom(type=capsule, size=size, pos=(x, y, middle), **seen)
     return spec
 
 
@@ -77,10 +72,8 @@ def round_table(radius: float, *, height: float = 0.64) -> mujoco.MjSpec:
         ("column", (column, height / 2 - thick / 2), (height - thick) / 2, _LEG_RGBA),
         ("foot", (radius, thick / 2), thick / 2, _LEG_RGBA),
     ):
-        kind = mujoco.mjtGeom.mjGEOM_CYLINDER
+        kind, pos = mujoco.mjtGeom.mjGEOM_CYLINDER, (0, 0, z)
         collision = f"table_{name}_collision"
-        body.add_geom(
-            name=collision, type=kind, size=(*size, 0), pos=(0, 0, z), group=3
-        )
-        add_visual(body, kind, size=size, pos=(0, 0, z), rgba=rgba)
+        body.add_geom(name=collision, type=kind, size=(*size, 0), pos=pos, group=3)
+        add_visual(body, kind, size=size, pos=pos, rgba=rgba)
     return spec

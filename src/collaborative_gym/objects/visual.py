@@ -10,8 +10,7 @@ _CAPSULE = mujoco.mjtGeom.mjGEOM_CAPSULE
 _SEEN = {"contype": 0, "conaffinity": 0, "group": 2, "mass": 0.0}
 """Settings of a geom that is only seen."""
 
-_WIRE = 0.005
-"""Radius of a ring's wire, in m; if it is less, small pictures show dots."""
+_WIRE = 0.005  # radius of a ring's wire, in m; if it is less, small pictures show dots
 
 
 def begin(name: str) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
@@ -55,12 +54,7 @@ def add_wire_sphere(
     mesh = spec.add_mesh(name=f"{body.name} ring", scale=[radius] * 3)
     thick = min(max(_WIRE / radius, 0.025), 0.25)
     mesh.make_supertorus(resolution=40, radius=thick, s=1, t=1)
-    half = 0.5**0.5
+    half, kind = 0.5**0.5, mujoco.mjtGeom.mjGEOM_MESH
+    ring = {"type": kind, "meshname": mesh.name, "rgba": rgba, **_SEEN}
     for turn in ((1.0, 0.0, 0.0, 0.0), (half, half, 0.0, 0.0), (half, 0.0, half, 0.0)):
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            quat=turn,
-            rgba=rgba,
-            **_SEEN,
-        )
+        body.add_geom(quat=turn, **ring)

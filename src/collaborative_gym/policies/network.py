@@ -140,7 +140,6 @@ class NetworkPolicy:
         return actions
 
     def _rows(self, agent: str, observation: Array) -> np.ndarray:
-        """Return an agent's observations, (num_envs, n)."""
         rows, size = np.asarray(observation, np.float32), self._inputs[agent]
         if rows.ndim != 2 or rows.shape[1] != size:
             raise ValueError(
@@ -176,7 +175,6 @@ class NetworkPolicy:
     def _through(
         self, x: np.ndarray, layers: Sequence[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
-        """Return the output of layers for rows."""
         # A product of its own for each row: in one of all rows, BLAS would add up in an
         # order that depends on how many there are.
         x = x[:, None]

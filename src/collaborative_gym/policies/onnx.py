@@ -134,7 +134,6 @@ class OnnxNetwork:
         return _DTYPES[first.type]
 
     def _run(self, rows: np.ndarray) -> np.ndarray:
-        """Return the network's first output."""
         options = self._options()
         options.log_severity_level = _QUIET
         given = {self._session.get_inputs()[0].name: rows}

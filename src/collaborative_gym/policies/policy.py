@@ -260,7 +260,6 @@ def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
 
 
 def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
-    """Return the policy of an environment id or a path."""
     if name in list_envs():
         return _load_shipped("baseline", str(name))
     path = Path(name)

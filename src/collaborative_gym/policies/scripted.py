@@ -16,8 +16,7 @@ STYLES = {
 }
 """Styles of every task's expert; tasks may have more of their own."""
 
-_LATE = 20
-"""Control steps for which a late expert holds still."""
+_LATE = 20  # control steps for which a late expert holds still
 
 
 def expert_policy(env: VectorEnv, style: str = ""):

@@ -223,7 +223,6 @@ def _prepare_joints(robot: RobotData, spec: mujoco.MjSpec) -> None:
 
 
 def _with_descendants(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """Return a body and all that it carries."""
     return [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]
 
 

@@ -14,14 +14,12 @@ from collaborative_gym.robots.robot import Robot
 from collaborative_gym.scene.handles import Arm, Grip
 from collaborative_gym.sim.sim import EnvIds, Sim
 
-_TURN = np.radians(3.0)
-"""By how much a held thing turns before it slips round."""
+_TURN = np.radians(3.0)  # by how much a held thing turns before it slips round
 
 _STIFFNESS = 20e3
 """Of cups and pads, in N/m, which give way by a few mm as things slip. Our choice."""
 
-_YIELDS = 0.05
-"""Time in s in which a bond gives way, as MuJoCo's `solref` has it."""
+_YIELDS = 0.05  # time in s in which a bond gives way, as MuJoCo's `solref` has it
 
 
 class Grasp:

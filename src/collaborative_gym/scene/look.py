@@ -12,7 +12,6 @@ from collaborative_gym.robots import Robot
 
 _APART = 0.01  # m between the axes of a joint in two models of one arm
 _ASKEW = 0.02  # rad between them
-
 _HIDDEN = 3  # group of geoms that are not drawn
 _SEEN = 2  # greatest group of those that are
 
@@ -68,7 +67,6 @@ def dress(spec: mujoco.MjSpec, agent: str, robot: Robot) -> None:
 
 
 def _movable(model: mujoco.MjModel) -> list[int]:
-    """Return the hinges and slides, from the base outwards."""
     kinds = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
     return [joint for joint in range(model.njnt) if model.jnt_type[joint] in kinds]
 
@@ -81,7 +79,6 @@ def _mover(model: mujoco.MjModel, body: int) -> int:
 
 
 def _at_zero(model: mujoco.MjModel) -> mujoco.MjData:
-    """Return a model's state with all joints at zero."""
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)

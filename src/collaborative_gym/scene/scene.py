@@ -408,7 +408,6 @@ class Scene:
         self._free = find_free(model, self._objects)
 
     def _add_marker(self, name: str) -> mujoco.MjsBody:
-        """Add a body that `place` moves, and nothing else."""
         self._targets.append(name)
         return self.spec.worldbody.add_body(name=name, mocap=True)
 

@@ -271,7 +271,6 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
         )
 
     def _knob(self, sim: Sim, agent: str, part: str) -> tuple[Array, Array]:
-        """Return the pose of a hand that would hold the part."""
         place, quat = sim.pose(f"{part}/knob")
         turn = sim.xp.asarray(self.turns[agent], dtype=quat.dtype) + 0.0 * quat
         return place, math.multiply(quat, turn)
@@ -366,7 +365,6 @@ class Assemble(Task[AssembleConfig, AssembleFacts]):
 def _hand(
     part: tuple[np.ndarray, np.ndarray], knob: Any, turn: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pose of a hand, turned so from its knob's, that holds a part."""
     place, quat = part
     hand = math.multiply(math.multiply(quat, knob.quat), turn)
     return place + math.rotate(quat, knob.pos), hand

@@ -38,6 +38,7 @@ from collaborative_gym.math import Array
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import Scene
 from collaborative_gym.sim.sim import Sim
+from collaborative_gym.tasks import registry
 from collaborative_gym.tasks.balance import (
     REST_HEIGHT,
     Balance,
@@ -45,12 +46,6 @@ from collaborative_gym.tasks.balance import (
     BalanceFacts,
 )
 from collaborative_gym.tasks.experts import balance as player
-from collaborative_gym.tasks.registry import (
-    get_env,
-    register_env,
-    register_task,
-    register_teams,
-)
 from collaborative_gym.tasks.settings import bounded
 from collaborative_gym.tasks.task import Blocks, Kept
 from collaborative_gym.timing import CONTROL_DT, SIM_DT
@@ -200,8 +195,10 @@ class BalancePath(Balance):
         return xp.where(self.success(facts), 0.0, missing)
 
 
-register_task("BalancePath", BalancePath)
+registry.register_task("BalancePath", BalancePath)
 for _arms in ("Sawyers", "JacoSawyer"):
-    _spec = get_env(f"BalanceTask{_arms}-v0")
-    register_env(replace(_spec, env_id=f"BalancePath{_arms}-v0", task=BalancePath))
-register_teams("BalancePath", BalancePath, pandas=[3, 4, 6])
+    _spec = registry.get_env(f"BalanceTask{_arms}-v0")
+    registry.register_env(
+        replace(_spec, env_id=f"BalancePath{_arms}-v0", task=BalancePath)
+    )
+registry.register_teams("BalancePath", BalancePath, pandas=[3, 4, 6])

@@ -218,13 +218,12 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         self.charts = {}
         for agent, arm in scene.arms.items():
             edges = np.diag(self.turns[agent] * AREA_SIZE)
-            self.charts[agent] = Chart(
-                model,
-                arm,
-                middle=self._hand(agent, AREA_MIDDLE),
-                along=np.pad(edges, ((0, 0), (0, 1))),
-                approach=_DOWN,
+            middle, along = (
+                self._hand(agent, AREA_MIDDLE),
+                np.pad(edges, [(0, 0), (0, 1)]),
             )
+            chart = Chart(model, arm, middle=middle, along=along, approach=_DOWN)
+            self.charts[agent] = chart
         joints = [model.joint(f"puck/{axis}") for axis in "xy"]
         self._place = [int(joint.qposadr[0]) for joint in joints]
         self._speed = [int(joint.dofadr[0]) for joint in joints]

@@ -73,7 +73,7 @@ from collaborative_gym.objects.cube import cube
 from collaborative_gym.rng import EpisodeRandom
 from collaborative_gym.scene import SHOULDER, Placement, Scene
 from collaborative_gym.sim.sim import Sim
-from collaborative_gym.tasks import teams
+from collaborative_gym.tasks import registry, teams
 from collaborative_gym.tasks.experts import pass_ as player
 from collaborative_gym.tasks.experts.pass_ import ACROSS, BEYOND, DOWN
 from collaborative_gym.tasks.handing import (
@@ -88,12 +88,6 @@ from collaborative_gym.tasks.handing import (
     stand_in_row,
 )
 from collaborative_gym.tasks.randomization import Randomization, presets
-from collaborative_gym.tasks.registry import (
-    EnvSpec,
-    register_env,
-    register_task,
-    register_teams,
-)
 from collaborative_gym.tasks.settings import bounded, filled
 from collaborative_gym.tasks.task import (
     LEVEL,
@@ -480,10 +474,14 @@ _WITH_JACO = {
     "placements": (_GIVER, Placement((0.55, 0.7, 0.62))),
     "handover_threshold": 0.045,
 }
-register_task("Pass", Pass)
-register_env(EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS))
-register_env(EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO))
+registry.register_task("Pass", Pass)
+registry.register_env(
+    registry.EnvSpec("PassTaskSawyers-v0", Pass, ("sawyer", "sawyer"), _SAWYERS)
+)
+registry.register_env(
+    registry.EnvSpec("PassTaskJacoSawyer-v0", Pass, ("sawyer", "jaco"), _WITH_JACO)
+)
 for grasp in ("pinch", "friction"):
     own, name = {**_SAWYERS, "grasp": grasp}, f"Pass{grasp.title()}Sawyers-v0"
-    register_env(EnvSpec(name, Pass, ("sawyer", "sawyer"), own))
-register_teams("Pass", Pass, pandas=[3, 4, 6])
+    registry.register_env(registry.EnvSpec(name, Pass, ("sawyer", "sawyer"), own))
+registry.register_teams("Pass", Pass, pandas=[3, 4, 6])

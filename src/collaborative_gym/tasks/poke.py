@@ -62,7 +62,6 @@ _STARTS = Randomization(
 
 _YAW = float(np.radians(60))  # of the bases, away from x and towards each other
 _TILT = float(np.radians(45))  # of the hands, downwards
-
 _AROUND = float(np.radians(120))  # of the ring, where no hand is in a stick's way
 _ASKEW = 0.2  # rad about each axis, how far a stick leans that has missed the hole
 
@@ -300,7 +299,6 @@ def _tcp_quat(y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _tcp_turn(model: mujoco.MjModel, arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """Return the quaternion of a tcp at these joint angles."""
     data, quat = mujoco.MjData(model), np.zeros(4)
     data.qpos[arm.qpos] = angles
     mujoco.mj_kinematics(model, data)

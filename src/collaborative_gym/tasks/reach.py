@@ -85,11 +85,8 @@ neighbour's place an arm's goal is: an arm that has neighbours must cross their 
 _LOW, _HIGH = 0.32, 0.45
 """Heights of the places and of the starts above the bases, in m."""
 
-_TIER = 0.09
-"""How far above or below their places neighbours meet, in m."""
-
-_DRAWS = 12
-"""From how many places each goal is chosen."""
+_TIER = 0.09  # how far above or below their places neighbours meet, in m
+_DRAWS = 12  # from how many places each goal is chosen
 
 
 @dataclass(frozen=True)

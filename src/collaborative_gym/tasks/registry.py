@@ -10,8 +10,9 @@ import gymnasium
 from collaborative_gym import errors
 from collaborative_gym.plugins import note_registration
 from collaborative_gym.robots import Robot, get_robot
+from collaborative_gym.tasks.declared import check_class
 from collaborative_gym.tasks.identity import ON_PLAYING, Identity
-from collaborative_gym.tasks.task import Randomization, Task, TaskConfig
+from collaborative_gym.tasks.task import Randomization, Task
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def register_task(name: str, task: type[Task]) -> None:
       ValueError: if the name is taken, or not one word.
     """
     errors.check_word("name", name)
-    _check_task(task)
+    check_class(task)
     if name in _TASKS:
         raise ValueError(f"task {name!r} is registered already")
     _TASKS[name] = task
@@ -57,7 +58,7 @@ def register_env(spec: EnvSpec) -> None:
     """
     errors.check_kind("environment", spec, EnvSpec, "an EnvSpec")
     errors.check_name("the id", spec.env_id)
-    _check_task(spec.task)
+    check_class(spec.task)
     errors.check_kind("robots", spec.robots, (tuple, list), "a sequence of names")
     for robot in spec.robots:
         errors.check_name("each of robots", robot)
@@ -173,7 +174,6 @@ def make_task(
 def _check_number(
     name: str, task: type[Task], arms: Sequence[Robot], remedy: str = ""
 ) -> None:
-    """Raise ValueError if a task takes another number of robots."""
     counts = task.robot_counts
     if len(arms) not in counts:
         given = errors.counted(arm.name for arm in arms)
@@ -190,7 +190,6 @@ def _arms(
     robots: str | Robot | Sequence[str | Robot] | None,
     num_robots: int | None,
 ) -> tuple[Robot, ...]:
-    """Return the arms that are asked for, or else those of an environment."""
     given = spec.robots if robots is None else robots
     usual = len(spec.robots) if isinstance(given, str | Robot) else None
     chosen = (given,) if isinstance(given, str | Robot) else given
@@ -259,19 +258,6 @@ def resized(task: Task, count: int) -> Task:
     other = type(task)(arms, task.given)
     other.name = task.name
     return other
-
-
-def _check_task(task: Any) -> None:
-    if not (isinstance(task, type) and issubclass(task, Task)):
-        raise TypeError(f"task must be a subclass of Task, got {errors.shown(task)}")
-    kind = task.config_class
-    # Without a decorator of its own, it would have the fields of its base alone.
-    is_config = isinstance(kind, type) and issubclass(kind, TaskConfig)
-    if not is_config or "__dataclass_params__" not in vars(kind):
-        raise TypeError(
-            f"{task.__name__}.config_class must be a dataclass derived from TaskConfig,"
-            f" with @dataclass(frozen=True) above it, got {errors.shown(kind)}"
-        )
 
 
 def _configure(task: type[Task], settings: dict[str, Any]):

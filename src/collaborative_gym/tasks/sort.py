@@ -300,7 +300,6 @@ class Sort(Task[SortConfig, SortFacts]):
         return {agent: self._seen_by(agent, facts) for agent in self.agents}
 
     def _seen_by(self, agent: str, facts: SortFacts) -> Blocks:
-        """Return an agent's observation, in the frame of its base."""
         xp, frames = array_namespace(facts.cubes), self._frames
         i, tcp, kind = self.agents.index(agent), facts.tcp[agent], facts.cubes.dtype
         grips = {

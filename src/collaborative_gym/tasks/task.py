@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeVar
 import numpy as np
 
 from collaborative_gym.control import ActionMode, Command, Motion, get_mode
-from collaborative_gym.errors import check_count, check_flag, check_kind, look_up
+from collaborative_gym.errors import check_count, check_kind, look_up
 from collaborative_gym.math import Array
 from collaborative_gym.motion import Chains
 from collaborative_gym.rng import EpisodeRandom
@@ -33,8 +33,7 @@ Kept = Literal["mean", "greatest"]
 LEVEL = np.array([1.0, 1.0, 0.0])
 """Axes along which what stands on a table may be moved."""
 
-_STILL = 0.02
-"""Share of its speed limit below which a joint stands still; our choice."""
+_STILL = 0.02  # share of its speed limit below which a joint stands still; our choice
 
 STYLE_DRAWS = 3
 """Count of numbers that each episode draws for the styles of an expert."""
@@ -85,10 +84,15 @@ class TaskConfig:
         how, placements = self.randomization, self.placements
         check_kind("randomization", how, Randomization, "a Randomization")
         if placements is not None:
-            check_kind("placements", placements, Sequence, "a Placement for each arm")
-            for placement in placements:
-                check_kind("each of placements", placement, Placement, "a Placement")
-            object.__setattr__(self, "placements", tuple(placements))
+            checked = _check_placements("placements", placements)
+            object.__setattr__(self, "placements", checked)
+
+
+def _check_placements(name: str, given: Any) -> tuple[Placement, ...]:
+    check_kind(name, given, Sequence, "a Placement for each arm")
+    for placement in given:
+        check_kind(f"each of {name}", placement, Placement, "a Placement")
+    return tuple(given)
 
 
 def columns(what: str, by_agent: Mapping[str, Array]) -> dict[str, Array]:
@@ -189,8 +193,7 @@ class Task(Generic[ConfigT, FactsT]):
                 f"{type(self).__name__} has no mishap() after which episodes could"
                 ' begin; give another randomization, such as "default", or lost=0.0'
             )
-        gripping = check_flag(f"{type(self).__name__}.gripping", self.gripping)
-        if config.grasp != TaskConfig.grasp and not gripping:
+        if config.grasp != TaskConfig.grasp and not self.gripping:
             raise ValueError(
                 f"{type(self).__name__} has no grips, so grasp={config.grasp!r} would"
                 " change nothing; leave it out"
@@ -221,7 +224,8 @@ class Task(Generic[ConfigT, FactsT]):
         """
         placements = self.config.placements
         if placements is None:
-            placements = self.mounts()
+            name = f"what {type(self).__name__}.mounts() returns"
+            placements = _check_placements(name, self.mounts())
         if len(placements) != len(self.agents):
             raise ValueError(
                 f"got {len(placements)} placements for {len(self.agents)} robots; give"

@@ -30,7 +30,6 @@ MOST_JOINTS = 7
 
 _FINE = 0.01  # m or rad, beside which what is more shows by its logarithm
 _STAND = 0.13  # m, radius of what an arm of a team stands on
-
 _TALL = 0.7  # m, of an arm at work in a picture
 _SLOPES, _MARGINS = (0.35, 0.9), (0.25, 0.1)  # of a pair, and of a team; m around it
 _VIEW = np.array([16 / 9, 1.0]) * np.tan(np.radians(45 / 2))

@@ -18,11 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_CELL = 0.62
-"""Size of a matrix's cell, in inches."""
-
-_MOST_NUMBERS = 16
-"""Number of players up to which numbers in the cells are readable."""
+_CELL = 0.62  # size of a matrix's cell, in inches
+_MOST_NUMBERS = 16  # number of players up to which numbers in the cells are readable
 
 
 def draw_tournament(tournament: Tournament, path: str | Path) -> None:

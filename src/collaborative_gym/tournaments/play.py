@@ -13,12 +13,7 @@ from typing import Any
 
 from collaborative_gym import errors
 from collaborative_gym.envs.vector_env import VectorEnv
-from collaborative_gym.evaluation.play import (
-    OnProgress,
-    parts_of,
-    play_episodes,
-    worlds_for,
-)
+from collaborative_gym.evaluation import play
 from collaborative_gym.evaluation.table import without_nan
 from collaborative_gym.files import check_writable, read_sealed, sealed, write_text
 from collaborative_gym.policies import AnyPolicy, Policy, as_played, as_policy
@@ -41,8 +36,7 @@ from collaborative_gym.tournaments.result import Pairing, Tournament
 PAIRINGS = "pairings"
 """Folder, in that of a tournament, of a file for each pairing."""
 
-_FORMAT = 1
-"""Number of the files' format; others are refused."""
+_FORMAT = 1  # number of the files' format; others are refused
 
 _LONGEST_NAME = 200
 """Letters of a player's name: more than a column of a table has room for."""
@@ -80,8 +74,7 @@ class Player:
         return ""
 
 
-_Seating = Mapping[str, Player]
-"""The player of each seat."""
+_Seating = Mapping[str, Player]  # the player of each seat
 
 
 def tournament(
@@ -97,7 +90,7 @@ def tournament(
     any_env: bool = False,
     output: str | Path | None = None,
     on_pairing: Callable[[Pairing], object] | None = None,
-    on_progress: OnProgress = None,
+    on_progress: play.OnProgress = None,
 ) -> Tournament:
     """Play every policy in every seat with every other, and with itself (cross-play).
 
@@ -146,7 +139,9 @@ def tournament(
     errors.check_callback("on_progress", on_progress)
     any_env = errors.check_flag("any_env", any_env)
     task = as_task(env)
-    world = VectorEnv(task, worlds_for(episodes, num_envs), num_threads=num_threads)
+    world = VectorEnv(
+        task, play.worlds_for(episodes, num_envs), num_threads=num_threads
+    )
     with closing(world):
         all_seats = _seats(world)
         turns = _turns(seats, all_seats)
@@ -161,7 +156,7 @@ def tournament(
         }
         kept = _Kept(output, settings)
         pairings = [kept.read(cast) for cast in casts]
-        parts = parts_of(on_progress, [1] * len(casts))
+        parts = play.parts_of(on_progress, [1] * len(casts))
         for i, (cast, part) in enumerate(zip(casts, parts, strict=True)):
             if pairings[i] is None:
                 given = world, cast, all_seats, settings, num_threads, part
@@ -267,7 +262,7 @@ def _play(
     seats: Mapping[str, tuple[str, ...]],
     settings: Mapping[str, Any],
     num_threads: int,
-    on_progress: OnProgress,
+    on_progress: play.OnProgress,
 ) -> Pairing:
     team = {a: player.policies[a] for seat, player in cast.items() for a in seats[seat]}
     episodes, seed = settings["episodes"], settings["seed"]
@@ -280,7 +275,7 @@ def _play(
                     own = [a for a in agents if team[a] is given]
                     team |= dict.fromkeys(own, whole)
         policy = as_policy(team, world, any_env=True)  # The players have been checked.
-        rows, _ = play_episodes(world, policy, episodes, seed, on_progress)
+        rows, _ = play.play_episodes(world, policy, episodes, seed, on_progress)
     columns = {
         name: tuple(float(row[name]) for row in rows)
         for name in rows[0]

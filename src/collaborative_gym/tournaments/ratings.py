@@ -5,8 +5,7 @@ from itertools import permutations
 
 import numpy as np
 
-_MEAN = 1500.0
-"""Mean of all players' ratings; only differences say anything."""
+_MEAN = 1500.0  # mean of all players' ratings; only differences say anything
 
 _SCALE = 400.0 / np.log(10.0)
 """Elo's scale: 400 points more are ten times the chances (Elo, 1978)."""
@@ -15,8 +14,7 @@ _PRIOR = 1.0
 """Games that each player has drawn, as we assume, with an average one; our choice. So a
 player that won all of its games has a finite rating, which grows with their number."""
 
-_NEAR = 1e-10
-"""Change of the strengths at which Newton's method ends."""
+_NEAR = 1e-10  # change of the strengths at which Newton's method ends
 
 
 def bradley_terry(points: np.ndarray) -> np.ndarray:

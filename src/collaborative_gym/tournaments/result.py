@@ -14,8 +14,7 @@ from collaborative_gym.evaluation.table import to_csv, to_json
 from collaborative_gym.tasks.identity import Identity
 from collaborative_gym.tournaments.ratings import cyclic_triples, rated
 
-_Z = 1.96
-"""Standard errors on either side of a rating's 95 % interval."""
+_Z = 1.96  # standard errors on either side of a rating's 95 % interval
 
 SERVED = 0.9
 """Least performance of a response to one partner that suits another; our choice."""

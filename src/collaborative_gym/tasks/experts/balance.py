@@ -84,7 +84,6 @@ def _roll(
 
 
 def _orientation(facts: "BalanceFacts", course: list[Array]) -> np.ndarray:
-    """Return the orientation of the board that rolls the ball on its course."""
     way, velocity, acceleration = (vector[:, :2] for vector in course)
     into_board = math.conjugate(facts.board[1])
     speed = math.rotate(into_board, facts.ball_velocity[0])[:, :2]

@@ -153,7 +153,6 @@ class _View:
 def _hand_over(
     task: "Pass", sim: Sim, facts: "PassFacts", shift: np.ndarray
 ) -> dict[str, Motion]:
-    """Return motions for hand-overs so far from the usual meetings."""
     motions = {}
     for i, (agent, arm) in enumerate(task.scene.arms.items()):
         view = _View(task, facts, i, shift)

@@ -51,7 +51,6 @@ class _Aim(NamedTuple):
 
 
 def _sort(task: "Sort", sim: Sim, facts: "SortFacts", agent: str) -> Motion:
-    """Return the motion of one arm."""
     arm, tcp = task.scene.arms[agent], facts.tcp[agent]
     held = of(facts.grips[agent], facts.own[agent])
     taking, closes = _take(task, facts, agent)

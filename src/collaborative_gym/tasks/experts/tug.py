@@ -13,11 +13,8 @@ from collaborative_gym.sim.sim import Sim
 if TYPE_CHECKING:
     from collaborative_gym.tasks.tug import Tug, TugFacts
 
-_HAUL = 0.1
-"""Change of the hand in a step, in m: more than a bar gives way."""
-
-_TO_STRONGER = 0.3
-"""Change of a joint in a step towards a stronger posture, in rad."""
+_HAUL = 0.1  # change of the hand in a step, in m: more than a bar gives way
+_TO_STRONGER = 0.3  # change of a joint in a step towards a stronger posture, in rad
 
 
 def expert(self: "Tug", sim: Sim, facts: "TugFacts") -> dict[str, Motion]:
