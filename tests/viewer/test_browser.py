@@ -266,10 +266,10 @@ def test_a_pull_that_misses_leaves_the_camera(serve, open_tab, wait_until):
     said = tab.get_by_text("Nothing to pull here")
 
     def drag():
-        tab.mouse.move(60, 60)  # The sky.
+        tab.mouse.move(300, 440)  # The floor.
         tab.mouse.down()
         for step in range(1, 9):
-            tab.mouse.move(60 + 16 * step, 60)
+            tab.mouse.move(300 + 16 * step, 440)
         tab.mouse.up()
 
     tab.keyboard.down("Control")
@@ -376,7 +376,6 @@ def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     # Nor are names and buttons cut.
     tab.get_by_role("tab", name="Look").click()
     back, moves_on = tab.get_by_text("Reset camera"), tab.get_by_text("Move on")
-    assert (back.bounding_box() or {})["width"] > 80
     assert back.evaluate("e => e.scrollWidth <= e.clientWidth")
     assert moves_on.is_visible()
     tab.get_by_role("tab", name="Now").click()

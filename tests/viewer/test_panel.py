@@ -87,7 +87,7 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     assert session.env.task.robots["robot_1"].name == "jaco"
     wait_until(lambda: offers(page)["robot_1, arm"].value == "jaco")
     wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
-    said = "baseline cannot play this, so the expert does"
+    said = "the expert plays in place of baseline"
     wait_until(lambda: said in page._panel._heading.content)
     assert "HockeyPandas-v0" not in offers(page)["Environment"].options
     choose(page, "Task", "Hockey")

@@ -46,25 +46,24 @@ if (!window.isKnown) {
   new ResizeObserver(fit).observe(document.querySelector(".goal").parentElement);
   window.addEventListener("resize", fit);
   // A drag with Ctrl that misses all bodies does not turn the camera: only viser's drags
-  // listen to the window itself. They mark the presses that hit something.
+  // listen to the window itself. Its pointer is a hand where there is something to pull.
   const isPull = (e) => (e.ctrlKey || e.metaKey) && e.button == 0 &&
     e.target.matches?.("canvas");
   let pulls = false;
   window.addEventListener("pointerdown", (e) => { pulls = isPull(e); }, true);
   window.addEventListener("pointerdown", (e) => {
-    if (!isPull(e) || e.defaultPrevented) return;
+    if (!isPull(e) || e.target.style.cursor == "pointer") return;
     const said = document.body.appendChild(document.createElement("div"));
     said.className = "hint";
     said.textContent = "Nothing to pull here";
     said.style = `left: ${e.clientX + 8}px; top: ${e.clientY + 8}px; bottom: auto`;
-    setTimeout(() => said.remove(), 1500);
+    setTimeout(() => said.remove(), 3000);
   });
   window.addEventListener("pointermove", (e) => {
-    if (!pulls || !e.isTrusted) return;
+    if (!pulls || !e.buttons || !e.isTrusted) return;
     e.stopImmediatePropagation();
     window.dispatchEvent(new PointerEvent("pointermove", e));
   }, true);
-  window.addEventListener("pointerup", () => { pulls = false; });
   // Keys that move a slider do not move the camera.
   document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
   window.isKnown = true;

@@ -121,7 +121,7 @@ class Panel:
         self._wished = tuple(wished) or choice.policies
         pairs = zip(self._wished, choice.policies, strict=False)
         lost = ", ".join(dict.fromkeys(old for old, new in pairs if old != new))
-        self._instead = lost and f"{lost} cannot play this, so the expert does"
+        self._instead = lost and f"the expert plays in place of {lost}"
         self._session.change(
             lambda env: self._menu.load(choice, env), choice.seed, choice.episode
         )

@@ -349,9 +349,9 @@ def _light(
         scene.add_light_directional(
             f"/light {i}",
             intensity=own[i],
-            cast_shadow=bool(model.light_castshadow[i]),
             position=tuple(-5.0 * model.light_dir[i]),
         )
         for i in range(model.nlight)
     ]
-    return [light for light in lights if light.cast_shadow]
+    # None casts one yet: a page that does without would draw it while it loads.
+    return [lights[i] for i in np.flatnonzero(model.light_castshadow)]
