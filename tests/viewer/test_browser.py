@@ -258,12 +258,17 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     wait_until(lambda: session.perturb is None, timeout=PATIENCE)
 
 
+WATCH = """() => new MutationObserver((changes) => changes.forEach((change) =>
+  change.addedNodes.forEach((added) => { window.said = added.textContent; })
+)).observe(document.body, {childList: true})"""
+
+
 def test_a_pull_that_misses_leaves_the_camera(serve, open_tab, wait_until):
     session, page = serve(ENVS[0])
     tab = open_tab(page)
     camera = next(iter(page._server.get_clients().values())).camera
     before = camera.position.copy()
-    said = tab.get_by_text("Nothing to pull here")
+    tab.evaluate(WATCH)  # What is said may be gone before a slow test looks.
 
     def drag():
         tab.mouse.move(300, 440)  # The floor.
@@ -274,15 +279,16 @@ def test_a_pull_that_misses_leaves_the_camera(serve, open_tab, wait_until):
 
     tab.keyboard.down("Control")
     drag()
-    said.wait_for()
-    said.wait_for(state="detached")
+    said = "Nothing to pull here"
+    wait_until(lambda: tab.evaluate("window.said") == said, timeout=PATIENCE)
+    tab.evaluate("window.said = null")
     tab.wait_for_timeout(2000)
     assert camera.position == pytest.approx(before)
     assert not session.was_pulled
     tab.mouse.move(*pixel_of(tab, page, "pot/pot"))
     tab.mouse.down()
     tab.wait_for_timeout(500)
-    assert said.count() == 0
+    assert tab.evaluate("window.said") is None
     tab.mouse.up()
     tab.keyboard.up("Control")
     drag()  # Without Ctrl it turns.
