@@ -258,6 +258,43 @@ def test_the_mouse_pulls_until_it_lets_go(serve, open_tab, wait_until):
     wait_until(lambda: session.perturb is None, timeout=PATIENCE)
 
 
+WATCH = """() => new MutationObserver((changes) => changes.forEach((change) =>
+  change.addedNodes.forEach((added) => { window.said = added.textContent; })
+)).observe(document.body, {childList: true})"""
+
+
+def test_a_pull_that_misses_leaves_the_camera(serve, open_tab, wait_until):
+    session, page = serve(ENVS[0])
+    tab = open_tab(page)
+    camera = next(iter(page._server.get_clients().values())).camera
+    before = camera.position.copy()
+    tab.evaluate(WATCH)  # What is said may be gone before a slow test looks.
+
+    def drag():
+        tab.mouse.move(300, 440)  # The floor.
+        tab.mouse.down()
+        for step in range(1, 9):
+            tab.mouse.move(300 + 16 * step, 440)
+        tab.mouse.up()
+
+    tab.keyboard.down("Control")
+    drag()
+    said = "Nothing to pull here"
+    wait_until(lambda: tab.evaluate("window.said") == said, timeout=PATIENCE)
+    tab.evaluate("window.said = null")
+    tab.wait_for_timeout(2000)
+    assert camera.position == pytest.approx(before)
+    assert not session.was_pulled
+    tab.mouse.move(*pixel_of(tab, page, "pot/pot"))
+    tab.mouse.down()
+    tab.wait_for_timeout(500)
+    assert tab.evaluate("window.said") is None
+    tab.mouse.up()
+    tab.keyboard.up("Control")
+    drag()  # Without Ctrl it turns.
+    wait_until(lambda: np.abs(camera.position - before).max() > 0.1, timeout=PATIENCE)
+
+
 def test_a_pull_in_a_grid_reads_its_world(serve, open_tab, wait_until):
     session, page = serve(ENVS[0], num_envs=3)
     tab = open_tab(page)
@@ -342,6 +379,12 @@ def test_a_phone_shows_the_arms_above_the_panel(serve, open_tab, wait_until):
     assert shown[1]["y"] + shown[1]["height"] <= 844 - 120
     for agent in session.env.agents:
         assert pixel_of(tab, page, f"{agent}/base")[1] < panel["y"]
+    # Nor are names and buttons cut.
+    tab.get_by_role("tab", name="Look").click()
+    back, moves_on = tab.get_by_text("Reset camera"), tab.get_by_text("Move on")
+    assert back.evaluate("e => e.scrollWidth <= e.clientWidth")
+    assert moves_on.is_visible()
+    tab.get_by_role("tab", name="Now").click()
     # A finger needs no key to pull.
     x, y = pixel_of(tab, page, "pot/pot")
     tab.mouse.move(x, y)

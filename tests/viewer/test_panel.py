@@ -18,12 +18,12 @@ from collaborative_gym.viewer.stage import NEWTONS_PER_METRE, _arrows, _rows
 from collaborative_gym.viewer.web import Page
 
 
-def choose(page, label, value):
+def choose(page, label, value, tab=None):
     """Do what viser does when a tab chooses from a list."""
     box = offers(page)[label]
     assert value in box.options
     box._impl.value = value
-    event = SimpleNamespace(client=object(), target=box)
+    event = SimpleNamespace(client=tab or object(), target=box)
     for callback in box._impl.update_cb:
         callback(event)
 
@@ -87,7 +87,7 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     assert session.env.task.robots["robot_1"].name == "jaco"
     wait_until(lambda: offers(page)["robot_1, arm"].value == "jaco")
     wait_until(lambda: "baseline" not in offers(page)["robot_1, policy"].options)
-    said = "baseline cannot play this, so the expert does"
+    said = "the expert plays in place of baseline"
     wait_until(lambda: said in page._panel._heading.content)
     assert "HockeyPandas-v0" not in offers(page)["Environment"].options
     choose(page, "Task", "Hockey")
@@ -101,6 +101,21 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     titles = {"reward of robot_1", "reward of robot_2", "measured in s"}
     plots = page._panel._plots
     wait_until(lambda: titles <= {title for title, *_ in list(plots._charts)})
+
+
+def test_other_tabs_are_told_of_a_choice(poke, wait_until):
+    session, page = poke
+    wait_until(lambda: "Environment" in offers(page))
+    told = []
+    tabs = [
+        SimpleNamespace(add_notification=lambda *said, i=i, **_: told.append((i, said)))
+        for i in range(2)
+    ]
+    page._panel._tabs = lambda: dict(enumerate(tabs))
+    choose(page, "robot_2, policy", "random", tabs[0])
+    wait_until(lambda: session.policies["robot_2"] == "random")
+    news = "PokeTaskSawyers-v0: expert, random"
+    assert told == [(1, ("Another tab chose", news))]
 
 
 def test_a_team_is_chosen_at_once_or_one_by_one(show, wait_until):

@@ -15,6 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from collaborative_gym.viewer.menu import Menu
+from collaborative_gym.viewer.stage import _linear
 from collaborative_gym.viewer.web import Page
 
 only_linux = pytest.mark.skipif(
@@ -155,6 +156,50 @@ def test_worlds_beside_one_another_are_read_one_at_a_time(
             for i in range(6):
                 at = session.env.sim.data(i).xpos[body] + places[i]
                 np.testing.assert_allclose(node.batched_positions[i], at, atol=1e-4)
+
+
+@pytest.mark.parametrize("aspect", [0.46, 1.2, 2.0])
+def test_a_grid_fills_a_window_of_any_shape(make_session, make_page, aspect):
+    session = make_session("random", num_envs=16)
+    stage = make_page(session)._stage
+    eye, target = stage._place("overview", aspect)
+    points = stage._poses()[0][:, 1:].reshape(-1, 3)
+    back = (eye - target) / np.linalg.norm(eye - target)
+    right = np.array([-back[1], back[0], 0.0]) / np.hypot(*back[:2])
+    away = points - eye
+    depth = stage._slope * -(away @ back)
+    across = away @ right / depth / aspect
+    upward = away @ np.cross(back, right) / depth
+    lowest = -0.1 if aspect < 0.75 else -1.0  # A phone's panel covers what is below.
+    assert np.abs(across).max() < 1.0
+    assert lowest < upward.min() < upward.max() < 1.0
+    room = 1.0 - lowest
+    assert max(np.ptp(across) / 2, np.ptp(upward) / room) > 0.75
+    assert np.ptp(upward) / room > 0.4
+    assert 1.0 - upward.max() == pytest.approx(upward.min() - lowest, abs=0.2)
+
+
+def test_a_page_is_as_bright_as_a_film(make_session, make_page):
+    page = make_page(make_session())
+    model = page._stage._model
+    # A page makes light again of what it is given, by the curve of sRGB.
+    linear = np.array([0.001, 0.003, 0.05, 0.5, 1.0])
+    curved = np.where(
+        linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055
+    )
+    np.testing.assert_allclose(_linear(curved), linear, rtol=1e-2)
+    # What faces up, in the shade of the first light, against what is lit by all.
+    down = -model.light_dir[:, 2] / np.linalg.norm(model.light_dir, axis=1)
+    head = model.vis.headlight
+    for_film = model.light_diffuse.mean(axis=1) * down
+    always = head.ambient.mean() + head.diffuse.mean() / 2
+    in_film = 1 - for_film[0] / (for_film.sum() + always)
+    given = page._server.scene._handle_from_node_name
+    ambient = given["/ambient"].intensity
+    lights = down * [given[f"/light {i}"].intensity for i in range(model.nlight)]
+    lit = ambient + lights.sum()
+    assert lit / np.pi == pytest.approx(1.1, abs=0.15)
+    assert (1 - lights[0] / lit) ** (1 / 2.2) == pytest.approx(in_film, abs=0.1)
 
 
 def test_the_panel_says_what_the_reading_says(make_session, make_page):

@@ -43,6 +43,11 @@ class Choice:
     episode: int = 0
 
     @property
+    def title(self) -> str:
+        """Environment and policies."""
+        return f"{self.env}: {', '.join(dict.fromkeys(self.policies))}"
+
+    @property
     def link(self) -> str:
         """Path of a page's address that opens this start."""
         return LINK + urlencode(vars(self), doseq=True)

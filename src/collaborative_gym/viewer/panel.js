@@ -29,15 +29,41 @@ if (!window.isKnown) {
     e.preventDefault();
     e.stopPropagation();  // So that an arrow does not turn the camera.
   }, true);
+  window.addEventListener("click", (e) => {
+    if (!e.target.matches(".copy")) return;
+    navigator.clipboard.writeText(e.target.previousElementSibling.href)
+      .then(() => { e.target.textContent = "Copied"; });
+  });
   // Controls stay where they are while what is below them scrolls, but not on phones.
   const fit = () => {
     const tabs = document.querySelector("[role=tablist]"), below = tabs?.nextSibling;
-    if (!below || matchMedia("(max-width: 36em)").matches) return;
+    if (!below) return;
+    below.style = "";
+    if (matchMedia("(max-width: 36em), (max-height: 480px)").matches) return;
     const room = innerHeight - tabs.getBoundingClientRect().bottom;
     below.style = `max-height: ${room}px; overflow-y: auto`;
   };
   new ResizeObserver(fit).observe(document.querySelector(".goal").parentElement);
   window.addEventListener("resize", fit);
+  // A drag with Ctrl that misses all bodies does not turn the camera: only viser's drags
+  // listen to the window itself. Its pointer is a hand where there is something to pull.
+  const isPull = (e) => (e.ctrlKey || e.metaKey) && e.button == 0 &&
+    e.target.matches?.("canvas");
+  let pulls = false;
+  window.addEventListener("pointerdown", (e) => { pulls = isPull(e); }, true);
+  window.addEventListener("pointerdown", (e) => {
+    if (!isPull(e) || e.target.style.cursor == "pointer") return;
+    const said = document.body.appendChild(document.createElement("div"));
+    said.className = "hint";
+    said.textContent = "Nothing to pull here";
+    said.style = `left: ${e.clientX + 8}px; top: ${e.clientY + 8}px; bottom: auto`;
+    setTimeout(() => said.remove(), 3000);
+  });
+  window.addEventListener("pointermove", (e) => {
+    if (!pulls || !e.buttons || !e.isTrusted) return;
+    e.stopImmediatePropagation();
+    window.dispatchEvent(new PointerEvent("pointermove", e));
+  }, true);
   // Keys that move a slider do not move the camera.
   document.body.onkeydown = (e) => e.target.role == "slider" && e.stopPropagation();
   window.isKnown = true;

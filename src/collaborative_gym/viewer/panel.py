@@ -23,20 +23,8 @@ _PAUSE = 0.5
 
 _COLORS = "#333", "#c22", "#17c", "#294", "#e50", "#64d", "#089", "#a15"
 
-_MIXED = "mixed"
-"""Choice of a team whose members differ."""
-
-_POLICIES = "expert: scripted; baseline, ego: trained; others do not help, or little"
-"""What the names of policies mean."""
-
-_LONG = 30
-"""Length of a value that the table breaks into lines."""
-
 _PER_STEP = "reward per step"
 """Unit of the charts of rewards."""
-
-_PADDED: Any = {end: {"pad": 0.1, "mode": 0} for end in ("min", "max")}
-"""Room below and above a chart's curves, as a share of their range."""
 
 _STYLES, _SCRIPT = (
     Path(__file__).with_name(f"panel.{kind}").read_text() for kind in ("css", "js")
@@ -56,6 +44,7 @@ class Panel:
         on_view: Callable[[str], None],
     ):
         self._session, self._menu, self._gui = session, menu, server.gui
+        self._tabs = server.get_clients
         self._said: Reading | None = None
         self._offered: tuple[Any, ...] = ()
         self._offers: list[Any] = []
@@ -78,7 +67,7 @@ class Panel:
         with tabs.add_tab("Look"):
             self._add_looks()
         self._script = gui.add_html("")
-        self._hint = gui.add_html(_HINT)
+        self._hint = gui.add_html("<div class=hint>Ctrl-drag to pull an object</div>")
 
     @property
     def view(self) -> str:
@@ -112,18 +101,27 @@ class Panel:
             self._offered = offered
             self._offer()
         link = html.escape(replace(self._choice, episode=reading.episode).link)
-        self._link.content = _STYLE % (_LINK % link)
+        copy = "<button class=copy>Copy</button>"
+        self._link.content = _STYLE % f'<a href="{link}">Link to this start</a> {copy}'
 
     def offer_views(self, views: Iterable[str]) -> None:
         """Offer the cameras of another world."""
         self._view.options = views
 
-    def play(self, choice: Choice, wished: tuple[str, ...] = ()) -> None:
-        """Let the session play a choice, as far as they can by policies wished for."""
-        self._wished = wished or choice.policies
+    def play(self, choice: Choice, wished: Iterable[str] = (), tab: Any = None) -> None:
+        """Let the session play a choice, as far as they can by policies wished for.
+
+        All tabs show a notice but the one that chose it.
+        """
+        for other in self._tabs().values():
+            if other is not tab:
+                other.add_notification(
+                    "Another tab chose", choice.title, auto_close_seconds=20
+                )
+        self._wished = tuple(wished) or choice.policies
         pairs = zip(self._wished, choice.policies, strict=False)
         lost = ", ".join(dict.fromkeys(old for old, new in pairs if old != new))
-        self._instead = lost and f"{lost} cannot play this, so the expert does"
+        self._instead = lost and f"the expert plays in place of {lost}"
         self._session.change(
             lambda env: self._menu.load(choice, env), choice.seed, choice.episode
         )
@@ -131,12 +129,8 @@ class Panel:
     def _add_controls(self) -> None:
         session, gui = self._session, self._gui
         self._play = gui.add_button("Pause", hint="Pause or continue: space")
-        moves = {
-            "Step": session.step,
-            "Reset": session.reset,
-            "Back": session.back,
-            "Next": session.next,
-        }
+        moves = {"Step": session.step, "Reset": session.reset}
+        moves |= {"Back": session.back, "Next": session.next}
         hint = (
             "Do one step (right arrow), start again (backspace), see the end of the"
             " last episode, or the next (enter)"
@@ -212,8 +206,7 @@ class Panel:
                 labels = f"{agent}, arm", f"{agent}, policy"
                 offers += self._ask_for(*labels, choice, i)
         self._offers = offers
-        title = f"{choice.env}: {', '.join(dict.fromkeys(choice.policies))}"
-        script = f"const TITLE = {json.dumps(title)};{_SCRIPT}"
+        script = f"const TITLE = {json.dumps(choice.title)};{_SCRIPT}"
         # An image that cannot be loaded runs it: pages run no scripts that come later.
         self._script.content = (
             f"<style>{_STYLES}</style>"
@@ -224,12 +217,13 @@ class Panel:
         """Offer arms and policies for agents, which are given by their indices."""
         menu, able = self._menu, self._menu.policies(now)
         arm, policy = (
-            own[which[0]] if len({own[i] for i in which}) == 1 else _MIXED
+            own[which[0]] if len({own[i] for i in which}) == 1 else "mixed"
             for own in (now.robots, now.policies)
         )
+        hint = "expert: scripted; baseline, ego: trained; others do not help, or little"
         return [
             self._ask(arms, menu.robots, arm, menu.armed, *which),
-            self._ask(policies, able, policy, menu.led, *which, hint=_POLICIES),
+            self._ask(policies, able, policy, menu.led, *which, hint=hint),
         ]
 
     def _ask(
@@ -244,26 +238,24 @@ class Panel:
         """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
         box = self._gui.add_dropdown(label, names, initial_value=value, hint=hint)
-        _on_user(box, lambda name: self._take(lambda now: change(now, name, *agents)))
+        box.on_update(lambda event: self._take(event, change, agents))
         return box
 
-    def _take(self, change: Callable[[Choice], Choice]) -> None:
-        """Play another choice, by the policies wished for where they can play it."""
-        now, wished = self._choice, self._wished
-        choice = change(replace(now, policies=wished))
+    def _take(
+        self, event: Any, change: Callable[..., Choice], agents: Iterable[int]
+    ) -> None:
+        """Play what a tab chose, by the policies wished for where they can play it."""
+        if event.client is None:
+            return
+        now, wished, name = self._choice, self._wished, event.target.value
+        choice = change(replace(now, policies=wished), name, *agents)
         if (now.env, now.robots) == (choice.env, choice.robots):
-            wished, choice = choice.policies, change(now)
-        self.play(choice, wished)
+            wished, choice = choice.policies, change(now, name, *agents)
+        self.play(choice, wished, event.client)
 
 
-_LINK = """<a href="%s">Link to this start</a> <button class=copy onclick="
-navigator.clipboard.writeText(this.previousElementSibling.href)
-.then(() => this.textContent = 'Copied')">Copy</button>"""
-
-_HINT = "<div class=hint>Ctrl-drag to pull an object</div>"
-"""What newcomers must know, over the scene; on a Mac it is Cmd."""
-
-_STYLE = '<div style="padding:0.2em 0.8em;font-size:0.85em;line-height:1.4">%s</div>'
+_STYLE = "<div class=said>%s</div>"
+"""Frame of what the panel says."""
 
 
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:
@@ -309,16 +301,13 @@ def _table(rows: Iterable[tuple[str, str]], meanings: Mapping[str, str]) -> str:
         if is_heading := not name.startswith(" "):
             of_part = "reward " if name.startswith("reward") else ""
         word = of_part + name.strip()
-        wrap = "nowrap" if len(value) < _LONG else "normal"
         title = meanings.get(word) or meanings.get(word.rpartition(" ")[0], "")
         lines += (
-            f'<tr><td style="padding-left:{1 - is_heading}em"'
-            f' title="{html.escape(title)}">{html.escape(name)}'
-            f'<td style="text-align:right;white-space:{wrap}">{html.escape(value)}'
+            f"<tr{'' if is_heading else ' class=part'}>"
+            f'<td title="{html.escape(title)}">{html.escape(name)}'
+            f"<td>{html.escape(value)}"
         )
-    # Figures of equal width, so that nothing trembles.
-    style = "width:100%;font-variant-numeric:tabular-nums"
-    return _STYLE % f'<table style="{style}">{lines}</table>'
+    return _STYLE % f"<table>{lines}</table>"
 
 
 class Plots:
@@ -358,13 +347,15 @@ class Plots:
         ]
         axis: Any = {"labelSize": 18, "labelFont": "12px sans-serif", "size": 44}
         axis["ticks"] = {"show": False}
+        # Some room below and above the curves.
+        padded: Any = {end: {"pad": 0.1, "mode": 0} for end in ("min", "max")}
         axes: Any = {**axis, "label": "time, s", "size": 30}, {**axis, "label": unit}
         with self._tab:
             return self._gui.add_uplot(
                 (np.zeros(1),) * (1 + len(names)),
                 ({"label": "time, s"}, *series),
                 title=title,
-                scales={"x": {"time": False}, "y": {"range": _PADDED}},
+                scales={"x": {"time": False}, "y": {"range": padded}},
                 axes=axes,
                 height=160,  # pixels
                 padding=(12, 12, 0, 0),

@@ -22,11 +22,13 @@ _HAZE = (30.0, 60.0)
 _ABOVE = 0.2
 """Height of a label above its arm, in m."""
 
-_GAMMA = 2.2
-"""Exponent that keeps colours strong, since pages draw them lighter than MuJoCo."""
+_BRIGHT = 2.5
+"""Factor of lights that a page adds up before it makes them lighter for the screen, and
+MuJoCo after, so that what is lit and what is in the shade look alike in both."""
 
 _FORCE = (210, 40, 30)
-"""Colour of contact forces."""
+_ARROW: Any = {"shaft_radius": 0.006, "head_radius": 0.016, "head_length": 0.04}
+"""Colour of contact forces, and sizes of their arrows in m."""
 
 NEWTONS_PER_METRE = 300.0
 """Contact force whose arrow is 1 m long."""
@@ -34,9 +36,9 @@ NEWTONS_PER_METRE = 300.0
 _WEAK = 0.5
 """Least contact force that is drawn, in N."""
 
-_TALL, _LOWER = 0.75, 0.4
-"""A picture that is narrower than this share of its height is that of a phone. It looks
-so much lower, as a share of half its height: the panel covers its lower part."""
+_TALL, _COVERED = 0.75, 0.9
+"""A picture that is narrower than this share of its height is that of a phone, whose
+panel covers so much of its lower half."""
 
 _LOW = 480
 """Height in pixels below which even a wide picture is that of a phone, without keys."""
@@ -57,8 +59,9 @@ _FROM: Mapping[str, tuple[float, float, float]] = {
 _HANDS, _WORLD = "hands", "one world"
 """Views of the hands alone, and of the world that is read."""
 
-_GRID = (1.0, 0.0, 0.8)
-"""Direction from the middle of several worlds to a camera that overlooks them."""
+_GRID = [np.array([1.0, 0.0, height]) for height in np.linspace(0.5, 2.0, 16)]
+"""Directions from the middle of several worlds to a camera that overlooks them. In one
+of them it can stand nearest: there they fill the picture."""
 
 _MARGIN = 0.4
 """Margin of a picture around the middles of an arm's parts, in m."""
@@ -107,26 +110,16 @@ class Stage:
         }
         bases = self._data.xpos[[bodies[0] for bodies in self._arms.values()]]
         middle = np.append(bases[:, :2].mean(axis=0), 0.05)
-        eye, looked_at = overview(model, self._data)
-        fov = float(np.radians(model.camera(CAMERA).fovy[0]))
-        self._slope = float(np.tan(fov / 2))
         self._titles = [
-            scene.add_label(f"/world {i}", "", anchor="bottom-center", visible=False)
-            for i in range(len(self._worlds))
+            scene.add_label(f"/world {i}", "", position=at, anchor="bottom-center")
+            for i, at in enumerate(self._places + middle)
         ]
-        for title, place in zip(self._titles, self._places, strict=True):
-            title.position = middle + place
-        self._forces = scene.add_arrows(
-            "/forces",
-            np.zeros((0, 2, 3)),
-            _FORCE,
-            shaft_radius=0.006,
-            head_radius=0.016,
-            head_length=0.04,
-        )
+        none = np.zeros((0, 2, 3))
+        self._forces = scene.add_arrows("/forces", none, _FORCE, **_ARROW)
         camera = server.initial_camera
-        camera.position, camera.look_at = eye, looked_at
-        camera.fov = fov
+        camera.position, camera.look_at = overview(model, self._data)
+        camera.fov = float(np.radians(model.camera(CAMERA).fovy[0]))
+        self._slope = float(np.tan(camera.fov / 2))
 
     def refresh(self, *, labels: bool, forces: bool, shadows: bool) -> None:
         """Show the present state, with names of policies or worlds if `labels`."""
@@ -145,7 +138,7 @@ class Stage:
                 title.visible = labels and has_many
                 is_met = any(session.readings[i].success.values())
                 mark = "\u25b8 " if i == session.world else ""  # This one is read.
-                title.text = f"{mark}{i + 1}{': success' if is_met else ''}"
+                title.text = f"{mark}{i + 1}" + " \u2713" * is_met
             for agent, label in self._labels.items():
                 label.visible = names_arms
                 if names_arms:
@@ -164,8 +157,7 @@ class Stage:
     def stand(self, client: viser.ClientHandle, view: str) -> np.ndarray:
         """Let a tab look from one of `views`; return the camera's place, (3,) in m."""
         aspect = client.camera.aspect
-        is_tall = aspect < _TALL
-        has_keys = not is_tall and client.camera.image_height >= _LOW
+        has_keys = aspect >= _TALL and client.camera.image_height >= _LOW
         for node, pull in () if has_keys else self._pullable:
             node.on_drag("left")(pull)  # With a finger.
         eye, target = self._place(view, aspect)
@@ -173,16 +165,12 @@ class Stage:
             # Of several worlds, all other views are of the one that is read.
             place = self._places[self._session.world]
             eye, target = eye + place, target + place
-        if is_tall:
-            down = _LOWER * self._slope * np.linalg.norm(eye - target)
-            target = target - np.array([0.0, 0.0, down])
         client.camera.position, client.camera.look_at = eye, target
         return eye
 
     def _place(self, view: str, aspect: float) -> tuple[np.ndarray, np.ndarray]:
         """Return where a camera sees arms and targets from, and what it looks at."""
-        model, data = self._model, self._data
-        places = self._places
+        model, data, places = self._model, self._data, self._places
         own, looked_at = overview(model, data)
         if view == _HANDS:
             tcps = [data.site(f"{agent}/tcp").xpos for agent in self._arms]
@@ -193,27 +181,21 @@ class Stage:
             fixed = data.xpos[np.flatnonzero(model.body_weldid == 0)[1:]]
             fixed = np.column_stack([fixed[:, :2], np.full(len(fixed), looked_at[2])])
             shown = np.concatenate([*arms, data.mocap_pos, fixed])
+        room = self._slope * np.array([[aspect, 1.0], [aspect, 1.0]])
+        room[1, 1] *= 1 - _COVERED * (aspect < _TALL)
+        ways, nearest = [own - looked_at], 0.0
         if len(places) > 1 and view == CAMERA:
             shown = np.concatenate([shown + place for place in places])
-            target = (shown.min(axis=0) + shown.max(axis=0)) / 2
-            eye = target + np.array(_GRID)
-        elif view in (CAMERA, _WORLD):
-            eye, target = own, looked_at
-        elif view in (_HANDS, *_FROM):
-            target = (shown.min(axis=0) + shown.max(axis=0)) / 2
-            eye = target + np.array(_FROM.get(view, own - looked_at))
-        else:
+            ways = _GRID
+        elif view == CAMERA:
+            nearest = float(np.linalg.norm(own - looked_at))
+        elif view in _FROM:
+            ways = [np.array(_FROM[view])]
+        elif view not in (_WORLD, _HANDS):
             camera = data.camera(view)
             return camera.xpos, camera.xpos - camera.xmat.reshape(3, 3)[:, 2]
-        back = (eye - target) / np.linalg.norm(eye - target)
-        right = np.cross([0.0, 0.0, 1.0], back)
-        right /= np.linalg.norm(right)
-        away = shown - target
-        wide = (np.abs(away @ right) + _MARGIN) / (self._slope * aspect)
-        high = (np.abs(away @ np.cross(back, right)) + _MARGIN) / self._slope
-        needed = float(np.max(away @ back + np.maximum(wide, high)))
-        nearest = np.linalg.norm(eye - target) if view == CAMERA else 0.0
-        return target + max(needed, nearest) * back, target
+        fits = [_fit(shown, way, room, nearest) for way in ways]
+        return min(fits, key=lambda fit: float(np.linalg.norm(fit[0] - fit[1])))
 
     @property
     def _data(self) -> mujoco.MjData:
@@ -248,7 +230,7 @@ class Stage:
                     # A floor is endless, and one is enough.
                     wxyzs[: 1 if each.is_floor else None, body],
                     positions[: 1 if each.is_floor else None, body],
-                    batched_colors=(np.array(each.color) / 255) ** _GAMMA,
+                    batched_colors=_linear(np.array(each.color) / 255),
                     opacity=None if each.opacity == 1 else each.opacity,
                     cast_shadow=each.opacity == 1,
                     side="front" if each.opacity == 1 else "double",
@@ -295,6 +277,28 @@ class Stage:
         return pull
 
 
+def _fit(
+    shown: np.ndarray, way: np.ndarray, room: np.ndarray, nearest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a camera sees points from, and what it looks at, (3,) in m each.
+
+    The points are (points, 3), and in the middle of its picture; `way` leads to it, and
+    `room` is what it sees per metre of depth to the right and up, and to the left and
+    down, (2, 2).
+    """
+    back = way / np.linalg.norm(way)
+    right = np.cross([0.0, 0.0, 1.0], way)
+    right /= np.linalg.norm(right)
+    axes, middle = np.stack([right, np.cross(back, right)]), shown.mean(axis=0)
+    depths, places = (shown - middle) @ back, (shown - middle) @ axes.T
+    ends = np.stack([places, -places]) + _MARGIN
+    needed = (depths[:, None] + ends / room[:, None]).max(axis=1)
+    distance = max(np.average(needed, axis=0, weights=room).max(), nearest)
+    gaps = room * (distance - needed)
+    middle = middle + (gaps[1] - gaps[0]) / 2 @ axes
+    return middle + distance * back, middle
+
+
 def _rows(count: int, bodies: np.ndarray) -> np.ndarray:
     """Return where worlds stand in rows, the first at the origin, (count, 3) in m.
 
@@ -319,30 +323,35 @@ def _arrows(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return np.array(arrows).reshape(-1, 2, 3)
 
 
+def _linear(color: np.ndarray) -> np.ndarray:
+    """Return the light of an sRGB colour, 0 to 1, of which a page makes it again."""
+    return np.where(color < 0.04, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+
+
 def _light(
     scene: viser.SceneApi, model: mujoco.MjModel, width: float
 ) -> list[viser.DirectionalLightHandle]:
-    """Light a page's scene about as MuJoCo lights the world.
+    """Light a page's scene about as MuJoCo does, and return what casts shadows.
 
     The haze begins behind worlds that are so wide, in m.
-
-    Returns:
-      The lights that cast shadows.
     """
     scene.configure_default_lights(False)
     scene.configure_environment_map(None)
     scene.set_background_image(np.full((2, 2, 3), _SKY, np.uint8))
     near, far = _HAZE
     scene.configure_fog(near + 3 * width, far + 3 * width, color=_FOG)
-    ambient = model.vis.headlight.ambient.mean()
-    scene.add_light_ambient("/ambient", intensity=float(np.pi * ambient))
+    ambient, *own = (
+        float(np.pi * _BRIGHT * _linear(each.mean()))
+        for each in (model.vis.headlight.ambient, *model.light_diffuse)
+    )
+    scene.add_light_ambient("/ambient", intensity=ambient)
     lights = [
         scene.add_light_directional(
             f"/light {i}",
-            intensity=float(np.pi * model.light_diffuse[i].mean()),
-            cast_shadow=bool(model.light_castshadow[i]),
+            intensity=own[i],
             position=tuple(-5.0 * model.light_dir[i]),
         )
         for i in range(model.nlight)
     ]
-    return [light for light in lights if light.cast_shadow]
+    # None casts one yet: a page that does without would draw it while it loads.
+    return [lights[i] for i in np.flatnonzero(model.light_castshadow)]

@@ -92,8 +92,7 @@ class Page:
             is_placed = np.allclose(camera.position, eye, atol=0.01)
             is_first = np.allclose(camera.position, first, atol=0.01)
             has_new_shape = not np.isclose(camera.aspect, aspect, rtol=0.01)
-            is_lost = is_first and not is_placed
-            if is_lost or (is_placed and has_new_shape):
+            if has_new_shape if is_placed else is_first:
                 aspect = camera.aspect
                 self._eyes[number] = self._stage.stand(client, self._panel.view)
 

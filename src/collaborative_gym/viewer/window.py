@@ -95,19 +95,15 @@ class Window:
 
     def _press(self, key: int) -> None:
         session = self._session
-        match key:
-            case glfw.KEY_SPACE:
-                (session.play if session.is_paused else session.pause)()
-            case glfw.KEY_RIGHT:
-                session.step()
-            case glfw.KEY_BACKSPACE:
-                session.reset()
-            case glfw.KEY_ENTER:
-                session.next()
-            case glfw.KEY_UP:
-                session.speed = min(session.speed * _FASTER, FASTEST)
-            case glfw.KEY_DOWN:
-                session.speed = max(session.speed / _FASTER, SLOWEST)
+        go_on = session.play if session.is_paused else session.pause
+        moves = {glfw.KEY_SPACE: go_on, glfw.KEY_RIGHT: session.step}
+        moves |= {glfw.KEY_BACKSPACE: session.reset, glfw.KEY_ENTER: session.next}
+        if key in moves:
+            moves[key]()
+        elif key == glfw.KEY_UP:
+            session.speed = min(session.speed * _FASTER, FASTEST)
+        elif key == glfw.KEY_DOWN:
+            session.speed = max(session.speed / _FASTER, SLOWEST)
 
 
 def _text(place: int, rows: Iterable[tuple[str, str]]) -> tuple[int, int, str, str]:
