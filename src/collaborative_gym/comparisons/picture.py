@@ -133,11 +133,8 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
     lines = max(len(label.splitlines()) for label in labels)
     lines *= math.ceil(len(labels) / columns)
     figure.set_figheight(height + (1 + lines) * _LEGEND_LINE)
-    lines, at = (
-        [Line2D([], [], **each) for each in styles.values()],
-        "outside upper left",
-    )
-    figure.legend(lines, labels, loc=at, ncols=columns, frameon=False)
+    marks, place = [Line2D([], [], **own) for own in styles.values()], "upper left"
+    figure.legend(marks, labels, loc=f"outside {place}", ncols=columns, frameon=False)
 
 
 def _draw_curves(

@@ -22,6 +22,7 @@ from collaborative_gym.comparisons.runs import (
 )
 from collaborative_gym.errors import check_kind, look_up
 from collaborative_gym.evaluation import intervals
+from collaborative_gym.evaluation.intervals import Estimate
 from collaborative_gym.evaluation.report import format_interval, is_share
 from collaborative_gym.evaluation.table import escaped, markdown_table, to_csv, to_json
 
@@ -58,9 +59,9 @@ class Entry:
 class Aggregates:
     """Interquartile mean, median and mean of scores, with intervals over seeds."""
 
-    iqm: intervals.Estimate
-    median: intervals.Estimate
-    mean: intervals.Estimate
+    iqm: Estimate
+    median: Estimate
+    mean: Estimate
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,8 @@ class Reached:
     """First validations of which a share of `_GOAL` was completed."""
 
     runs: int  # number of runs with such a validation
-    steps: (
-        intervals.Estimate
-    )  # median until then; infinite if half of the runs have none
-    core_seconds: (
-        intervals.Estimate
-    )  # median of the CPU time; NaN where it is not known
+    steps: Estimate  # median until then; infinite if half of the runs have none
+    core_seconds: Estimate  # median of the CPU time; NaN where it is not known
 
 
 @dataclass(frozen=True)
@@ -149,7 +146,7 @@ class Comparison:
             intervals.mean_of(strata, is_share=share)[0],
         )
 
-    def curve(self, group: Group, measure: str) -> list[intervals.Estimate]:
+    def curve(self, group: Group, measure: str) -> list[Estimate]:
         """Return the interquartile mean of a group's validations, by `group.steps`."""
         return intervals.iqm_of([group.values(measure)], is_share=is_share(measure))
 
@@ -168,7 +165,7 @@ class Comparison:
         return {n: e.scores(self.measure) for n, e in self.contestants.items()}
 
     @cached_property
-    def profiles(self) -> dict[str, list[intervals.Estimate]]:
+    def profiles(self) -> dict[str, list[Estimate]]:
         """By contestant, the share of runs that score at least each of `levels`."""
         return {
             name: intervals.share_of(np.concatenate(scores) >= self.levels)
@@ -176,7 +173,7 @@ class Comparison:
         }
 
     @cached_property
-    def improvements(self) -> dict[tuple[str, str], intervals.Estimate]:
+    def improvements(self) -> dict[tuple[str, str], Estimate]:
         """Probability that a run of the first contestant beats one of the second.
 
         It is the mean over environments, and a tie counts a half.
@@ -405,12 +402,12 @@ def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _cell(number: intervals.Estimate, measure: str) -> str:
+def _cell(number: Estimate, measure: str) -> str:
     ends = number.value, number.low, number.high
     return format_interval(*ends, percent=is_share(measure))
 
 
-def _counted(number: intervals.Estimate) -> str:
+def _counted(number: Estimate) -> str:
     """Return a large number and its interval for people; a dash where unknown."""
     if math.isnan(number.value):
         return "-"

@@ -30,20 +30,13 @@ from collaborative_gym.tasks.registry import as_task
 from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
-_SAME_SPREAD = 0.01
-"""Difference of the robots' nearness that a picture does not show, in m."""
-
-_HOLD = 1.0
-"""Time for which a film shows the end of an episode, in s."""
+_SAME_SPREAD = 0.01  # m, difference of the robots' nearness that a picture hides
+_HOLD = 1.0  # s, for which a film shows the end of an episode
+_LONGEST = 36_000.0  # s, greatest length of a film
+_SLOWEST, _FASTEST = 0.1, 2.0  # bounds of a film's speed, in simulated s per second
 
 _LONG = 2.5
 """Width over height of a picture below which, not beside which, a close-up stands."""
-
-_LONGEST = 36_000.0
-"""Greatest length of a film, in s."""
-
-_SLOWEST, _FASTEST = 0.1, 2.0
-"""Bounds of a film's speed, in simulated seconds per second."""
 
 _SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
 """How many pictures of a control step a film may have."""
@@ -52,11 +45,8 @@ _SLOWER, _AROUND = 5, (-5, 2)
 """How many times as many it has in slow motion, if it may, and from which control step
 to before which one, counted from a decisive one."""
 
-_ZOOMS = 8
-"""Pictures over which a close-up goes nearer in slow motion."""
-
-_VISIBLE = 3e-4
-"""Least motion that a video shows, in rad or m: a tenth of a pixel and less."""
+_ZOOMS = 8  # pictures over which a close-up goes nearer in slow motion
+_VISIBLE = 3e-4  # rad or m, least motion that shows: a tenth of a pixel and less
 
 
 def record(

@@ -21,8 +21,7 @@ T = TypeVar("T")
 _NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
 """Distances to a body in a close-up, in m, and the share of them that is cut away."""
 
-_LEFT = 0.15
-"""Distance of all hands from a body beyond which a close-up may show another, in m."""
+_LEFT = 0.15  # m, of all hands from a body; a close-up may then show another one
 
 _LAMPS, _ASIDE = 4, 0.035
 """How many pictures one is the mean of, and how far aside the lamp shines in them."""
@@ -109,13 +108,10 @@ class Camera:
         return self._softened()
 
     def _softened(self) -> np.ndarray:
-        """Return the mean of pictures whose lamps and pixels are a little aside.
-
-        Shadows then fade, and edges have no steps.
-        """
+        """Return a mean of pictures, whose shadows fade and whose edges are smooth."""
         scene, total = self._renderer.scene, np.zeros((*self.size[::-1], 3))
         lamps = [(lamp, lamp.dir.copy()) for lamp in scene.lights if lamp.castshadow]
-        # Points of a disc and of a pixel, far from one another.
+        # Lamp and pixels go aside to points far from one another.
         i = np.arange(_LAMPS)
         far = _ASIDE * np.sqrt((i + 0.5) / _LAMPS)
         aside = far * [np.cos(2.4 * i), np.sin(2.4 * i), 0.0 * i]
