@@ -25,7 +25,7 @@ SIZES = {
 """Sizes of films, of long rows with less height, and of two with small goals."""
 SPEEDS = {"Hockey": 2.0, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
 """Speeds of tasks in which much is alike, and of one that is over in a second."""
-ROLLING = cg.Randomization(lost=1.0)
+STARTS = {"Balance": "lost"}
 """Starts of films of Balance, whose ball would soon lie still: it already rolls."""
 SLOW = "Poke", "Pass", "Assemble", "Hockey"
 """Tasks in which single moments decide."""
@@ -56,8 +56,8 @@ GAME, EPISODE = "HockeyPandas-v0", 8
 
 def sharp(env_id: str) -> cg.Task:
     """Return the task of an id, whose pictures have finer shadows than usual."""
-    starts = ROLLING if env_id.startswith("BalanceTask") else None
-    task = cg.task(env_id, randomization=starts)
+    kind = type(cg.task(env_id)).__name__
+    task = cg.task(env_id, randomization=STARTS.get(kind))
     World.of(task).drawn_model.vis.quality.shadowsize = SHADOWS
     return task
 

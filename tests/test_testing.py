@@ -145,7 +145,33 @@ def test_a_count_of_measurements_near_the_goal(faults):
         return facts
 
     found = faults(measure=measure)
-    assert any("the same state (sim.memory['push']); update" in each for each in found)
+    assert any("the same state (sim.memory['push']); write" in each for each in found)
+
+
+def test_a_gain_since_the_last_measurement(faults):
+    """A second time it is none, and a third, so that these two agree."""
+
+    def measure(self, own, sim):
+        facts = own(self, sim)
+        gain = facts.height - sim.memory["push"][:, 0]
+        sim.memory["push"] = np.stack([facts.height] * 3, axis=1)
+        return replace(facts, height=gain)
+
+    found = faults(
+        measure=measure, shortfall=lambda self, own, facts: 0.0 * facts.height
+    )
+    assert any("the same state (facts.height); write nothing" in each for each in found)
+
+
+def test_random_numbers_when_a_task_is_made(faults):
+    drawn = np.random.default_rng(3)
+
+    def build(self, own, scene):
+        own(self, scene)
+        scene.spec.body("cube/cube").pos[0] += drawn.uniform(0.0, 0.01)
+
+    found = faults(build=build)
+    assert any("the task plays otherwise if it is made again" in each for each in found)
 
 
 def test_a_write_to_the_memory_near_the_goal(faults):
@@ -231,7 +257,7 @@ def test_numbers_that_are_drawn_elsewhere(faults):
         sim.memory["push"][env_ids] = shared.uniform(-20.0, 20.0, (len(env_ids), 3))
 
     found = faults(reset=reset)
-    assert "draw only from rng in reset()" in found[1]
+    assert "in reset() only from rng" in found[1]
     assert all(each.startswith("- perhaps by the same fault, ") for each in found[2:])
     assert len(found) > 2
 

@@ -122,7 +122,10 @@ class TaskUnderTest:
         """Return a batch at the start of seed 0, made once for each set of numbers."""
         key = num_envs, num_threads, copy
         if key not in self._made:
-            self._made[key] = VectorEnv(self.task, num_envs, num_threads=num_threads)
+            task = self.task
+            if copy:  # The task is made again, too.
+                task = type(task)([*task.robots.values()], task.config)
+            self._made[key] = VectorEnv(task, num_envs, num_threads=num_threads)
         self._made[key].reset(seed=0)
         return self._made[key]
 
@@ -151,11 +154,6 @@ def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
             given = b"".join(np.asarray(row).tobytes() for row in rows)
             seen[key] = seen.get(key, b"") + given
     return seen
-
-
-def leaves(value: Any) -> list[Any]:
-    """Return the arrays in nested dataclasses, namespaces, dictionaries and tuples."""
-    return [*_named(value, "").values()]
 
 
 def check_values(tested: TaskUnderTest) -> None:
@@ -190,6 +188,15 @@ def check_starts(tested: TaskUnderTest) -> None:
     assert refused <= len(own), (
         f"{refused} of {refused + len(own)} starts that reset() draws are refused, as"
         " one thing is inside another; draw things apart"
+    )
+
+
+def check_making(tested: TaskUnderTest) -> None:
+    """A task that is made again has the same worlds."""
+    once, again = (play(tested.worlds(7, copy=i), 4) for i in range(2))
+    assert all(_agree(given, again[key]) for key, given in once.items()), (
+        "the task plays otherwise if it is made again; draw no random numbers in"
+        " __init__(), mounts() and build(), and in reset() only from rng"
     )
 
 
@@ -358,11 +365,12 @@ def _check_methods(env: VectorEnv) -> None:
     before, facts = worlds(), task.measure(sim)
     first = _bits(facts)
     changed = _changed(before, worlds()) or _changed(first, _bits(task.measure(sim)))
-    assert not changed, (
-        "measure() returns other facts when it is called again in the same state"
-        f" ({changed}); update sim.memory so that a second time changes nothing, as"
+    again = (
+        "measure() returns other facts when it is called again in the same state (%s);"
+        " write nothing but sim.memory, so that a second time changes nothing, as"
         " maximum(old, new) does"
     )
+    assert not changed, again % changed
     asked: dict[str, tuple[Any, ...]] = dict.fromkeys(_JUDGING, (facts,))
     asked |= {"reward": (facts, commands), "expert": (sim, facts)}
     for name, given in asked.items():
@@ -372,19 +380,21 @@ def _check_methods(env: VectorEnv) -> None:
         differs = _changed(once, _bits(getattr(task, name)(*given)))
         changed = _changed(first, _bits(facts)) or _changed(before, worlds())
         assert not changed, (
-            f"{name}() changes {changed}; make new arrays, as a = a + b does, and not a"
-            " += b"
+            f"{name}() changes {changed}; make new arrays, as a = a + b does, and new"
+            " dictionaries, as d | e is"
         )
         assert not differs, (
             f"{name}() returns another value when it is called again; it must depend on"
             " its arguments alone"
         )
+    changed = _changed(_bits(env.facts), first)
+    assert not changed, again % changed  # The first time was in the step.
     Trial(task, sim).check(facts, commands)
     for array in sim.memory.values():
         array.flags.writeable = False  # They are kept in case the step fails.
 
 
-def _named(value: Any, name: str) -> dict[str, Any]:
+def leaves(value: Any, name: str = "") -> dict[str, Any]:
     """Return the arrays of which a value consists, by names within it."""
     if is_dataclass(value) or isinstance(value, SimpleNamespace):
         parts = {f"{name}.{own}": part for own, part in vars(value).items()}
@@ -394,12 +404,12 @@ def _named(value: Any, name: str) -> dict[str, Any]:
         parts = {f"{name}[{i}]": part for i, part in enumerate(value)}
     else:
         return {name: value}
-    found = (_named(part, own) for own, part in parts.items())
+    found = (leaves(part, own) for own, part in parts.items())
     return {name: leaf for named in found for name, leaf in named.items()}
 
 
 def _bits(value: Any, name: str = "facts") -> dict[str, bytes]:
-    return {own: np.asarray(x).tobytes() for own, x in _named(value, name).items()}
+    return {own: np.asarray(x).tobytes() for own, x in leaves(value, name).items()}
 
 
 def _changed(before: dict[str, bytes], now: dict[str, bytes]) -> str:
@@ -423,6 +433,7 @@ CHECKS: tuple[Callable[[TaskUnderTest], None], ...] = (
     check_values,
     check_measuring,
     check_starts,
+    check_making,
     check_batches,
     check_isolation,
     check_saving,

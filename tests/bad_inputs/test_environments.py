@@ -153,7 +153,9 @@ SETTINGS = [
         NO_NUMBERS,
         [(0, 0, math.inf)],
     ),
-    *table("settings", "yaw", lambda s, v: cg.Placement((0, 0, 0), v), NO_NUMBER),
+    *table(
+        "settings", "yaw", lambda s, v: cg.Placement((0, 0, 0), v), NO_NUMBER, [90, -90]
+    ),
     *(
         case
         for name in (field.name for field in fields(cg.Randomization))

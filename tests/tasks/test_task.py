@@ -1,5 +1,7 @@
 """Settings that no world could be made of are refused when they are made."""
 
+from dataclasses import dataclass
+
 import pytest
 
 from collaborative_gym import Randomization, Task, TaskConfig
@@ -38,6 +40,33 @@ class Undecorated(TaskConfig):
 
 class Alone:
     """It lacks the fields that all tasks have."""
+
+
+@dataclass(frozen=True)
+class Untyped(TaskConfig):
+    """Its attribute is no field."""
+
+    tolerance = 0.05
+
+
+@dataclass(frozen=True)
+class Quoted(TaskConfig):
+    """Its default is of another type than its field."""
+
+    tolerance: float = "0.05"
+
+
+def test_a_setting_without_a_type_is_refused():
+    task = type("Mine", (Task,), {"config_class": Untyped})
+    with pytest.raises(
+        TypeError, match=r"Untyped\.tolerance is no .* tolerance: float"
+    ):
+        register_task("Mine", task)
+
+
+def test_a_default_of_another_type_is_refused():
+    with pytest.raises(TypeError, match=r"tolerance must be a number, got '0\.05'"):
+        Quoted()
 
 
 @pytest.mark.parametrize("config_class", [Undecorated, Alone, None])

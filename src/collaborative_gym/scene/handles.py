@@ -11,6 +11,7 @@ from collaborative_gym.robots.robot import Robot
 from collaborative_gym.timing import CONTROL_DT, MAX_CHANGE
 
 _ACTUATOR = mujoco.mjtObj.mjOBJ_ACTUATOR
+_TURN = 4 * np.pi  # bound of a yaw; most turns in degrees are beyond it
 
 SHOULDER = np.array([0.0, 0.0, 0.3])
 """Height of an arm's shoulder above its base in m, about right for all arms."""
@@ -33,7 +34,8 @@ class Placement:
         for i, value in enumerate(position):
             check_number(f"position[{i}]", value, at_least=-1000.0, at_most=1000.0)
         object.__setattr__(self, "position", position)
-        object.__setattr__(self, "yaw", check_number("yaw", self.yaw))
+        turn = check_number("yaw in rad", self.yaw, at_least=-_TURN, at_most=_TURN)
+        object.__setattr__(self, "yaw", turn)
 
     @property
     def quat(self) -> list[float]:

@@ -40,7 +40,14 @@ def check_class(task: Any) -> None:
             f"{task.__name__}.config_class must be a dataclass derived from TaskConfig,"
             f" with @dataclass(frozen=True) above it, got {shown(kind)}"
         )
-    settings = {each.name for each in fields(kind)} - vars(Task).keys()
+    named = {each.name for each in fields(kind)}
+    for name, value in vars(kind).items():
+        if not (name[0] == "_" or name in named or hasattr(value, "__get__")):
+            raise TypeError(
+                f"{kind.__name__}.{name} is no setting without a type; write"
+                f" {name}: {type(value).__name__} = {shown(value)}"
+            )
+    settings = named - vars(Task).keys()
     for base in task.__mro__[: task.__mro__.index(Task)]:
         for name in vars(base):
             if fault := _fault(task, base, name, settings):

@@ -28,6 +28,8 @@ def check_settings(settings: Any) -> None:
     """
     for option in fields(settings):
         name, kind = option.name, type(option.default)
+        if option.type in (int, float, bool) and option.default is not None:
+            kind = option.type
         given = getattr(settings, name)
         if kind is int:
             number = check_count(

@@ -29,11 +29,8 @@ _MOST = 64
 """How many connections may be open; a tab has one, and some while it loads. Beyond it,
 one that has asked for nothing yet makes room."""
 
-_FAR = 1e3
-"""Bound of a mouse's and a camera's place, in m."""
-
-_PIXELS = 2**16
-"""Bound of places and sizes on a screen, in pixels."""
+_FAR = 1e3  # bound of a mouse's and a camera's place, in m
+_PIXELS = 2**16  # bound of places and sizes on a screen, in pixels
 
 _HOST = re.compile(r"(?:\[(.+)\]|([^:\[\]]+))(?::\d+)?", re.ASCII)
 """A request's `Host`: an IPv6 address in brackets, or else a name, and a port."""
@@ -45,8 +42,7 @@ _HEAD = """<!doctype html><title>Collaborative Gym</title>
 """
 """Beginning of the page that says what is wrong with a link, on a phone, too."""
 
-_LAST_PORT = 65535
-"""The greatest port."""
+_LAST_PORT = 65535  # the greatest port
 
 _LOGGER = logging.getLogger(__name__)
 _LOGGER.addHandler(logging.NullHandler())  # Who scans ports must not fill a terminal.

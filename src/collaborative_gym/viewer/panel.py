@@ -18,13 +18,11 @@ from collaborative_gym.viewer.reading import Reading, meanings
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 from collaborative_gym.viewer.stage import NEWTONS_PER_METRE
 
-_PAUSE = 0.5
-"""Time between two pictures of a chart, in s of the user's time."""
+_PAUSE = 0.5  # time between two pictures of a chart, in s of the user's time
 
 _COLORS = "#333", "#c22", "#17c", "#294", "#e50", "#64d", "#089", "#a15"
 
-_PER_STEP = "reward per step"
-"""Unit of the charts of rewards."""
+_PER_STEP = "reward per step"  # unit of the charts of rewards
 
 _STYLES, _SCRIPT = (
     Path(__file__).with_name(f"panel.{kind}").read_text() for kind in ("css", "js")
@@ -254,8 +252,7 @@ class Panel:
         self.play(choice, wished, event.client)
 
 
-_STYLE = "<div class=said>%s</div>"
-"""Frame of what the panel says."""
+_STYLE = "<div class=said>%s</div>"  # frame of what the panel says
 
 
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:

@@ -24,14 +24,9 @@ SLOWEST, FASTEST = 0.1, 4.0
 MOST_WORLDS = 16
 """Most worlds that are shown beside one another."""
 
-_PICTURES = 60
-"""Most pictures per second, of the user's time."""
-
-_LAG = 0.1
-"""Longest delay that the world catches up, in s."""
-
-_HOLD = 1.0
-"""Time for which the end of an episode is shown, of the user's time in s."""
+_PICTURES = 60  # most pictures per second, of the user's time
+_LAG = 0.1  # longest delay that the world catches up, in s
+_HOLD = 1.0  # time for which the end of an episode is shown, of the user's time in s
 
 Load = Callable[[VectorEnv], tuple[VectorEnv, Policy, Mapping[str, Any]]]
 """From the present world to another, its policy, and the policy of each agent."""

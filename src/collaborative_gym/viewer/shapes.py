@@ -7,23 +7,15 @@ import numpy as np
 
 from collaborative_gym import math
 
-_MAX_GROUP = 2
-"""Geoms of higher groups collide and are not seen."""
-
-_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""A geom of this colour takes its material's."""
-
-_FLOOR = 60.0
-"""Half width of the drawn part of an endless plane, in m."""
-
-_SQUARE = 1.0
-"""Side of the squares in which a plane is coloured, in m."""
+_MAX_GROUP = 2  # geoms of higher groups collide and are not seen
+_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # a geom of this colour takes its material's
+_FLOOR = 60.0  # half width of the drawn part of an endless plane, in m
+_SQUARE = 1.0  # side of the squares in which a plane is coloured, in m
 
 _SECTORS, _FINE = 24, 64
 """Number of sectors of a round shape, and of a ball, whose triangles show a texture."""
 
-_MAX_COLORS = 4
-"""A texture with more colours than this is drawn in their mean."""
+_MAX_COLORS = 4  # a texture with more colours than this is drawn in their mean
 
 _CUBE = np.array(
     [

@@ -16,11 +16,8 @@ from collaborative_gym.viewer.shapes import surfaces
 _SKY, _FOG = (171, 190, 211), (165, 185, 208)
 """Colours of a page's sky and of its haze, which a page draws lighter, like the sky."""
 
-_HAZE = (30.0, 60.0)
-"""Distances at which things begin to fade and have faded, in m."""
-
-_ABOVE = 0.2
-"""Height of a label above its arm, in m."""
+_HAZE = (30.0, 60.0)  # distances at which things begin to fade and have faded, in m
+_ABOVE = 0.2  # height of a label above its arm, in m
 
 _BRIGHT = 2.5
 """Factor of lights that a page adds up before it makes them lighter for the screen, and
@@ -33,8 +30,7 @@ _ARROW: Any = {"shaft_radius": 0.006, "head_radius": 0.016, "head_length": 0.04}
 NEWTONS_PER_METRE = 300.0
 """Contact force whose arrow is 1 m long."""
 
-_WEAK = 0.5
-"""Least contact force that is drawn, in N."""
+_WEAK = 0.5  # least contact force that is drawn, in N
 
 _TALL, _COVERED = 0.75, 0.9
 """A picture that is narrower than this share of its height is that of a phone, whose
@@ -43,8 +39,7 @@ panel covers so much of its lower half."""
 _LOW = 480
 """Height in pixels below which even a wide picture is that of a phone, without keys."""
 
-_WIDE = 1.6
-"""Width of all worlds together as a share of their depth."""
+_WIDE = 1.6  # width of all worlds together as a share of their depth
 
 _FROM: Mapping[str, tuple[float, float, float]] = {
     "front": (1.0, 0.0, 0.4),
@@ -63,8 +58,7 @@ _GRID = [np.array([1.0, 0.0, height]) for height in np.linspace(0.5, 2.0, 16)]
 """Directions from the middle of several worlds to a camera that overlooks them. In one
 of them it can stand nearest: there they fill the picture."""
 
-_MARGIN = 0.4
-"""Margin of a picture around the middles of an arm's parts, in m."""
+_MARGIN = 0.4  # margin of a picture around the middles of an arm's parts, in m
 
 _APART = 1.8, 1.0
 """Distance between the bodies of two worlds behind and beside one another, in m."""

@@ -14,11 +14,8 @@ import numpy as np
 from collaborative_gym.pictures.rendering import CAMERA, overview
 from collaborative_gym.viewer.session import FASTEST, SLOWEST, Session
 
-_FASTER = 1.25
-"""Factor of the speed for one press of a key."""
-
-_PATIENCE = 5.0
-"""Longest time to wait for the last picture, in s."""
+_FASTER = 1.25  # factor of the speed for one press of a key
+_PATIENCE = 5.0  # longest time to wait for the last picture, in s
 
 _HELP = (
     ("Space", "pause, or go on"),
