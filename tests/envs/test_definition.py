@@ -166,6 +166,7 @@ def nothing(*_):
             lambda self: 0,
             r"has the arguments \(self\), but is .*\(self, sim\)",
         ),
+        ("start", lambda self: 0, r"called with \(self, sim, env_ids, \*, rng\)"),
         (
             "reset",
             lambda self, sim, env_ids: 0,

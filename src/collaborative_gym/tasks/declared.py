@@ -74,7 +74,7 @@ def _fault(task: type[Task], base: type, name: str, settings: set[str]) -> str:
     value, own = vars(base)[name], vars(Task).get(name)
     known = {n for n in [*vars(Task), *Task.__annotations__] if n[0] != "_"}
     is_method = inspect.isfunction(value)
-    if inspect.isfunction(own) and name not in _CALLED:
+    if inspect.isfunction(own):
         said = "" if callable(value) else f"must be a method, got {shown(value)}"
         return _misfit(value, own) if is_method else said
     if name in known:
