@@ -33,7 +33,7 @@ BESIDE = (400, 226)
 """Size of each of two pictures side by side in a GIF, which pages show."""
 SHADOWS = 3072
 """Sides of the map of shadows, in pixels, more than elsewhere."""
-LEAST = 9.0
+LEAST = 6.0
 """Length of a film, in s, at which no further start begins."""
 CLOSE_UPS = {
     "Poke": "robot_2/donut/donut",
