@@ -81,6 +81,21 @@ def test_rows_show_it_all_with_sums(played):
     assert list(rows)[-2:] == ["last result", "  so"]
 
 
+def test_episodes_that_came_to_an_end_are_counted(make_env):
+    env, latest = make_env(auto_reset=False, max_episode_steps=60), None
+    counted = []
+    for policy in (env.expert, env.idle, env.expert, env.expert):
+        _, infos = env.reset()
+        latest = read(env, infos, latest)
+        counted.append(dict(latest.rows)["succeeded before"])
+        # The third is given up before it has shown anything.
+        for _ in range(3 if len(counted) == 3 else 60):
+            if not latest.has_ended:
+                *_, infos = env.step(policy())
+                latest = read(env, infos, latest)
+    assert counted == ["0 of 0", "1 of 1", "1 of 2", "1 of 2"]
+
+
 def test_nothing_reads_as_minus_zero(played):
     _, _, latest = played(0)
     terms = {"robot_1": {"grip": -1e-9}}
@@ -133,7 +148,7 @@ def test_sides_are_told_apart(duel):
     assert latest.success == {"side_1": True, "side_2": False}
     assert before.returns["side_1"] > 0.5
     assert before.returns["side_2"] == pytest.approx(-before.returns["side_1"])
-    assert before.rows[2:10] == [
+    assert before.rows[3:11] == [
         ("side_1", "robot_2 expert"),
         ("  score", "0"),
         ("  success", "no"),

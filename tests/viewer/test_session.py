@@ -156,10 +156,13 @@ def test_a_pull_moves_what_is_pulled_until_it_is_let_go(
         session.step()
     wait_until(lambda: steps_done(session) == 15)
     assert session.reading.measures["height"] > height + 0.3
+    assert session.reading.pull > 5.0
+    assert ("your pull", f"{session.reading.pull:.1f} N") in session.reading.rows
     assert perturb.localmass == pytest.approx(1.0, rel=1e-3)
     session.perturb = None
     session.step()
     wait_until(lambda: steps_done(session) == 16)
+    assert session.reading.pull == 0.0
     assert not session.env.sim.xfrc_applied.any()
 
 

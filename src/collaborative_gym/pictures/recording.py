@@ -232,7 +232,6 @@ def contact_sheet(
 
 
 def _sides(size: Any) -> tuple[int, int]:
-    """Return a picture's width and height, checked."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
         raise TypeError(f"size must be a width and a height, got {shown(size)}")
     width, height = size
@@ -351,7 +350,6 @@ class _Screen:
         return {int(i) + j for i in large[last:] for j in range(*_AROUND)}
 
     def _progress(self, step: _Step) -> float:
-        """Return the task's measure of progress, the greatest up to a step."""
         return float(step.infos["metrics"]["coordination"][self._stage][0])
 
     def _keep(self) -> None:

@@ -15,8 +15,7 @@ import numpy as np
 from collaborative_gym.errors import how_to_install
 from collaborative_gym.files import naming, replacing
 
-_BEGIN = 100
-"""Frames of a GIF by which its colours are chosen."""
+_BEGIN = 100  # frames of a GIF by which its colours are chosen
 
 Frames = Iterator[np.ndarray]
 """Pictures, (height, width, 3) uint8."""

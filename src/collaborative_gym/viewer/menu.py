@@ -233,13 +233,11 @@ class Menu:
         return replace(choice, policies=tuple(names[: len(choice.robots)]))
 
     def _styles(self, choice: Choice) -> list[str]:
-        """Return the names of the expert's styles."""
         # Not every environment has every kind of starts.
         task = self._make(replace(choice, randomization="default"))
         return [f"expert:{each}" for each in {**STYLES, **task.styles}]
 
     def _usual(self, env: str) -> tuple[str, ...]:
-        """Return an environment's own arms."""
         return _arms(make_task(env) if env in list_envs() else self._task)
 
     def _shipped(self, choice: Choice) -> list[str]:

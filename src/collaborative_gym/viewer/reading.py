@@ -34,13 +34,18 @@ class Reading:
     has_ended: bool  # whether this episode is over
     trouble: str = ""  # why it cannot go on, a sentence, or empty
     is_loading: bool = False  # whether another world is being made
+    has_met: bool = False  # whether the only side has met the goal in this episode
+    tally: tuple[int, int] = (0, 0)  # episodes before with success, and all of them
+    pull: float = 0.0  # strength of a user's pull, in N
 
     @property
     def rows(self) -> list[tuple[str, str]]:
         """The reading as rows of name and value; the heading of a part has no value."""
         # There are the same rows at any time, so that none jumps.
         rows = [(f"episode of seed {self.seed}", str(self.episode))]
-        rows.append(("time", f"{self.time:.1f} s"))
+        if len(self.players) == 1:
+            rows.append(("succeeded before", "{} of {}".format(*self.tally)))
+        rows += [("time", f"{self.time:.1f} s"), ("your pull", f"{self.pull:.1f} N")]
         indent = "  " * (len(self.players) > 1)
         for side, player in self.players.items():
             rows.append((side if indent else "policy", player))
@@ -84,6 +89,11 @@ def read(
     points = infos["metrics"].get("score", {})
     measures = list(_measures(env.facts, env.task.units, world))
     previous = "" if before is None else before.previous
+    met, tally = len(success) == 1 and step > 0 and bool(success[0][1][0]), (0, 0)
+    if before is not None:
+        met, tally = met or (step > 1 and before.has_met), before.tally
+        if step == 0 and (before.has_met or before.has_ended):
+            tally = tally[0] + before.has_met, tally[1] + 1
     return Reading(
         episode=episode,
         seed=seed,
@@ -102,6 +112,8 @@ def read(
         units={name: unit for name, unit, _ in measures if unit},
         previous=_sum_up(env, infos, players) if over else previous,
         has_ended=bool(infos["ended"][0]),
+        has_met=met,
+        tally=tally,
     )
 
 

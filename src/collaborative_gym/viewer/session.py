@@ -204,7 +204,6 @@ class Session:
             self._step()
 
     def _start(self, *episode: Any) -> None:
-        """Start an episode, by its seed and index, or the next one."""
         self._begin(self.env.reset(*episode), self.readings)
 
     def _begin(self, begun: tuple[Any, Any], before: tuple[Reading, ...]) -> None:
@@ -234,7 +233,10 @@ class Session:
         """Show a new state, and film it; a start begins a new film."""
         given = self.env, infos, self._players
         self.readings = tuple(
-            read(*given, before[i] if before else None, i)
+            replace(
+                read(*given, before[i] if before else None, i),
+                pull=self._spring.strength * (i == self.world),
+            )
             for i in range(self.env.num_envs)
         )
         step = max(self.env.progress["step"])
@@ -250,7 +252,6 @@ class Session:
         return all(reading.has_ended for reading in self.readings)
 
     def _note(self, **changes: Any) -> None:
-        """Show readings with changes."""
         self.readings = tuple(replace(each, **changes) for each in self.readings)
         self._draw()
 

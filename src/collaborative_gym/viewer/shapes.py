@@ -79,7 +79,6 @@ def surfaces(model: mujoco.MjModel, body: int) -> list[Surface]:
 
 
 def _joined(meshes: list[_Mesh]) -> _Mesh:
-    """Return several meshes as one."""
     firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=True)]
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
@@ -128,7 +127,6 @@ def _mesh(model: mujoco.MjModel, geom: int) -> _Mesh:
 
 
 def _box(half: np.ndarray) -> _Mesh:
-    """Return a box of these half sides, (3,) in m."""
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     sides = [
         np.roll(np.insert(square[::sign], 0, sign, axis=1), axis, axis=1)

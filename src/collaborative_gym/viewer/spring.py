@@ -7,17 +7,22 @@ from collaborative_gym.envs.vector_env import VectorEnv
 
 
 class Spring:
-    """The force of a user's pull on one of the worlds, beside all other forces."""
+    """The force of a user's pull on one of the worlds, beside all other forces.
+
+    Attributes:
+      strength: of the force in N, 0 without a pull.
+    """
 
     def __init__(self, env: VectorEnv):
         self._sim, self._model = env.sim, env.model
         self._data = mujoco.MjData(env.model)
         self._scene = mujoco.MjvScene(env.model, 100)
         self._pulled: tuple[tuple[int, int], np.ndarray, np.ndarray] | None = None
+        self.strength = 0.0
 
     def forget(self) -> None:
         """Leave the forces as they are, as after a reset, which clears them."""
-        self._pulled = None
+        self._pulled, self.strength = None, 0.0
 
     def pull(self, perturb: mujoco.MjvPerturb | None, world: int = 0) -> None:
         """Let MuJoCo's spring, and no other, act from now on; None lets go.
@@ -30,12 +35,13 @@ class Spring:
             # If it differs, the task has set it since.
             is_ours = forces[at] == written
             forces[at] = np.where(is_ours, before, forces[at])
-            self._pulled = None
+            self.forget()
         if perturb is None or not perturb.active or perturb.select <= 0:
             return
         at = world, perturb.select
         before = forces[at].copy()
-        forces[at] += self._force(perturb, world)
+        forces[at] += (force := self._force(perturb, world))
+        self.strength = float(np.linalg.norm(force[:3]))
         self._pulled = at, before, forces[at].copy()
 
     def _force(self, perturb: mujoco.MjvPerturb, world: int) -> np.ndarray:

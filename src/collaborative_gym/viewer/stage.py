@@ -203,7 +203,6 @@ class Stage:
         return positions + self._places[:, None], wxyzs
 
     def _move(self) -> None:
-        """Move the drawn bodies to the worlds' state."""
         sim = self.env.sim
         for i, data in enumerate(self._worlds):
             data.qpos[:], data.mocap_pos[:] = sim.qpos[i], sim.mocap_pos[i]
@@ -241,7 +240,6 @@ class Stage:
         return moving
 
     def _puller(self, body: int) -> Callable[[Any], Any]:
-        """Return the callback of the mice that pull at a body."""
 
         # Not a plain function: those may be called out of order.
         async def pull(event: viser.SceneNodeDragEvent) -> None:

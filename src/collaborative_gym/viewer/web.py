@@ -69,7 +69,6 @@ class Page:
         self._panel.offer_views(self._stage.views)
 
     def _look(self, view: str) -> None:
-        """Let all tabs look from a camera."""
         for client in self._server.get_clients().values():
             self._eyes[client.client_id] = self._stage.stand(client, view)
 

@@ -26,8 +26,7 @@ _ROOM_AT_REST = 0.12  # m, where one of them is drawn back; goals are clear of i
 _STEEP, _FLAT = np.radians(75.0), np.radians(45.0)
 """How far down hands point, near the base and far out: near it, wrists cannot fold."""
 
-_NEAR, _FAR = 0.32, 0.55
-"""Where these slopes are reached, as shares of an arm's reach."""
+_NEAR, _FAR = 0.32, 0.55  # where these slopes are reached, as shares of an arm's reach
 
 _POINTS = 6  # of each line whose distances are taken
 _SLACK = 0.05  # m, how far out an arm that is drawn back may be
