@@ -133,8 +133,9 @@ def _name(figure: "Figure", labels: Sequence[str], styles: Mapping[str, Any]) ->
     lines = max(len(label.splitlines()) for label in labels)
     lines *= math.ceil(len(labels) / columns)
     figure.set_figheight(height + (1 + lines) * _LEGEND_LINE)
-    marks, place = [Line2D([], [], **own) for own in styles.values()], "upper left"
-    figure.legend(marks, labels, loc=f"outside {place}", ncols=columns, frameon=False)
+    marks = [Line2D([], [], **each) for each in styles.values()]
+    plain = {"ncols": columns, "frameon": False}
+    figure.legend(marks, labels, loc="outside upper left", **plain)
 
 
 def _draw_curves(

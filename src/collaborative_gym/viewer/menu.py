@@ -241,7 +241,6 @@ class Menu:
         return _arms(make_task(env) if env in list_envs() else self._task)
 
     def _shipped(self, choice: Choice) -> list[str]:
-        """Return the kinds of shipped policies that can play."""
         playing = set()
         if (choice.env, choice.robots) == (self._task.name, _arms(self._task)):
             # Policies that play already may go on, shipped for this environment or not.

@@ -182,7 +182,6 @@ class Panel:
         return self._menu.chosen(self._session.env, self._session.policies)
 
     def _offer(self) -> None:
-        """Offer the choices beside the present one."""
         menu, choice, env = self._menu, self._choice, self._session.env
         for old in self._offers:
             old.remove()

@@ -76,24 +76,19 @@ def read(
 
     `before` is the reading of the step before, or None.
     """
-    progress = env.progress
-    seed, episode, step = (int(progress[n][world]) for n in ("seed", "episode", "step"))
+    names, progress = ("seed", "episode", "step"), env.progress
+    seed, episode, step = (int(progress[name][world]) for name in names)
     infos = _one_world(infos, world)
     rewards = {
         agent: {name: float(term[0]) for name, term in named.items()}
         for agent, named in infos["reward_terms"].items()
     }
     earned = before.returns if before is not None and step > 1 else {}
-    success = _by_side(env.sides, infos["success"])
-    over = infos["ended"][0] or (len(success) == 1 and step > 0 and success[0][1][0])
+    ended, success = bool(infos["ended"][0]), _by_side(env.sides, infos["success"])
+    is_met = len(success) == 1 and step > 0 and bool(success[0][1][0])
     points = infos["metrics"].get("score", {})
     measures = list(_measures(env.facts, env.task.units, world))
     previous = "" if before is None else before.previous
-    met, tally = len(success) == 1 and step > 0 and bool(success[0][1][0]), (0, 0)
-    if before is not None:
-        met, tally = met or (step > 1 and before.has_met), before.tally
-        if step == 0 and (before.has_met or before.has_ended):
-            tally = tally[0] + before.has_met, tally[1] + 1
     return Reading(
         episode=episode,
         seed=seed,
@@ -101,7 +96,7 @@ def read(
         players=players,
         scores={side: float(own[0]) for side, own in points.items()},
         # At a start no success counts.
-        success={side: bool(step > 0 and is_met[0]) for side, is_met in success},
+        success={side: bool(step > 0 and met[0]) for side, met in success},
         returns={
             side: earned.get(side, 0.0)
             + sum(sum(rewards.get(agent, {}).values()) for agent in agents)
@@ -110,15 +105,21 @@ def read(
         rewards=rewards,
         measures={name: value for name, _, value in measures},
         units={name: unit for name, unit, _ in measures if unit},
-        previous=_sum_up(env, infos, players) if over else previous,
-        has_ended=bool(infos["ended"][0]),
-        has_met=met,
-        tally=tally,
+        previous=_sum_up(env, infos, players) if ended or is_met else previous,
+        has_ended=ended,
+        has_met=is_met or (before is not None and step > 1 and before.has_met),
+        tally=(0, 0) if before is None else _tally(before, step),
     )
 
 
+def _tally(before: Reading, step: int) -> tuple[int, int]:
+    """Return the tally after a reading; an episode without an end does not count."""
+    if step or not (before.has_met or before.has_ended):
+        return before.tally
+    return before.tally[0] + before.has_met, before.tally[1] + 1
+
+
 def _one_world(infos: Any, world: int) -> Any:
-    """Return infos of one of the worlds, as of a batch of one."""
     if isinstance(infos, Mapping):
         return {name: _one_world(value, world) for name, value in infos.items()}
     return infos[world : world + 1]

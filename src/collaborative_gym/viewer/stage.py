@@ -193,7 +193,6 @@ class Stage:
 
     @property
     def _data(self) -> mujoco.MjData:
-        """The world that is read."""
         return self._worlds[self._session.world]
 
     def _poses(self) -> tuple[np.ndarray, np.ndarray]:

@@ -98,6 +98,5 @@ class Page:
         client.camera.on_update(follow)
 
     def _open(self, link: str) -> Callable[[], object]:
-        """Return a function that plays the choice of a link."""
         choice = self._menu.read(link)
         return lambda: self._panel.play(choice)
