@@ -207,12 +207,12 @@ class Trial:
             if name not in facts:
                 raise ValueError(f"{what}: {unknown('fact', name, facts)}")
             self._check_numbers(f"{what}: {name}", facts[name])
-            values = np.asarray(facts[name])[self._rows]
+            values: Any = facts[name][self._rows]
             most = np.inf if self._task.units.get(name) else 1.0 + 1e-9
-            if (wrong := values[(values < 0.0) | (values > most)]).size:
+            if self._sim.xp.any(wrong := (values < 0.0) | (values > most)):
                 raise ValueError(
-                    f"{what}: {name} is {wrong[0]:.3g}; it must be at least 0, and at"
-                    " most 1 unless `units` has its unit"
+                    f"{what}: {name} is {values[wrong][0]:.3g}; it must be at least 0,"
+                    " and at most 1 unless `units` has its unit"
                 )
 
     def _sides(self) -> dict[str, tuple[str, ...]]:
