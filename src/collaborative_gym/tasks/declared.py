@@ -18,8 +18,7 @@ _CALLED = {"varied", "start", "start_arms", "chains", "joints", "share_idle"}
 _NEEDED = {"build", "reset", "measure", "observe", "reward", "success"}
 """Methods that a task must have; it says itself if one is missing."""
 
-_NEAR = 0.8
-"""Likeness, by difflib's measure, from which a name is taken for a slip; our choice."""
+_NEAR = 0.8  # likeness, by difflib's measure, from which a name is a slip; our choice
 
 
 def check_class(task: Any) -> None:
