@@ -158,7 +158,7 @@ def test_nobody_wins_an_episode_that_diverged(make, monkeypatch, tmp_path):
         ({**DUEL, "performing": lambda *_: (1, 2)}, r"performing\(\) of side_1 is int"),
         ({"score": lambda self, facts: (facts.height,)}, "for tasks of several sides"),
         ({**DUEL, "score": lambda *_: 1}, r"score\(\) is of type int; a task of 2"),
-        ({**DUEL, "score": lambda *_: (1, 2)}, r"score\(\) of side_1 is of type int"),
+        ({**DUEL, "score": lambda *_: (1, 2)}, r"score\(\) of side_1 has shape \(\)"),
         ({"over": lambda self, facts: facts.height}, r"over\(\) is float64"),
         ({"over": lambda self, facts: facts.height < 9}, "ends an episode at its"),
     ],
