@@ -14,22 +14,22 @@ from collaborative_gym.pictures.recording import record
 from collaborative_gym.policies.policy import is_shipped
 
 MEDIA = Path(__file__).parent / "media"
-SIZE = 640, 360
+SIZE = 640, 400
 SIZES = {
-    "HockeyPandas-v0": (800, 450),
-    "PassPandas3-v0": (1120, 360),
-    "PassPandas4-v0": (1280, 320),
-    "ReachPandas4-v0": (800, 450),
-    "SortPandas4-v0": (960, 540),
+    "HockeyPandas-v0": (800, 500),
+    "PassPandas3-v0": (1120, 420),
+    "PassPandas4-v0": (1280, 400),
+    "ReachPandas4-v0": (800, 500),
+    "SortPandas4-v0": (960, 600),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
-SPEEDS = {"Hockey": 2.0, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
+SPEEDS = {"Hockey": 1.5, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
 """Speeds of tasks in which much is alike, and of one that is over in a second."""
 STARTS = {"Balance": "lost"}
 """Starts of films of Balance, whose ball would soon lie still: it already rolls."""
 SLOW = "Poke", "Pass", "Assemble", "Hockey"
 """Tasks in which single moments decide."""
-BESIDE = (400, 226)
+BESIDE = (400, 254)
 """Size of each of two pictures side by side in a GIF, which pages show."""
 SHADOWS = 3072
 """Sides of the map of shadows, in pixels, more than elsewhere."""

@@ -20,6 +20,10 @@ imageio = pytest.importorskip("imageio.v2")
 SIZE = (64, 48)
 
 
+def seconds(caption):
+    return float(caption.split("\n")[1].split(", ")[1].removesuffix(" s"))
+
+
 @pytest.mark.parametrize("shots", [2, 5, 10])
 def test_filming_changes_no_bit(make_env, shots):
     plain, filmed = make_env(2), make_env(2)
@@ -39,11 +43,11 @@ def test_watching_needs_a_divisor_of_the_substeps(make_env):
 
 def test_mp4_plays_in_real_time(carry, tmp_path):
     task = carry(max_episode_steps=3)
-    path = recording.record(task, tmp_path / "new" / "a.mp4", seconds=1.5, size=SIZE)
+    path = recording.record(task, tmp_path / "new" / "a.mp4", seconds=2.0, size=SIZE)
     with imageio.get_reader(path) as video:
         frames, meta = list(video.iter_data()), video.get_meta_data()
-    # Two episodes, each with its start, and a second after its end.
-    assert len(frames) == 2 * (1 + 2 * (3 + 10))
+    # Two episodes, each with its start, and 1.5 seconds after its end.
+    assert len(frames) == 2 * (1 + 2 * (3 + 15))
     assert meta["fps"] == 20 and meta["codec"] == "h264"
     assert meta["pix_fmt"].startswith("yuv420p") and meta["size"] == SIZE
     assert frames[0].std() > 10
@@ -70,8 +74,8 @@ def test_slow_motion_has_more_pictures_of_a_step(
     with imageio.get_reader(path) as video:
         frames, meta = list(video.iter_data()), video.get_meta_data()
     assert meta["fps"] == rate
-    # A start, three steps, and a second of the film after the end.
-    assert len(frames) == 1 + shots * 3 + rate
+    # A start, three steps, and 1.5 seconds of the film after the end.
+    assert len(frames) == 1 + shots * 3 + shots * round(15 * speed)
     assert f"0.3 s, speed {speed:g}x, expert" in labels[-1]
 
 
@@ -102,7 +106,7 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     while env.facts.height[0] < bound:
         *_, infos = env.step(env.expert())
     moment = int(infos["step"][0])
-    times = [float(text.split()[1]) for text in told if ", speed 0.2x, " in text]
+    times = [seconds(text) for text in told if ", speed 0.2x, " in text]
     # A start has one picture.
     shown = [step for step in range(moment - 5, moment + 2) if step >= 0]
     slow = [round(0.1 * step, 1) for step in shown for _ in range(5 if step else 1)]
@@ -123,7 +127,7 @@ def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
         size=SIZE,
         slow_motion=True,
     )
-    at = [round(10 * float(text.split()[1])) for text in told]
+    at = [round(10 * seconds(text)) for text in told]
     steps = dict(zip(at, told, strict=True))
     scores = [steps[i].split(" : ")[0].split()[-1] for i in range(len(steps))]
     goals = [i for i in range(1, len(scores)) if scores[i] != scores[i - 1]]
@@ -135,18 +139,19 @@ def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
 
 def test_close_up_follows_its_body_beside_the_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "_labelled", lambda frame, text: frame)
-    pot = {"close_up": "pot/pot", "seconds": 0.1, "size": SIZE, "policy": "baseline"}
+    size = width, side = 64, 74
+    pot = {"close_up": "pot/pot", "seconds": 0.1, "size": size, "policy": "baseline"}
     path = recording.record("LiftTaskSawyers-v0", tmp_path / "a.gif", **pot)
     with Image.open(path) as video:
         frames = [np.asarray(f.convert("RGB")) for f in ImageSequence.Iterator(video)]
-    width, height = SIZE
-    assert frames[0].shape == (height, width + height, 3)
+    height = side - 26  # The caption's, which is left out here.
+    assert frames[0].shape == (height, width + side, 3)
     assert (frames[0][:, width : width + 2] > 240).all()  # the line between them
     for frame in frames[0], frames[-1]:  # On the table, and raised.
         reds = frame[..., 0].astype(float) - frame[..., 2] > 60  # Its handles.
         assert reds[:, width:].sum() > 0.013 * height**2
         column = np.flatnonzero(reds[:, width:].any(axis=0)).mean()
-        assert abs(column - height / 2) < 0.15 * height
+        assert abs(column - side / 2) < 0.15 * height
 
 
 def test_close_up_is_below_a_long_picture(tmp_path):
@@ -154,7 +159,7 @@ def test_close_up_is_below_a_long_picture(tmp_path):
     path = recording.record("LiftPandas3-v0", tmp_path / "a.gif", **long)
     with Image.open(path) as video:
         frame = np.asarray(video.convert("RGB"))
-    assert frame.shape == (128, 192, 3)
+    assert frame.shape == (102, 192, 3)  # Two of 38 below one caption of 26.
     assert (frame[64:66] > 240).all()
 
 
@@ -194,7 +199,7 @@ def test_gif_plays_in_real_time(carry, tmp_path):
     with Image.open(path) as video:
         durations = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
         assert video.size == SIZE
-    assert sum(durations) == 15 * 100
+    assert sum(durations) == 20 * 100
 
 
 def test_what_comes_late_into_a_gif_has_its_colour(tmp_path):
@@ -318,17 +323,35 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_label_is_as_large_as_its_width_allows():
-    def room(text, width):
-        frame = recording._labelled(np.zeros((240, width, 3), np.uint8), text)
-        assert frame.shape == (240, width, 3)
-        down, right = np.nonzero((frame > 128).any(axis=2))
-        return down.max(), right.max()
+def test_a_caption_stands_above_and_is_as_large_as_its_width_allows():
+    def lines(width, *texts):
+        frame = np.full((240, width, 3), 7, np.uint8)
+        labelled = recording._labelled(frame, "\n".join(texts))
+        strip = len(labelled) - 240
+        assert (labelled[strip:] == 7).all() and strip % 2 == 0
+        grey = labelled[:strip].max(axis=2) > 100
+        return [grey[: strip * 55 // 100], grey[strip * 55 // 100 :]]
 
-    short, long = "3.8 s, expert", "3.8 s, robot_1 baseline 0 : 1 robot_2 expert"
-    assert room(short, 320)[0] == room(short, 240)[0] > room(long, 240)[0]
-    assert room(long, 640)[0] > room(short, 320)[0]
-    assert room(long, 240)[1] < 240 and room(f"{short}\n{long}", 240)[1] < 240
+    def ends(seen):
+        _, right = np.nonzero(seen)
+        return right.min(), right.max()
+
+    about = "LiftPandas3-v0, 3.8 s, robot_1 baseline, robot_2 expert:nearer"
+    above, below = lines(640, "Lift a pot.", about, "success")
+    assert ends(above[:, :320])[1] < 100 < 240 < ends(above[:, 320:])[0]
+    assert 300 < ends(below)[1] < 632
+    assert len(lines(1280, "Lift a pot.", about, "")[0]) > 1.9 * len(above)
+    for texts in (["Lift " * 40, about * 3, "success"], ["Lift", "a pot", "won " * 90]):
+        above, below = lines(240, *texts)
+        assert ends(above)[1] < 239 and ends(below)[1] < 239
+        assert not above[:, [0, 1]].any()
+
+
+def test_success_is_green():
+    frame = np.zeros((48, 320, 3), np.uint8)
+    for mark, is_green in (("success", True), ("50 % done", False)):
+        red, green, _ = recording._labelled(frame, f"\n\n{mark}").reshape(-1, 3).T
+        assert (green > 1.5 * red + 50).any() == is_green
 
 
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
@@ -348,13 +371,13 @@ def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
         seconds=1.0,
         size=SIZE,
     )
-    players = {text.partition(" s, ")[2] for text in named}
+    players = {text.partition(" s, ")[2].strip() for text in named}
     assert players == {"robot_1 idle, robot_2 random", "expert"}
     with Image.open(path) as video:
         assert video.size == (2 * SIZE[0], SIZE[1])
 
 
-def test_the_next_start_comes_a_second_after_the_first_policys_success(
+def test_the_next_start_comes_soon_after_the_first_policys_success(
     carry, tmp_path, monkeypatch
 ):
     told = []
@@ -365,12 +388,12 @@ def test_the_next_start_comes_a_second_after_the_first_policys_success(
         carry(), tmp_path / "a.gif", policy=["expert", "idle"], seconds=3.0, size=SIZE
     )
     experts, others = told[::2], told[1::2]
-    starts = [i for i, text in enumerate(experts) if "\n0.0 s" in text]
-    assert starts == [i for i, text in enumerate(others) if "\n0.0 s" in text]
+    starts = [i for i, text in enumerate(experts) if ", 0.0 s" in text]
+    assert starts == [i for i, text in enumerate(others) if ", 0.0 s" in text]
     assert len(starts) > 1 and not any("success" in text for text in others)
     for start, end in zip(starts, [*starts[1:], len(experts)], strict=True):
         first = next(i for i in range(start, end) if "success" in experts[i])
-        assert end - first == 11
+        assert end - first == 16  # 1.5 seconds
 
 
 def test_a_film_shows_the_episodes_that_are_named(carry, tmp_path):
@@ -410,14 +433,16 @@ def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     )
     # It lasts longer than was asked for, and only its end is the whole.
     assert shares == sorted(shares) and shares.count(1.0) == 1
-    assert told[0] == "TugPandas-v0\n0.0 s, robot_1 expert 0 : 0 robot_2 idle"
+    [goal, first, _] = told[0].split("\n")
+    assert goal == "Pull the bar over your own line, against the other arm."
+    assert first == "TugPandas-v0, 0.0 s, robot_1 expert 0 : 0 robot_2 idle"
     [_, last, result] = told[-1].split("\n")
-    assert last[7:] == "robot_1 expert 1 : 0 robot_2 idle"
+    assert last.endswith(" s, robot_1 expert 1 : 0 robot_2 idle")
     assert result == "robot_1 expert wins"
-    # The end is shown for a second.
+    # The end is shown for 1.5 seconds.
     with Image.open(path) as video:
         ends = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]
-    assert ends[-1] >= 1000
+    assert ends[-1] >= 1500
 
 
 def test_picture_shows_the_robots_at_work(carry):

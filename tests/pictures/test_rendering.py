@@ -167,6 +167,31 @@ def test_what_stands_before_a_close_up_is_cut_away():
         camera.close()
 
 
+def test_a_close_up_looks_past_what_hides_its_body():
+    model = mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <worldbody>
+            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
+            <body name="ball"><geom size="0.05" rgba="1 0 0 1" group="2"/></body>
+            <body name="arm"><joint type="slide" axis="0 1 0"/>
+              <geom type="box" size=".01 .1 2" pos=".3 0 0" group="3"/>
+              <geom type="box" size=".01 .1 2" pos=".3 0 0" group="2" rgba="0 0 1 1"/>
+            </body>
+          </worldbody>
+        </mujoco>
+        """
+    )
+    camera = Camera(model, 64, 48, ["ball"])
+    pixels = [
+        camera.picture([place], np.zeros((0, 3)))[24, 32].argmax()
+        for place in (0.0, *[0.25] * 40, *[-0.25] * 80)
+    ]
+    camera.close()
+    assert pixels[0] == pixels[40] == pixels[-1] == 0
+    assert 2 in pixels  # It goes there in a while, not at once.
+
+
 def test_shadows_fade():
     model = mujoco.MjModel.from_xml_string(
         """

@@ -39,4 +39,4 @@ def test_a_match_is_told_with_its_score_and_winner():
 def test_one_side_is_told_with_its_success():
     players = name_players("expert", ONE)
     assert standing(players, infos()) == "expert"
-    assert standing(players, infos(success=True)) == "expert, success"
+    assert standing(players, infos(success=True)) == "expert\nsuccess"

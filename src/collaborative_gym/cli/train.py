@@ -161,7 +161,6 @@ class Train(Worlds):
         return envs[0], replace(usual, **self._given()), done
 
     def _task(self, env: str) -> str | Task:
-        """Return what to learn; without options, a run that goes on knows it itself."""
         chosen = self.robots, *self._how
         return env if all(each in (None, ()) for each in chosen) else self.task(env)
 
@@ -247,7 +246,6 @@ class Train(Worlds):
 
 
 def _raise_failures(outcomes: "Sequence[Outcome]") -> None:
-    """Raise an error that names the runs that failed, if any did."""
     failed = [each for each in outcomes if each.result is None]
     if failed:
         listed = "".join(f"\n{each.folder}: {each.reason}" for each in failed)

@@ -161,7 +161,6 @@ class Comparison:
 
     @cached_property
     def _scores(self) -> dict[str, list[np.ndarray]]:
-        """The scores of the contestants, each (runs, 1), by environment."""
         return {n: e.scores(self.measure) for n, e in self.contestants.items()}
 
     @cached_property

@@ -43,7 +43,6 @@ class Face:
         self._has_seed = False
 
     def _begin(self, seed: int | None, **which: Any) -> tuple[Any, dict[str, Any]]:
-        """Start episodes, at first of a fresh seed if none is given."""
         if seed is None and not self._has_seed:
             seed = fresh_seed()
         begun = self.vector_env.reset(seed, **which)

@@ -137,7 +137,6 @@ class Progress:
         return successes if self._is_divided else successes[side]
 
     def _end(self, over: Array | None, counts: Array, diverged: Array) -> None:
-        """End the episodes that are over, have lasted long enough, or diverged."""
         rows = self.rows
         if over is not None:
             rows["terminated"] = rows["terminated"] | (over & counts)
@@ -155,7 +154,6 @@ class Progress:
             rows[row] = before + now if kept == "mean" else xp.maximum(before, now)
 
     def _lasting(self, side: str, met: Array) -> Array:
-        """Return where a side's goal has been met for long enough."""
         name = f"{side}: met_steps"
         self.rows[name] = self._xp.where(met, self.rows[name] + 1, 0)
         return self.rows[name] >= self._task.success_for

@@ -467,7 +467,6 @@ class VectorEnv:
         return terms, rewards
 
     def _begun(self, last: Observations, env_ids: np.ndarray) -> Observations:
-        """Return observations after the start of episodes in some worlds."""
         if self._disturbances.has_noise:
             return self._seen()
         observations = copied(last, self.sim.xp)

@@ -165,7 +165,6 @@ def _random(env: VectorEnv, rng: np.random.Generator, *num_envs: int) -> Actions
 
 
 def _roll(env: VectorEnv, state: Array, controls: Array, *, clock: _Clock) -> float:
-    """Return the time of the physics steps of a control step, in s."""
     env.sim.set_state(state)
     return _time(lambda: env.sim.roll(controls), clock)
 

@@ -251,7 +251,6 @@ def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> 
 
 
 def _preset(env_id: str, randomization: Mapping[str, Any]) -> str:
-    """Return the preset of a run's starts, or else the value."""
     own = Randomization(**randomization)
     presets = get_env(env_id).task.randomizations.items()
     return next((name for name, preset in presets if preset == own), str(own))

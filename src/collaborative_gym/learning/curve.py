@@ -195,7 +195,6 @@ def _draw_dots(axes: "Axes", rows: _Rows, column: str, label: str, colour: str) 
 
 
 def _points(rows: _Rows, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return millions of steps and a column's values, where it has finite ones."""
     known = [(row["steps"] / 1e6, row[column]) for row in rows if column in row]
     steps, values = np.array(known, float).reshape(-1, 2).T
     is_finite = np.isfinite(values)

@@ -157,7 +157,6 @@ class Display(_Screen):
         return words + left
 
     def _measures(self) -> list[str]:
-        """Return the columns of all robots' results, of each side where there are."""
         measures = "return", "completion", "performance"
         names = [f"{side}{name}" for side in sides_of(self._known) for name in measures]
         return names + ["points"] * ("validation/points" in self._known)

@@ -245,7 +245,6 @@ class League(Pool):
         self._inherit(name, member)
 
     def _inherit(self, name: str, like: str) -> None:
-        """Give a player that is a copy of another that one's results."""
         known = self._games.get(like, {}).items()
         self._games[name] = {a: list(each) for a, each in known if a != name}
         for home, others in self._games.items():
@@ -254,7 +253,6 @@ class League(Pool):
                 others[name] = list(others[like])
 
     def _odds(self, member: str, others: Sequence[str], kind: str) -> Odds:
-        """Return how often each of the others is drawn."""
         weights = _WEIGHTS[kind](self._rates(member, others))
         total = weights.sum()
         if total < 1e-10:

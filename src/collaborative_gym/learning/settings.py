@@ -269,7 +269,6 @@ def _plain(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _remembered(first: NetworkPolicy) -> dict[str, Any]:
-    """Return the `start` of a run that begins with a policy."""
     return {
         "digest": first.digest,
         "environment": first.identity.name,

@@ -44,7 +44,6 @@ class Learner:
 
     @property
     def _indices(self) -> int:
-        """Numbers that say which agent a row is of."""
         return self.parts[0].count if self.stacked else 0
 
     def action_size(self, layout: Layout) -> int:
@@ -56,7 +55,6 @@ class Learner:
 
     @property
     def _side_by_side(self) -> tuple[str, ...]:
-        """The agents whose observations and actions are in one row."""
         return self.agents[:1] if self.stacked else self.agents
 
     def seen(self, layout: Layout) -> dict[str, tuple[int, SetColumns | None]]:

@@ -152,7 +152,6 @@ def _task(env: str | Task, started: Checkpoint | None) -> Task:
 
 
 def _begin(folder: Path, stack: ExitStack) -> None:
-    """Claim a new run's folder, unless there is a run already."""
     stack.enter_context(claimed(folder))
     if (folder / LAST).exists():
         raise FileExistsError(

@@ -140,7 +140,6 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _total(terms: Sequence[Array]) -> Array:
-    """Return a sum, term by term in their order."""
     total = terms[0]
     for term in terms[1:]:
         total = total + term

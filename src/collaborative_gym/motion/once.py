@@ -43,7 +43,6 @@ def found_once(search: Search[Options, Found]) -> Search[Options, Found]:
 
 
 def _digest(model: mujoco.MjModel, arm: Arm, options: Any) -> bytes:
-    """Return a short name of all that a search depends on."""
     tcp = model.site_bodyid[arm.tcp], model.site_pos[arm.tcp], model.site_quat[arm.tcp]
     own = arm.robot, arm.qpos, arm.dof, arm.joint_range, arm.stride, arm.hand
     flags = model.opt.disableflags, model.opt.enableflags

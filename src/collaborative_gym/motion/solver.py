@@ -119,7 +119,6 @@ def without_spin(jacobian: Array, error: Array, axis: Array) -> tuple[Array, Arr
 
 
 def _quats(rotation: Array) -> np.ndarray:
-    """Return quaternions of rotation matrices (n, 3, 3)."""
     quats = np.empty((len(rotation), 4))
     # One by one is quickest for the few worlds that start together.
     for quat, entries in zip(quats, rotation.reshape(-1, 9), strict=True):

@@ -135,7 +135,6 @@ def _balance(
 
 
 def _shares(capacities: Array, spots: Array) -> tuple[float, ...]:
-    """Return shares of a weight without a moment, evenly for what each arm carries."""
     rows = np.concatenate([np.ones((1, len(spots))), spots.T])
     weighted = capacities**2 * rows
     shares = weighted.T @ np.linalg.solve(weighted @ rows.T, [1.0, 0.0, 0.0])

@@ -31,7 +31,7 @@ from collaborative_gym.tasks.task import Task
 from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 _SAME_SPREAD = 0.01  # m, difference of the robots' nearness that a picture hides
-_HOLD = 1.0  # s, for which a film shows the end of an episode
+_HOLD = 1.5  # s, for which a film shows the end of an episode
 _LONGEST = 36_000.0  # s, greatest length of a film
 _SLOWEST, _FASTEST = 0.1, 2.0  # bounds of a film's speed, in simulated s per second
 
@@ -41,8 +41,8 @@ _LONG = 2.5
 _SHOTS = [n for n in range(1, SUBSTEPS + 1) if SUBSTEPS % n == 0]
 """How many pictures of a control step a film may have."""
 
-_SLOWER, _AROUND = 5, (-5, 2)
-"""How many times as many it has in slow motion, if it may, and from which control step
+_SLOWER, _AROUND = 2.5, (-5, 2)
+"""How many times as many it has in slow motion at least, if it may, and from which step
 to before which one, counted from a decisive one."""
 
 _ZOOMS = 8  # pictures over which a close-up goes nearer in slow motion
@@ -66,7 +66,7 @@ def record(
 ) -> Path:
     """Write a video of a seed's episodes and return its path.
 
-    The episodes are those that `evaluate` plays. One second after a success, or after
+    The episodes are those that `evaluate` plays. 1.5 seconds after a success, or after
     the end of the episode, the film shows the next start. After an error or Ctrl-C
     there is no half-written file.
 
@@ -74,23 +74,23 @@ def record(
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s at speed 1) or `.gif` (10 frames/s).
       policy: as `evaluate` takes it. Several are shown side by side, in the same
-        episodes; the first one decides when the next start comes. Each picture names
-        the environment and says the time, who plays, how far a team has come, and
-        whether the goal is met or what the score is.
+        episodes; the first one decides when the next start comes. Above each picture
+        stand the goal, the environment's id, the time, who plays, how far a team has
+        come, and whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
       seconds: least length of the film of the first episodes, up to 36,000; None for
         10. An episode that has begun by then is shown to its end.
       seed: the episodes' seed.
       only_episodes: indices of the seed's episodes to show instead of the first ones,
         such as the worst ones that a report names.
-      size: width and height in pixels, of each policy's picture; None for 1280 x 720,
-        of a GIF 416 x 234.
+      size: width and height in pixels, of each policy's picture and what stands above
+        it; None for 1280 x 720, of a GIF 416 x 234.
       speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
         for slow motion, which draws more pictures of each second of the world.
-      slow_motion: whether 0.7 s about the first policy's last large progress are shown
-        at a fifth of the speed, or at 0.1, with the close-up nearer. Progress is the
-        first measure in the task's `coordination` that is kept at its greatest, or else
-        where success begins; of opponents it is every score.
+      slow_motion: whether 0.7 s about the first policy's large steps of progress are
+        shown at 0.4 of the speed or less, with the close-up nearer. Progress is
+        the first measure in the task's `coordination` that is kept at its greatest, or
+        else where success begins; of opponents it is every score.
       close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
         below a long one, shows from nearby; of several, the one that hands are nearest
         to, until they leave it.
@@ -136,6 +136,11 @@ def record(
     if not policies:
         raise ValueError("name at least one policy")
     task, bodies = as_task(env), [close_up] if isinstance(close_up, str) else close_up
+    is_long = width > _LONG * height
+    beside = 0 if is_long or not bodies else height
+    tall = height - _caption(width + beside)[1]
+    views: list[tuple[Any, ...]] = [(width, tall)]
+    views += [(width if is_long else height, tall, bodies)] * bool(bodies)
     with ExitStack() as stack:
         cast = []
         for each in policies:
@@ -144,10 +149,6 @@ def record(
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
             players = name_players(each, world.sides)
-            views: list[tuple[Any, ...]] = [(width, height)]
-            if bodies:
-                side = width if width > _LONG * height else height
-                views.append((side, height, bodies))
             model = world.world.drawn_model
             eyes = [stack.enter_context(closing(Camera(model, *v))) for v in views]
             screen = _Screen(world, act, players, shots, eyes, speed)
@@ -255,7 +256,6 @@ class _Step(NamedTuple):
 
 
 def _is_success(step: _Step) -> bool:
-    """Return whether the goal is met, of opponents by one side."""
     success = step.infos["success"]
     sides = success.values() if isinstance(success, Mapping) else [success]
     return any(bool(met[0]) for met in sides)
@@ -280,13 +280,14 @@ class _Screen:
         self.speed, self.rate = speed, shots * speed / CONTROL_DT
         self._env, self._policy, self._players = env, policy, players
         self._cameras = cameras
-        self._shots, self._most = shots, min(_SLOWER * shots, SUBSTEPS)
+        self._shots = shots
+        self._slow = next(n for n in _SHOTS if n >= min(_SLOWER * shots, SUBSTEPS))
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
         self._score: dict[str, float] = {}
         self._scored = np.inf, ""
         self._stage, self._zoom = env.task.progress_name, 0.0
-        env.watch(self._keep, self._most)
+        env.watch(self._keep, SUBSTEPS)
 
     def is_done(self, step: _Step) -> bool:
         """Return whether the goal was met, or the episode has ended."""
@@ -305,21 +306,20 @@ class _Screen:
             actions = self._policy(observations)
             observations, *_, infos = self._env.step(actions)
             yield _Step(infos, self._states)
-        yield from repeat(_Step(infos, self._states[-1:] * self._most))
+        yield from repeat(_Step(infos, self._states[-1:] * SUBSTEPS))
 
     def draw(self, step: _Step, is_slow: bool) -> Iterator[np.ndarray]:
-        """Yield pictures of a step; in slow motion, of all its states."""
-        every = 1 if is_slow else -(-len(step.states) // self._shots)
-        pace = self.speed * (self._shots / self._most if is_slow else 1)
+        """Yield pictures of a step, more of them in slow motion."""
+        shots = self._slow if is_slow else self._shots
+        every, pace = -(-len(step.states) // shots), self.speed * self._shots / shots
         said = f", speed {pace:g}x" if pace != 1 else ""
-        seconds = step.infos["step"][0] * CONTROL_DT
-        name, now = self._env.task.name, standing(self._players, step.infos)
-        label = f"{name}\n{seconds:.1f} s{said}, {now}"
-        if not step.infos["ended"][0]:  # Then the label says who wins.
-            label += self._cheer(seconds, step.infos["metrics"].get("score", {}))
-        is_share = self._stage and self._env.task.units.get(self._stage) == ""
-        if is_share and not _is_success(step):
-            label += f", {100 * self._progress(step):.0f} % done"
+        seconds, task = step.infos["step"][0] * CONTROL_DT, self._env.task
+        who, _, mark = standing(self._players, step.infos).partition("\n")
+        cheer = self._cheer(seconds, step.infos["metrics"].get("score", {}))
+        if self._stage and task.units.get(self._stage) == "":
+            cheer = f"{100 * self._progress(step):.0f} % done"
+        about = f"{task.name}, {seconds:.1f} s{said}, {who}"
+        label = f"{task.summary}\n{about}\n{mark or cheer}"
         for state in step.states[every - 1 :: every]:
             self._zoom += (is_slow - self._zoom) / _ZOOMS
             yield _labelled(self._draw(*state), label)
@@ -328,26 +328,27 @@ class _Screen:
         """Return who has scored within the last second of the film, or nothing."""
         for side, points in score.items():
             if points[0] > self._score.get(side, np.inf):
-                self._scored = seconds, f"\n{self._players[side]} scores"
+                self._scored = seconds, f"{self._players[side]} scores"
             self._score[side] = points[0]
         since, who = self._scored
         return who if 0 <= seconds - since < _HOLD * min(1, self.speed) else ""
 
     def decisive(self, steps: Sequence[_Step]) -> set[int]:
-        """Return the steps around the last progress, first success, or all scores."""
-        late, last = 0, -1
+        """Return the steps around progress, first success, or scores."""
+        late = 0
         if "score" in steps[0].infos["metrics"]:
             scores = [each.infos["metrics"]["score"].values() for each in steps]
-            rows, last = [np.sum(list(points)) for points in scores], 0
+            rows = [np.sum(list(points)) for points in scores]
         elif self._stage is not None:
             rows = [self._progress(each) for each in steps]
         else:
             late = self._env.task.success_for - 1  # Success began so long before.
             rows = np.maximum.accumulate([_is_success(each) for each in steps])
         rises = np.diff(rows, prepend=0)
-        # Of progress that creeps, the last large piece.
         large = np.flatnonzero((rises > 0) & (rises > rises.max() / 2)) - late
-        return {int(i) + j for i in large[last:] for j in range(*_AROUND)}
+        # Of progress that creeps, the last large piece.
+        ends = large[np.diff(large, append=np.inf) > -_AROUND[0]]
+        return {int(i) + j for i in ends for j in range(*_AROUND)}
 
     def _progress(self, step: _Step) -> float:
         return float(step.infos["metrics"]["coordination"][self._stage][0])
@@ -405,15 +406,29 @@ def _film(
         on_progress(1.0)
 
 
+def _caption(wide: int) -> tuple[int, int]:
+    """Return sizes in pixels: of the letters above such a picture, and of two lines."""
+    letters = max(9, wide // 44)  # Pages make wide films small.
+    return letters, 2 * round(1.4 * letters)
+
+
 def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
-    """Return a frame with a text in its corner, as large as its width allows."""
-    picture = import_extra("PIL.Image").fromarray(frame)
+    """Return a frame below two lines, and a third one to the right of the first."""
+    image, font = import_extra("PIL.Image"), import_extra("PIL.ImageFont").load_default
+    height, wide = frame.shape[:2]
+    size, strip = _caption(wide)
+    picture = image.new("RGB", (wide, strip + height), "#202428")
+    picture.paste(image.fromarray(frame), (0, strip))
     pen = import_extra("PIL.ImageDraw").Draw(picture)
-    load, (height, wide) = import_extra("PIL.ImageFont").load_default, frame.shape[:2]
-    size = max(9, height // 18, wide // 40)  # Pages make wide films small.
-    width = pen.textbbox((0, 0), text, load(size=size))[2]
-    font = load(size=max(9, min(size, int(size * (wide - size) / width))))
-    *_, right, down = pen.textbbox((size // 2, size // 3), text, font)
-    pen.rectangle((0, 0, right + size // 2, down + size // 3), "#202428")
-    pen.text((size // 2, size // 3), text, "white", font)
+    above, below, mark = text.split("\n")
+    said = "#b0b8c0" if mark.endswith("done") else "#5ee07f"
+    edge, high, low = size // 2, 0.75 * size, 2.0 * size
+    left = wide - 2 * edge - min(wide // 2, pen.textlength(mark, font(size=size)))
+    for line, x, y, anchor, letters, room, colour in (
+        (mark, wide - edge, high, "rm", size, wide // 2, said),
+        (above, edge, high, "lm", size, left - size, "#ffffff"),
+        (below, edge, low, "lm", 0.85 * size, wide - size, "#b0b8c0"),
+    ):
+        share = min(1.0, room / max(1, pen.textlength(line, font(size=letters))))
+        pen.text((x, y), line, colour, font(size=share * letters), anchor=anchor)
     return np.asarray(picture)

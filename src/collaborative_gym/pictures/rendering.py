@@ -23,6 +23,12 @@ _NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
 
 _LEFT = 0.15  # m, of all hands from a body; a close-up may then show another one
 
+_TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (25, 45, 65)
+"""How far aside from the overview, and how high, a close-up may look from, in deg."""
+
+_WIDE, _CLEAR = 0.08, 0.12  # m, of what a close-up shows, and of what cannot hide it
+_CALM, _PAN = 0.15, 0.05  # gain for which it moves, and share of the way in a picture
+
 _LAMPS, _ASIDE = 4, 0.035
 """How many pictures one is the mean of, and how far aside the lamp shines in them."""
 
@@ -57,6 +63,7 @@ class Camera:
         names = {model.body(i).name: i for i in range(1, model.nbody)}
         self._bodies = [look_up("body", body, names) for body in bodies]
         self._shown, sites = 0, range(model.nsite)
+        self._look, self._best = np.zeros(2), -1
         self._tcps = [i for i in sites if model.site(i).name.endswith("/tcp")]
         visual = model.vis.global_
         self.size = (
@@ -133,16 +140,33 @@ class Camera:
             away = places[:, None] - self._data.site_xpos[self._tcps]
             gaps = np.linalg.norm(away, axis=-1).min(axis=1)
             # What hands hold is shown until they have left it.
-            if gaps[self._shown] > max(_LEFT, 1.25 * gaps.min()):
-                self._shown = int(gaps.argmin())
-        far, middle = overview(self._model, self._data)
-        away = middle - far
-        near = mujoco.MjvCamera()
+            if gaps[self._shown] > max(_LEFT, 1.25 * gaps.min()) or self._best < 0:
+                self._shown, self._best = int(gaps.argmin()), -1
+        near, (far, middle) = mujoco.MjvCamera(), overview(self._model, self._data)
         near.lookat, near.distance = places[self._shown], distance
-        near.azimuth = np.degrees(np.arctan2(away[1], away[0]))
-        near.elevation = np.degrees(np.arcsin(away[2] / np.linalg.norm(away)))
-        near.elevation -= 15.0 * (-60.0 < near.elevation < -35.0)  # Over teams' hands.
+        ahead = np.degrees(np.arctan2(*(middle - far)[1::-1]))
+        looks = np.array([(turn, up) for up in _HEIGHTS for turn in _TURNS])
+        costs = 0.1 * np.abs(np.radians(looks[:, 0])) + np.radians(looks[:, 1]) / 6
+        costs += [self._hidden(near.lookat, ahead + turn, up) for turn, up in looks]
+        pan = 1.0 if self._best < 0 else _PAN
+        if self._best < 0 or costs[self._best] > costs.min() + _CALM:
+            self._best = int(costs.argmin())
+        self._look = self._look + pan * (looks[self._best] - self._look)
+        near.azimuth, near.elevation = (ahead, 0.0) + self._look * (1, -1)
         return near
+
+    def _hidden(self, body: np.ndarray, azimuth: float, up: float) -> float:
+        """Return which share of a body's place is hidden from there, in degrees."""
+        turn, up = np.radians([azimuth, up])
+        across = np.array([-np.sin(turn), np.cos(turn), 0.0])
+        flat = np.cos(up) * np.array([np.cos(turn), np.sin(turn)])
+        ahead = np.append(flat, -np.sin(up))
+        solid, found = np.array([0, 0, 0, 1, 0, 0], np.uint8), np.zeros(1, np.int32)
+        sides = 0 * across, across, -across, np.cross(across, ahead)
+        eyes = [body + _WIDE * side - _NEAR * ahead for side in sides]
+        ray = ahead, solid, 1, -1, found
+        gaps = [mujoco.mj_ray(self._model, self._data, eye, *ray) for eye in eyes]
+        return float(np.mean([0 <= gap < _NEAR - _CLEAR for gap in gaps]))
 
 
 def overview(

@@ -29,13 +29,13 @@ def name_players(policy: AnyPolicy, sides: Sides) -> dict[str, str]:
 def standing(players: Mapping[str, str], infos: Mapping[str, Any]) -> str:
     """Return how an episode stands, such as "robot_1 expert 2 : 1 robot_2 main".
 
-    Where there is one side, that is who plays, and whether the goal is met. At the end
-    of an episode of several sides a second line has the winner. Players are those of
+    Where there is one side, that is who plays. A second line says that the goal is met
+    or, at the end of an episode of several sides, who has won. Players are those of
     `name_players`, and infos of the last step or reset of a batch of one world.
     """
     if len(players) == 1:
         [player] = players.values()
-        return f"{player}, success" if infos["success"][0] else player
+        return f"{player}\nsuccess" if infos["success"][0] else player
     points = _points(players, infos)
     if len(players) == 2:
         (first, one), (second, other) = zip(players.values(), points, strict=True)

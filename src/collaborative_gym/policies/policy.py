@@ -219,7 +219,6 @@ def commanding(
 
 
 def _check_state(state: str, agents: Sequence[str], env: VectorEnv) -> None:
-    """Raise ValueError unless these agents' arms are limp or absent."""
     for agent in agents:
         if agent not in getattr(env.task.config.randomization, state):
             raise ValueError(
@@ -244,13 +243,11 @@ def read_policy(policy: Any, env: VectorEnv) -> Any:
 
 
 def _style(policy: object) -> str:
-    """Return the style in an expert's name, such as "expert:late", or else nothing."""
     kind, _, style = str(policy).partition(":")
     return style if kind == "expert" else ""
 
 
 def _of(agents: Sequence[str], actions: Any) -> dict[str, Array]:
-    """Return the actions of some agents among those that their policy returned."""
     if not isinstance(actions, Mapping) or not actions.keys() >= set(agents):
         raise ValueError(
             f"the policy of {' and '.join(agents)} returned {shown(actions)}; it must"

@@ -68,7 +68,6 @@ def frozen_policy(env: VectorEnv):
 
 
 def _held(env: VectorEnv) -> dict[str, Array]:
-    """Return by agent in which worlds it holds something, (num_envs,) booleans."""
     able = {grip.agent for grip in env.scene.grips}
     nothing = dict.fromkeys(env.agents, np.zeros(env.num_envs, bool))
     return nothing | {agent: env.scene.holds(env.sim, agent) for agent in able}

@@ -101,7 +101,6 @@ def _joints_between(model: mujoco.MjModel, first: int, second: int) -> int:
 
 
 def _carries(model: mujoco.MjModel, carrier: int, body: int) -> bool:
-    """Return whether a body is another one, or carried by it."""
     while body not in (carrier, 0):
         body = int(model.body_parentid[body])
     return body == carrier

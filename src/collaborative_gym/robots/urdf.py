@@ -109,7 +109,6 @@ def _read_by_mujoco(root: ElementTree.Element) -> mujoco.MjSpec:
 
 
 def _child(element: ElementTree.Element, name: str) -> ElementTree.Element:
-    """Return the part of that name, added where there is none."""
     found = element.find(name)
     return ElementTree.SubElement(element, name) if found is None else found
 

@@ -399,7 +399,6 @@ class Scene:
         return {name: sim.qpos[:, i : i + 3] for name, i in self._free.items()}
 
     def _resolve(self, model: mujoco.MjModel) -> None:
-        """Find everything in the compiled world that is reached by name."""
         self.arms = {a: find_arm(model, a, robot) for a, robot in self.robots.items()}
         self.postures = {a: np.array(robot.home) for a, robot in self.robots.items()}
         if self.grips:
@@ -412,7 +411,6 @@ class Scene:
         return self.spec.worldbody.add_body(name=name, mocap=True)
 
     def _check_free(self, argument: str, name: str) -> None:
-        """Raise unless an agent, object or target can have this name."""
         check_name(argument, name)
         if name in {*self.robots, *self._objects, *self._targets}:
             raise ValueError(f"{argument} {name!r} is taken; give another")
@@ -465,7 +463,6 @@ class Scene:
 
 
 def _check_child(name: str, child: mujoco.MjSpec) -> None:
-    """Raise unless a model can be put into a scene."""
     check_kind(f"the child {name!r}", child, mujoco.MjSpec, "an MjSpec")
     if child.parent is not None:
         raise ValueError(

@@ -14,7 +14,7 @@ _WALL = (0.80, 0.84, 0.88)
 
 def add_surroundings(spec: mujoco.MjSpec) -> None:
     """Add floor, sky, lights and the quality of off-screen pictures."""
-    # A plain room, on whose grey floor white arms stand out as well as black ones.
+    # A plain room, on whose floor white arms stand out as well as black ones.
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
@@ -29,8 +29,8 @@ def add_surroundings(spec: mujoco.MjSpec) -> None:
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         # Squares that differ more, or are smaller, flicker where they are far away.
-        rgb1=[0.40, 0.42, 0.45],
-        rgb2=[0.38, 0.40, 0.43],
+        rgb1=[0.53, 0.50, 0.455],
+        rgb2=[0.505, 0.475, 0.43],
         width=256,
         height=256,
     )

@@ -56,7 +56,6 @@ class Worlds:
         return failed if rows is None else failed[rows]
 
     def _warnings(self, rows: Any) -> np.ndarray:
-        """Return how often MuJoCo has warned of worlds, where rollouts stop."""
         return self._batch.warning[rows, :, 1].sum(axis=1)
 
 

@@ -371,7 +371,6 @@ def _hand(
 
 
 def _angle(quat: Array, other: Array) -> Array:
-    """Return the angles between quaternions (num_envs, 4), in rad."""
     turn = math.multiply(math.conjugate(quat), other)
     return math.norm(math.rotation_vector(turn))
 

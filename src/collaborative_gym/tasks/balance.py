@@ -333,7 +333,6 @@ class Balance(Task[BalanceConfig, BalanceFacts]):
 
 
 def _held(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Place a board in the frame of the tcp that holds its first handle."""
     handle, body = spec.site("handle_1"), spec.body("board")
     inverse = math.conjugate(np.array(handle.quat))
     body.quat = inverse

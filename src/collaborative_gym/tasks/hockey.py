@@ -209,8 +209,8 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         scene.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         scene.spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SPECULATIVE
         far = 0.82 + 0.6 * half_width
-        eye = 0, 0.12 - far, HEIGHT + 0.07 + 1.8 * far
-        scene.add_camera(eye, (1, 0, 0, 0, 0.87, 0.49))
+        eye = 0, -1.27 * far, HEIGHT + 0.14 + 1.3 * far
+        scene.add_camera(eye, (1, 0, 0, 0, 0.71, 0.7))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)

@@ -201,7 +201,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
     config_class = LiftConfig
 
     def _take(self, config: LiftConfig) -> None:
-        """Take settings, with those that are None set by the number of arms."""
         count = len(self.agents)
         radius, tilt = _SUCCESS.get(count, _TEAM_SUCCESS)
         own = {"success_radius": radius, "success_tilt": tilt, "egocentric": count > 2}
@@ -238,7 +237,6 @@ class Lift(Task[LiftConfig, LiftFacts]):
         return tuple(share * robot.reach for share, robot in pairs)
 
     def _target(self, lowest: float) -> np.ndarray:
-        """Return where the pot is to go, by the height of the lowest base."""
         return np.array(self.config.target or (0.0, 0.0, lowest + _HEIGHT))
 
     def build(self, scene: Scene) -> None:

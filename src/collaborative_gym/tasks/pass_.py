@@ -372,7 +372,6 @@ class Pass(Task[PassConfig, PassFacts]):
         )
 
     def _lies(self, sim: Sim, places: Array, targets: Array) -> Array:
-        """Return which cubes lie on the table of a relay's targets."""
         above = places[..., 2] - targets[..., 2]
         if not self.config.relay:
             return above < -np.inf

@@ -173,7 +173,7 @@ class Reach(Task[ReachConfig, ReachFacts]):
             scene.add_velocity_sensor(f"{agent}/tcp", f"{agent}/{robot.tcp}")
             scene.add_target(f"{agent} goal", self.config.radius, rgba=colour)
             scene.paint_hand(agent, colour)  # It hides the goal that it has reached.
-        teams.add_team_camera(scene, places, below=0.4, tall=0.9)
+        teams.add_team_camera(scene, places, below=0.1, tall=0.8)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
@@ -298,7 +298,6 @@ class Reach(Task[ReachConfig, ReachFacts]):
         )
 
     def _touches(self, sim: Sim) -> dict[str, Array]:
-        """Return by agent in which worlds its arm touches another one."""
         pairs = list(combinations(self.agents, 2))
         deep = sim.sensordata[:, self._depths] < 0.0
         return {

@@ -190,9 +190,8 @@ class Sort(Task[SortConfig, SortFacts]):
                 scene.add_grip(self.agents[i], site, threshold=most, width=0.05)
         wide = np.ptp(self.seats) + 1.5
         scene.spec.stat.extent = wide  # Shadows are sharper than those of a whole belt.
-        eye = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 1.1])
-        across = np.array([0.77, 0.64, 0.0])
-        away = eye - [0.0, 0.0, 0.6]
+        away = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 0.5])
+        eye, across = (0.16, 0.14, 0.6) + 0.86 * away, np.array([0.77, 0.64, 0.0])
         scene.add_camera(eye, (*across, *np.cross(away, across)))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:

@@ -210,6 +210,11 @@ class Task(Generic[ConfigT, FactsT]):
         return (self.agents,)
 
     @property
+    def summary(self) -> str:
+        """What the robots are to do: the first line of the class's docstring."""
+        return (type(self).__doc__ or self.name).partition("\n")[0]
+
+    @property
     def progress_name(self) -> str | None:
         """The fact of `coordination` that measures progress, if one does."""
         kept = self.coordination

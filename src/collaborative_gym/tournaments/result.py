@@ -243,7 +243,6 @@ class Tournament:
         return values[:1] if len(self.seats) == 2 else values
 
     def _statistic(self, measure: str, values: np.ndarray) -> Statistic:
-        """Return the statistic of a pairing over its episodes, (seats, episodes)."""
         means = _mean(values)[: 1 if self.is_one_episode else None]
         return Statistic.of(list(means), is_share=is_share(measure))
 
@@ -294,7 +293,6 @@ class Tournament:
 
     @property
     def _points(self) -> np.ndarray:
-        """Points of rows against columns, (players, players)."""
         own = self._shown("points")
         lost = np.swapaxes(1.0 - own, 1, 2)
         return (np.nan_to_num(own).sum(0) + np.nan_to_num(lost).sum(0)).sum(-1)

@@ -295,7 +295,6 @@ class _Camera(_Message, tag="ViewerCameraMessage"):
 
 
 def _fits(own: Any, value: bool | float | str) -> bool:
-    """Return whether a page may give one of its inputs this value."""
     if isinstance(own, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
         return value in own.options
     if isinstance(own, viser.GuiSliderHandle):

@@ -255,14 +255,12 @@ _STYLE = "<div class=said>%s</div>"  # frame of what the panel says
 
 
 def _on_user(box: Any, do: Callable[[Any], object]) -> None:
-    """Call a function when a user, but not the program, changes an input."""
     box.on_update(lambda event: event.client and do(event.target.value))
 
 
 def _heading(session: Session, instead: str) -> str:
     """Return the goal, how it stands, and who won last, as HTML."""
     task, reading = session.env.task, session.reading
-    goal = (type(task).__doc__ or task.name).partition("\n")[0]
     done, name = "", task.progress_name
     if name and task.units.get(name) == "":
         done = f", {100 * reading.measures[name]:.0f} % done"
@@ -272,7 +270,7 @@ def _heading(session: Session, instead: str) -> str:
         else f"{player}{': <b>success</b>' if reading.success[side] else done}"
         for side, player in ((s, html.escape(p)) for s, p in reading.players.items())
     ]
-    goal = html.escape(goal)
+    goal = html.escape(task.summary)
     if reading.is_loading:
         goal, sides = "loading ...", []
     lines = [f"<b>stopped:</b> {html.escape(reading.trouble)}"] * bool(reading.trouble)

@@ -302,7 +302,6 @@ class Session:
         )
 
     def _stop(self, what: str, error: Exception) -> None:
-        """Pause, and warn of a failure; to play on is to try again."""
         where = location_of(error)
         trouble = f"{type(error).__name__}: {error}{f' ({where})' if where else ''}"
         self._warn(f"{what} failed: {trouble}")

@@ -160,7 +160,6 @@ def _turned(profile: np.ndarray, sectors: int = _SECTORS) -> _Mesh:
 
 
 def _arc(first: int, last: int, sectors: int = _SECTORS) -> np.ndarray:
-    """Return an arc of radius 1, (points, 2), between two quarter turns."""
     angles = np.linspace(first, last, (last - first) * sectors // 4 + 1) * np.pi / 2
     # On the axis the radius must be exactly 0.
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1).round(12)
