@@ -25,10 +25,10 @@ TOUR = {
     "PassPandas3-v0": (1.15, 0.5),
     "BalanceTaskJacoSawyer-v0": (1.05, 0.5),
     "BalancePathPandas4-v0": (1.1, 0.48),
-    "ReachPandas4-v0": (1.1, 0.5),
-    "SortPandas4-v0": (1.1, 0.5),
+    "ReachPandas4-v0": (1.0, 0.5),
+    "SortPandas4-v0": (1.0, 0.5),
     "AssemblePandas3-v0": (1.35, 0.42),
-    "HockeyPandas-v0": (1.2, 0.45),
+    "HockeyPandas-v0": (1.0, 0.5),
     "TugPandas-v0": (1.15, 0.5),
 }
 """What the baselines play, in games against the expert, by environment: how much larger

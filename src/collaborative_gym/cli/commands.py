@@ -88,9 +88,9 @@ class Record(_Policy, Watched):
       seconds: least length of the film; the last episode is shown to its end.
       only_episodes: episodes to show instead of the first ones, such as the worst ones
         that evaluate names; not together with --seconds.
-      size: width and height in pixels, of each policy's picture.
+      size: width and height in pixels, of each policy's picture and its caption.
       speed: simulated seconds per second of the film, 0.1 to 2; 0.5 is slow motion.
-      slow_motion: show the team's last progress, or a game's scores, more slowly.
+      slow_motion: show steps of a team's progress, or a game's scores, more slowly.
       close_up: a body of the world, such as pot/pot, to show from nearby beside it; of
         several, the one that hands are nearest to, until they leave it.
     """
