@@ -4,7 +4,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from draw_films import SHADOWS
 from PIL import Image
 
 import collaborative_gym as cg
@@ -37,7 +36,6 @@ def picture(robot: cg.Robot) -> np.ndarray:
     size = max(high[2] - low[2], np.ptp(parts @ RIGHT) / SIZE[0] * SIZE[1]) + MARGIN
     far = size / 2 / np.tan(np.radians(FOV / 2))
     model.cam_pos[0] = (low + high) / 2 + far * np.cross(RIGHT, UP)
-    model.vis.quality.shadowsize = SHADOWS
     camera = Camera(model, *SIZE)
     pixels = camera.picture(data.qpos, np.zeros((model.nmocap, 3)))
     camera.close()

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from draw_films import SHADOWS
 from PIL import Image
 
 import collaborative_gym as cg
@@ -97,7 +96,6 @@ GUTTER = 8
 def picture(world: World) -> np.ndarray:
     """Return what a world looks like then, (height, width, 3) uint8."""
     env = cg.make_vec(world.env_id, 1, robots=world.robots, seed=1, num_threads=1)
-    env.world.drawn_model.vis.quality.shadowsize = SHADOWS
     observations, _ = env.reset()
     for step in range(world.steps):
         name = "expert" if step < world.expert_steps else world.policy
