@@ -22,7 +22,7 @@ SIZES = {
     "SortPandas4-v0": (960, 600),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
-SPEEDS = {"Hockey": 1.5, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
+SPEEDS = {"Hockey": 2.0, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
 """Speeds of tasks in which much is alike, and of one that is over in a second."""
 STARTS = {"Balance": "lost"}
 """Starts of films of Balance, whose ball would soon lie still: it already rolls."""

@@ -3,6 +3,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,11 +80,12 @@ def test_slow_motion_has_more_pictures_of_a_step(
     assert f"0.3 s, speed {speed:g}x, expert" in labels[-1]
 
 
+@pytest.mark.parametrize(("name", "pace"), [("a.gif", 0.2), ("a.mp4", 0.4)])
 @pytest.mark.parametrize(
     ("kept", "bound"), [({}, 0.6), ({"highest": "greatest"}, 0.55)]
 )
-def test_slow_motion_is_about_the_last_progress_or_success(
-    carry, tmp_path, monkeypatch, kept, bound
+def test_slow_motion_is_about_progress_or_success(
+    carry, tmp_path, monkeypatch, kept, bound, name, pace
 ):
     class Raised(type(carry())):
         coordination, success_for = kept, 4
@@ -99,18 +101,30 @@ def test_slow_motion_is_about_the_last_progress_or_success(
     )
     frame = np.zeros((*SIZE[::-1], 3), np.uint8)
     monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
-    path = tmp_path / "a.gif"
+    path = tmp_path / name
     recording.record(task, path, seconds=0.1, size=SIZE, slow_motion=True)
     env = VectorEnv(task, 1, num_threads=1)
     env.reset(seed=0)
     while env.facts.height[0] < bound:
         *_, infos = env.step(env.expert())
     moment = int(infos["step"][0])
-    times = [seconds(text) for text in told if ", speed 0.2x, " in text]
+    times = [seconds(text) for text in told if f", speed {pace}x, " in text]
     # A start has one picture.
     shown = [step for step in range(moment - 5, moment + 2) if step >= 0]
     slow = [round(0.1 * step, 1) for step in shown for _ in range(5 if step else 1)]
     assert times == slow
+
+
+def test_slow_motion_is_about_each_step_and_the_end_of_what_creeps():
+    def ends(*shares):
+        screen = SimpleNamespace(_stage="stage", _progress=lambda step: step.share)
+        steps = [SimpleNamespace(share=s, infos={"metrics": {}}) for s in shares]
+        slow = sorted(recording._Screen.decisive(screen, steps))
+        return [step - 1 for step in slow if step + 1 not in slow]
+
+    assert ends(*[0.0] * 9, *[0.5] * 12, *[0.6] * 3, *[1.0] * 9) == [9, 24]
+    assert ends(*[0.0] * 9, 0.1, 0.2, 0.3, *[0.31] * 9, 0.5, 0.7, *[1.0] * 9) == [23]
+    assert ends(*[0.0] * 9, 0.1, 0.2, 0.3, *[0.31] * 9, 0.4, *[0.5] * 9) == [11, 22]
 
 
 def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):

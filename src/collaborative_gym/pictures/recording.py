@@ -88,9 +88,9 @@ def record(
       speed: simulated seconds per second of the film, 0.1 to 2: 1 for real time, less
         for slow motion, which draws more pictures of each second of the world.
       slow_motion: whether 0.7 s about the first policy's large steps of progress are
-        shown at 0.4 of the speed or less, with the close-up nearer. Progress is
-        the first measure in the task's `coordination` that is kept at its greatest, or
-        else where success begins; of opponents it is every score.
+        shown at 0.4 of the speed or less, with the close-up nearer. Progress is the
+        first measure in the task's `coordination` that is kept at its greatest, or else
+        where success begins; of opponents it is every score.
       close_up: a body of the world, such as `pot/pot`, that a picture on the right, or
         below a long one, shows from nearby; of several, the one that hands are nearest
         to, until they leave it.
@@ -325,7 +325,7 @@ class _Screen:
             yield _labelled(self._draw(*state), label)
 
     def _cheer(self, seconds: float, score: Mapping[str, np.ndarray]) -> str:
-        """Return who has scored within the last second of the film, or nothing."""
+        """Return who has scored just now, or nothing."""
         for side, points in score.items():
             if points[0] > self._score.get(side, np.inf):
                 self._scored = seconds, f"{self._players[side]} scores"
@@ -334,7 +334,7 @@ class _Screen:
         return who if 0 <= seconds - since < _HOLD * min(1, self.speed) else ""
 
     def decisive(self, steps: Sequence[_Step]) -> set[int]:
-        """Return the steps around progress, first success, or scores."""
+        """Return the steps around large progress, first success, or scores."""
         late = 0
         if "score" in steps[0].infos["metrics"]:
             scores = [each.infos["metrics"]["score"].values() for each in steps]
