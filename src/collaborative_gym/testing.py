@@ -337,7 +337,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
             return
     assert not is_divided, (
         f"the expert never reaches the goal of {', '.join(side)}, though the others"
-        " hold still; mend the expert"
+        " hold still; fix the expert"
     )
     failed = np.flatnonzero(~reached).tolist()
     asks = " after which success_for or success_after asks for more"
@@ -349,7 +349,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
         f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}"
         f"{asks * (not nearest[failed[0]])}); watch it by"
         f" `record`, --only-episodes {failed[0]} --output failed.mp4 and this command's"
-        " options, and mend the expert, or what reset() draws"
+        " options, and fix the expert, or what reset() draws"
     )
 
 

@@ -250,7 +250,7 @@ class Work:
             if not len(states.physics):
                 raise ValueError(
                     f"{self._task.name}: in no episode is its expert at {fraction:.0%}"
-                    " of its way while the goal is not met; mend the expert, or"
+                    " of its way while the goal is not met; fix the expert, or"
                     " give other fractions"
                 )
         return found

@@ -152,7 +152,7 @@ class Table11:
         return (
             f"Our numbers are means over {self.episodes} episodes of seed {self.seed},"
             " the thesis's (2023, Table 11) over 200 trials. Columns without `default`"
-            " use the thesis's fixed starts (`paper`)."
+            " use the thesis's starts (`paper`)."
         )
 
     def to_json(self) -> str:

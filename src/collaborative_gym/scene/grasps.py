@@ -5,7 +5,7 @@
 - `magnet`: pulls an object's site to the tool centre point, and lets it turn there. It
   bears the gripper's `holding_force`, and opens when it is torn.
 - `suction`: a cup of 40 mm at the tool centre point, which faces along its z axis. At a
-  vacuum of 60 %, it sucks with 0.6 x 101,325 Pa x its area, 76 N. It bears what its
+  vacuum of 60 %, it holds with 0.6 x 101,325 Pa x its area, 76 N. It bears what its
   friction cone allows: a force t along the cup and a pull p away from it with
   t <= 0.5 (76 N - p). The formula, and 0.5 for wood, metal and glass, are Schmalz's
   ("Theoretical holding force of a suction cup").

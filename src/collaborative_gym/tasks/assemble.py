@@ -39,9 +39,9 @@ Reward of each agent:
   other action modes, of what the action asks of the joints.
 - `success`: 1 while the goal is reached, else 0.
 
-Success: for 0.5 s, peg and pin are in the block, to 4 mm of their full depth, and the
-block is within `success_radius` (0.05 m) of the target. A part's depth is measured from
-the mouth of its hole, and counts only while its axis is within 3 mm and 0.1 rad of the
+Success: for 0.5 s, peg and pin are within 4 mm of their full depth, and the block is
+within `success_radius` (0.05 m) of the target. A part's depth is measured from the
+mouth of its hole, and counts only while its axis is within 3 mm and 0.1 rad of the
 hole's. Parts lie far from the target, so an arm that holds still keeps its part away
 from it.
 

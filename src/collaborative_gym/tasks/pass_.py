@@ -43,10 +43,10 @@ next hand, the next arm counts as near, at a distance of 0.
 - `waiting`, where there are two cubes: -3 for each that waits behind the agent's own.
 
 Success: with two arms, the cube is within `success_radius` of the target and robot_2
-holds it. The thesis requires only the distance. The second condition rules out that
-robot_1 throws the cube to the target, a way that a search found. In every pair of
-Sawyer, Panda and Jaco, robot_1 stays 0.27 m or more short of the target, and robot_2
-stays 0.18 m short of robot_1's table.
+holds it. The thesis requires only the distance. The second condition prevents robot_1
+from throwing the cube to the target, as a search once did. In every pair of Sawyer,
+Panda and Jaco, robot_1 stays 0.27 m or more short of the target, and robot_2 stays 0.18
+m short of robot_1's table.
 
 In a relay, each cube must lie still within 0.06 m of its target, in no hand. Before
 that, every arm must have held it, in order, and at the end of some control step

@@ -286,7 +286,7 @@ class Task(Generic[ConfigT, FactsT]):
         raise self._missing("reset")
 
     def mishap(self, sim: Sim, env_ids: np.ndarray, *, rng: EpisodeRandom) -> None:
-        """Turn starts that `reset` wrote into starts after a mishap that can be mended.
+        """Turn starts that `reset` wrote into starts after a mishap that can be undone.
 
         Tasks without it have no such starts. The arguments are those of `reset`.
         """

@@ -36,7 +36,7 @@ difference of the strengths; this factor gives a Panda and a Sawyer even chances
 
 Other unequal pairs are not fair. With the same rule, a Panda's expert wins about 172 of
 200 episodes against a Jaco's, and a Sawyer's about 136. For even chances, the force
-must be right to less than 1 %, because the arm that is ahead has the stronger posture.
+must be right within 1 %, because the arm that is ahead has the stronger posture.
 Torque limits do not predict it that well, and no single factor is right for all pairs.
 If chances must be even, use equal arms, or a Panda and a Sawyer.
 
