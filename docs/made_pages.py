@@ -73,10 +73,10 @@ _TASKS = (
     "Assemble",
 )
 _MOMENT = {
-    "LiftTaskSawyers-v0": 27,
-    "LiftTaskJacos-v0": 22,
-    "LiftPandas3-v0": 28,
-    "LiftPandas4-v0": 24,
+    **dict.fromkeys(
+        ("LiftTaskSawyers-v0", "LiftTaskJacos-v0", "LiftPandas3-v0", "LiftPandas4-v0"),
+        90,
+    ),
     "AssemblePandas3-v0": 85,
     "ReachPandas4-v0": 90,
     "SortPandas4-v0": 60,
@@ -84,8 +84,10 @@ _MOMENT = {
     "BalanceTaskJacoSawyer-v0": 45,
     "TugPandas-v0": 30,
     **dict.fromkeys(
-        ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0"), 32
+        ("PassTaskSawyers-v0", "PassTaskJacoSawyer-v0", "PassPinchSawyers-v0"), 59
     ),
+    "PassFrictionSawyers-v0": 64,
+    "PassPandas3-v0": 41,
 }
 """Moments of films, in % of their time, that show more than the half."""
 
