@@ -430,5 +430,6 @@ def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
         (below, edge, low, "lm", 0.85 * size, wide - size, "#b0b8c0"),
     ):
         share = min(1.0, room / max(1, pen.textlength(line, font(size=letters))))
-        pen.text((x, y), line, colour, font(size=share * letters), anchor=anchor)
+        letters = max(4.0, share * letters)  # Smaller ones cannot be drawn.
+        pen.text((x, y), line, colour, font(size=letters), anchor=anchor)
     return np.asarray(picture)
