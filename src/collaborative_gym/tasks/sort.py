@@ -191,7 +191,8 @@ class Sort(Task[SortConfig, SortFacts]):
         wide = np.ptp(self.seats) + 1.5
         scene.spec.stat.extent = wide  # Shadows are sharper than those of a whole belt.
         away = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 0.5])
-        eye, across = (0.16, 0.14, 0.6) + 0.86 * away, np.array([0.77, 0.64, 0.0])
+        across, near = np.array([0.77, 0.64, 0.0]), 0.14 * (len(self.agents) > 3)
+        eye = (1 - near) * away + 1.5 * near * across + (0.0, 0.0, 0.6)
         scene.add_camera(eye, (*across, *np.cross(away, across)))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:

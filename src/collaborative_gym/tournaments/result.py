@@ -374,7 +374,6 @@ def format_estimate(measure: str, statistic: Statistic) -> str:
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
-    """Return the mean over the first axis without NaN; NaN where all is NaN."""
     known = ~np.isnan(values)
     total = np.where(known, values, 0.0).sum(0)
     return np.where(known.any(0), total / np.maximum(known.sum(0), 1), math.nan)
