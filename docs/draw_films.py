@@ -47,8 +47,9 @@ TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
-GAME, EPISODE = "HockeyPandas-v0", 8
-"""A close game, filmed whole: of the first 16, the baseline won 13, and lost 2."""
+EPISODES = {"HockeyPandas-v0": [8], "TugPandas-v0": [27, 24]}
+"""Close games, filmed whole, in which the lead changes. Of the first 16 of Hockey, the
+baseline won 13, and lost 2; of the first 64 of Tug, these two are among the longest."""
 
 
 def film(env_id: str) -> None:
@@ -64,8 +65,8 @@ def film(env_id: str) -> None:
         "speed": SPEEDS.get(kind, 1.0),
         "slow_motion": kind in SLOW,
     }
-    if env_id == GAME:
-        more["only_episodes"] = [EPISODE]
+    if env_id in EPISODES:
+        more["only_episodes"] = EPISODES[env_id]
     elif len(task.sides) == 1:
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(kind, ()))
         policy, more = player, more | {"seconds": LEAST, "close_up": near}

@@ -458,7 +458,7 @@ def _films(tasks: Sequence[str]) -> str:
     """
     paragraphs, readme = [], (ROOT / "README.md").read_text()
     for name in tasks:
-        goal = inspect.getdoc(_envs(name)[0][1].task).partition("\n")[0]
+        goal = cg.task(name).summary
         row = re.search(rf"^\| \[{name}\].*\| (.*) \|$", readme, re.M)
         why = ""
         if name not in _AGAINST:

@@ -22,7 +22,12 @@ SIZE = (64, 48)
 
 
 def seconds(caption):
-    return float(caption.split("\n")[1].split(", ")[1].removesuffix(" s"))
+    return float(re.search(r", ([\d.]+) s", caption)[1])
+
+
+def noting(told):
+    """Return what notes captions in place of drawing them."""
+    return lambda frame, *texts: told.append("\n".join(texts[:3])) or frame
 
 
 @pytest.mark.parametrize("shots", [2, 5, 10])
@@ -62,9 +67,7 @@ def test_slow_motion_has_more_pictures_of_a_step(
     carry, tmp_path, monkeypatch, speed, shots, rate
 ):
     labels = []
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: labels.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(labels))
     path = recording.record(
         carry(max_episode_steps=3),
         tmp_path / "a.mp4",
@@ -96,9 +99,7 @@ def test_slow_motion_is_about_progress_or_success(
 
     plain, told = carry(), []
     task = Raised(list(plain.robots.values()), plain.config)
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: told.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(told))
     frame = np.zeros((*SIZE[::-1], 3), np.uint8)
     monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
     path = tmp_path / name
@@ -129,9 +130,7 @@ def test_slow_motion_is_about_each_step_and_the_end_of_what_creeps():
 
 def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
     told, frame = [], np.zeros((*SIZE[::-1], 3), np.uint8)
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: told.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(told))
     monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
     recording.record(
         "HockeyPandas-v0",
@@ -152,7 +151,7 @@ def test_slow_motion_of_a_game_is_about_every_score(tmp_path, monkeypatch):
 
 
 def test_close_up_follows_its_body_beside_the_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(recording, "_labelled", lambda frame, text: frame)
+    monkeypatch.setattr(recording, "_labelled", lambda frame, *_: frame)
     size = width, side = 64, 74
     pot = {"close_up": "pot/pot", "seconds": 0.1, "size": size, "policy": "baseline"}
     path = recording.record("LiftTaskSawyers-v0", tmp_path / "a.gif", **pot)
@@ -179,14 +178,12 @@ def test_close_up_is_below_a_long_picture(tmp_path):
 
 def test_a_film_says_for_a_second_who_has_scored(tmp_path, monkeypatch):
     told = []
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: told.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(told))
     game, players = cg.task("HockeyPandas-v0", max_episode_steps=40), ("expert", "idle")
     film = {"only_episodes": [8], "size": SIZE}  # With a goal in its first second.
     policy = dict(zip(game.agents, players, strict=True))
     recording.record(game, tmp_path / "a.gif", policy=policy, **film)
-    goals = [text for text in told if text.endswith("\nrobot_1 expert scores")]
+    goals = [text for text in told if text.endswith("\nrobot_1 (red) expert scores")]
     assert 0 < len(goals) < len(told) / 2
     before = told[told.index(goals[0]) - 1]
     assert "expert 0 : 0" in before and "expert 1 : 0" in goals[0]
@@ -230,7 +227,7 @@ def test_frames_are_drawn_anew_only_when_something_moves(make_env):
     env = make_env(1)
     env.reset(seed=0)
     camera = Camera(env.world.drawn_model, *SIZE)
-    draw = recording._Screen(env, env.expert, {}, 1, [camera], 1.0)._draw
+    draw = recording._Screen(env, env.expert, {}, 1, [camera], False, 1.0)._draw
     sim = env.sim
     first, again = (draw(sim.qpos[0], sim.mocap_pos[0]) for _ in range(2))
     sim.qpos[0, 3] += 0.1
@@ -340,7 +337,7 @@ def test_an_encoder_that_is_killed_leaves_what_was_there(tmp_path, name, why):
 def test_a_caption_stands_above_and_is_as_large_as_its_width_allows():
     def lines(width, *texts):
         frame = np.full((240, width, 3), 7, np.uint8)
-        labelled = recording._labelled(frame, "\n".join(texts))
+        labelled = recording._labelled(frame, *texts, False)
         strip = len(labelled) - 240
         assert (labelled[strip:] == 7).all() and strip % 2 == 0
         grey = labelled[:strip].max(axis=2) > 100
@@ -364,18 +361,19 @@ def test_a_caption_stands_above_and_is_as_large_as_its_width_allows():
 
 def test_success_is_green():
     frame = np.zeros((48, 320, 3), np.uint8)
-    for mark, is_green in (("success", True), ("50 % done", False)):
-        red, green, _ = recording._labelled(frame, f"\n\n{mark}").reshape(-1, 3).T
-        assert (green > 1.5 * red + 50).any() == is_green
+    for is_way in (True, False):
+        labelled = recording._labelled(frame, "", "", "success", is_way)
+        red, green, _ = labelled.reshape(-1, 3).T
+        assert (green > 1.5 * red + 50).any() != is_way
 
 
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
     named = []
     labelled = recording._labelled
 
-    def note(frame, name):
-        named.append(name)
-        return labelled(frame, name)
+    def note(frame, *texts):
+        named.append(texts[1])
+        return labelled(frame, *texts)
 
     monkeypatch.setattr(recording, "_labelled", note)
     policies = [{"robot_1": "idle", "robot_2": "random"}, "expert"]
@@ -396,9 +394,7 @@ def test_the_next_start_comes_soon_after_the_first_policys_success(
     carry, tmp_path, monkeypatch
 ):
     told = []
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: told.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(told))
     recording.record(
         carry(), tmp_path / "a.gif", policy=["expert", "idle"], seconds=3.0, size=SIZE
     )
@@ -409,6 +405,25 @@ def test_the_next_start_comes_soon_after_the_first_policys_success(
     for start, end in zip(starts, [*starts[1:], len(experts)], strict=True):
         first = next(i for i in range(start, end) if "success" in experts[i])
         assert end - first == 16  # 1.5 seconds
+        again = [", start " in text for text in experts[start:end]]
+        assert all(again) if start else not any(again)
+    assert ", start 2, 0.0 s" in experts[starts[1]]
+
+
+def test_a_start_fades_into_the_next_one(carry, tmp_path, monkeypatch):
+    def drawn(frame, goal, about, *_):
+        return np.full_like(frame, 200 if ", start 2, " in about else 40)
+
+    monkeypatch.setattr(recording, "_labelled", drawn)
+    task = carry(max_episode_steps=3)
+    path = recording.record(task, tmp_path / "a.mp4", only_episodes=[0, 1], size=SIZE)
+    with imageio.get_reader(path) as video:
+        seen = [frame.mean() for frame in video.iter_data()]
+    first = len(seen) // 2  # In 0.4 s from there.
+    fading = [40, 60, 80, 100, 120, 140, 160, 180, 200]
+    assert np.allclose(seen[first : first + 9], fading, atol=8)
+    assert np.allclose(seen[:first], 40, atol=8)
+    assert np.allclose(seen[first + 9 :], 200, atol=8)
 
 
 def test_a_film_shows_the_episodes_that_are_named(carry, tmp_path):
@@ -435,9 +450,7 @@ def test_a_film_shows_the_episodes_that_are_named(carry, tmp_path):
 
 def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     told, shares = [], []
-    monkeypatch.setattr(
-        recording, "_labelled", lambda frame, text: told.append(text) or frame
-    )
+    monkeypatch.setattr(recording, "_labelled", noting(told))
     path = recording.record(
         "TugPandas-v0",
         tmp_path / "a.gif",
@@ -450,10 +463,13 @@ def test_a_film_of_opponents_ends_with_the_winner(tmp_path, monkeypatch):
     assert shares == sorted(shares) and shares.count(1.0) == 1
     [goal, first, _] = told[0].split("\n")
     assert goal == "Pull the bar over your own line, against the other arm."
-    assert first == "TugPandas-v0, 0.0 s, robot_1 expert 0 : 0 robot_2 idle"
+    assert (
+        first
+        == "TugPandas-v0, 0.0 s, robot_1 (orange) expert 0 : 0 robot_2 (blue) idle"
+    )
     [_, last, result] = told[-1].split("\n")
-    assert last.endswith(" s, robot_1 expert 1 : 0 robot_2 idle")
-    assert result == "robot_1 expert wins"
+    assert last.endswith(" s, robot_1 (orange) expert 1 : 0 robot_2 (blue) idle")
+    assert result == "robot_1 (orange) expert wins"
     # The end is shown for 1.5 seconds.
     with Image.open(path) as video:
         ends = [frame.info["duration"] for frame in ImageSequence.Iterator(video)]

@@ -99,6 +99,20 @@ assert not any(ends)
 """
 
 
+def world(bodies):
+    """Return a model of these bodies, seen from 3 m along x."""
+    return mujoco.MjModel.from_xml_string(
+        f"""
+        <mujoco>
+          <worldbody>
+            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
+            {bodies}
+          </worldbody>
+        </mujoco>
+        """
+    )
+
+
 def run(script):
     """Return what a process prints that runs a script."""
     arguments = [sys.executable, "-c", WORLDS + script]
@@ -149,15 +163,10 @@ def test_sizes_of_numpy_are_sizes():
 
 
 def test_what_stands_before_a_close_up_is_cut_away():
-    model = mujoco.MjModel.from_xml_string(
+    model = world(
         """
-        <mujoco>
-          <worldbody>
-            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
-            <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-            <geom type="box" size="0.01 1 1" pos="0.6 0 0" rgba="0 0 1 1" group="2"/>
-          </worldbody>
-        </mujoco>
+          <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+          <geom type="box" size="0.01 1 1" pos="0.6 0 0" rgba="0 0 1 1" group="2"/>
         """
     )
     for bodies, channel in ((["ball"], 0), ((), 2)):
@@ -168,18 +177,13 @@ def test_what_stands_before_a_close_up_is_cut_away():
 
 
 def test_a_close_up_looks_past_what_hides_its_body():
-    model = mujoco.MjModel.from_xml_string(
+    model = world(
         """
-        <mujoco>
-          <worldbody>
-            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
-            <body name="ball"><geom size="0.05" rgba="1 0 0 1" group="2"/></body>
-            <body name="arm"><joint type="slide" axis="0 1 0"/>
-              <geom type="box" size=".01 .1 2" pos=".3 0 0" group="3"/>
-              <geom type="box" size=".01 .1 2" pos=".3 0 0" group="2" rgba="0 0 1 1"/>
-            </body>
-          </worldbody>
-        </mujoco>
+          <body name="ball"><geom size="0.05" rgba="1 0 0 1" group="2"/></body>
+          <body name="arm"><joint type="slide" axis="0 1 0"/>
+            <geom type="box" size=".01 .1 2" pos=".3 0 0" group="3"/>
+            <geom type="box" size=".01 .1 2" pos=".3 0 0" group="2" rgba="0 0 1 1"/>
+          </body>
         """
     )
     camera = Camera(model, 64, 48, ["ball"])
@@ -218,14 +222,9 @@ def test_shadows_fade():
 
 
 def test_zoom_takes_a_close_up_nearer():
-    model = mujoco.MjModel.from_xml_string(
+    model = world(
         """
-        <mujoco>
-          <worldbody>
-            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
-            <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-          </worldbody>
-        </mujoco>
+          <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
         """
     )
     for bodies, bounds in ((["ball"], (2.5, 4.0)), ((), (0.99, 1.01))):
@@ -239,20 +238,15 @@ def test_zoom_takes_a_close_up_nearer():
 
 
 def test_of_several_bodies_the_close_up_shows_the_one_that_hands_are_at():
-    model = mujoco.MjModel.from_xml_string(
+    model = world(
         """
-        <mujoco>
-          <worldbody>
-            <camera name="overview" pos="3 0 0" xyaxes="0 1 0 0 0 1"/>
-            <body name="red"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-            <body name="blue" pos="0 1 0">
-              <geom size="0.1" rgba="0 0 1 1" group="2"/></body>
-            <body name="robot"><joint type="slide" axis="0 1 0"/>
-              <site name="robot_1/tcp"/><geom size="0.01" mass="1" group="4"/></body>
-            <body name="mate" pos="0 2 0"><joint type="slide" axis="0 1 0"/>
-              <site name="robot_2/tcp"/><geom size="0.01" mass="1" group="4"/></body>
-          </worldbody>
-        </mujoco>
+          <body name="red"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+          <body name="blue" pos="0 1 0">
+            <geom size="0.1" rgba="0 0 1 1" group="2"/></body>
+          <body name="robot"><joint type="slide" axis="0 1 0"/>
+            <site name="robot_1/tcp"/><geom size="0.01" mass="1" group="4"/></body>
+          <body name="mate" pos="0 2 0"><joint type="slide" axis="0 1 0"/>
+            <site name="robot_2/tcp"/><geom size="0.01" mass="1" group="4"/></body>
         """
     )
     camera, none = Camera(model, 64, 48, ["red", "blue"]), np.zeros((0, 3))
@@ -260,4 +254,18 @@ def test_of_several_bodies_the_close_up_shows_the_one_that_hands_are_at():
     ways = ((0.0, 0.0), (0.1, -0.95), (0.2, -0.95), (0.05, -0.95), (0.0, 0.0))
     seen = [camera.picture(np.array(way), none)[24, 32].argmax() for way in ways]
     assert seen == [0, 0, 2, 2, 0]
+    camera.close()
+
+
+def test_the_close_up_stays_at_what_moves_after_hands_have_left_it():
+    bodies = """<body name="red"><joint type="slide" axis="0 0 1"/>
+        <geom size="0.1" rgba="1 0 0 1" group="2"/></body>
+      <body name="blue" pos="0 1 0"><geom size="0.1" rgba="0 0 1 1" group="2"/></body>
+      <body name="robot"><joint type="slide" axis="0 1 0"/>
+        <site name="robot_1/tcp"/><geom size="0.01" mass="1" group="4"/></body>"""
+    camera, none = Camera(world(bodies), 64, 48, ["red", "blue"]), np.zeros((0, 3))
+    # The hand lets go and is at the other thing at once; this one falls, and rests.
+    places = [(0.0, 0.0), (-0.05, 1.0), (-0.1, 1.0), *[(-0.1, 1.0)] * 30]
+    seen = [camera.picture(np.array(place), none)[24, 32].argmax() for place in places]
+    assert seen[:5] == [0] * 5 and seen[-1] == 2
     camera.close()

@@ -24,6 +24,8 @@ def test_players_are_named_by_side():
     assert name_players(mixed, ONE) == {"side_1": "robot_1 idle, robot_2 main"}
     named = {"side_1": "robot_1 idle", "side_2": "robot_2 main"}
     assert name_players(mixed, TWO) == named
+    coloured = {"side_1": "robot_1 (red) main", "side_2": "robot_2 (blue) main"}
+    assert name_players("runs/main", TWO, ("red", "blue")) == coloured
     teams = {"side_1": "robot_1+robot_2 expert", "side_2": "robot_3+robot_4 expert"}
     assert name_players("expert", FOUR) == teams
 

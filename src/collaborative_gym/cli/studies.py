@@ -93,7 +93,6 @@ class Tournament(Measured):
             show(f"wrote {self.output}{but}", besides=besides)
 
     def _groups(self) -> dict[str, list[str]] | None:
-        """Return the players by kind; None where no kinds are named."""
         groups: dict[str, list[str]] = {}
         for word in self.groups:
             kind, _, player = word.partition("=")

@@ -291,6 +291,5 @@ def _two_lines(statistic: Statistic, percent: bool = False, unit: str = "") -> T
 
 
 def _stacked(cell: str) -> Text:
-    """Return a mean, and dimly below it its interval, of "97 % (84 to 100)"."""
     mean, _, ends = cell.rstrip(")").partition(" (")
     return Text.assemble(mean, (f"\n{ends}" if ends else "", "dim"))

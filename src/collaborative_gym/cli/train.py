@@ -165,7 +165,6 @@ class Train(Worlds):
         return env if all(each in (None, ()) for each in chosen) else self.task(env)
 
     def _given(self) -> dict[str, Any]:
-        """Return the hyperparameters that the command line has, by name."""
         from collaborative_gym.learning.settings import check_company
 
         given = {
@@ -229,7 +228,6 @@ class Train(Worlds):
         seeds: Sequence[int],
         output: Path,
     ) -> "tuple[Outcome, ...]":
-        """Train several runs, showing how they go; return what became of each."""
         from collaborative_gym.learning.many import train_all
 
         return train_all(

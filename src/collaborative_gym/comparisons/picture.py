@@ -111,7 +111,6 @@ def comparison_figure(comparison: Comparison) -> "Figure":
 
 
 def _numbers(names: Sequence[str], comparison: Comparison) -> dict[str, str]:
-    """Return a number for each name, or none if a panel has room for the names."""
     longest = max((len(_over(*both)) for both in comparison.improvements), default=0)
     if longest <= _MOST_LETTERS:
         return {}
@@ -205,7 +204,6 @@ def _draw_improvements(
 
 
 def _of(what: str, comparison: Comparison) -> str:
-    """Return a title, with the number of environments if there are several."""
     count = len(next(iter(comparison.contestants.values())).groups)
     return f"{what}, {count} environments" if count > 1 else what
 

@@ -387,7 +387,6 @@ def _measures(grouping: Grouping) -> tuple[str, ...]:
 
 
 def _notes(runs: Sequence[TrainedRun]) -> tuple[str, ...]:
-    """Return sentences about runs that have not come to their end."""
     notes = []
     for run in runs:
         last = int(run.rows[-1]["steps"]) if run.rows else 0

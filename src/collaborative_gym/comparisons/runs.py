@@ -238,7 +238,6 @@ def group_runs(runs: Sequence[TrainedRun]) -> Grouping:
 
 
 def _environments(runs: Sequence[TrainedRun]) -> dict[str, str]:
-    """Return names of the environments, by `_key`."""
     by_key = {}
     for run in runs:
         # Of teams, because a name that some lack is compared among the others.
@@ -278,7 +277,6 @@ def _enough(contents: Sequence[Mapping[str, Any]], names: Iterable[str]) -> list
 
 
 def _words(settings: Mapping[str, Any], names: Sequence[str] | Mapping) -> str:
-    """Return the settings of these names, such as "collaborative, discount 0.9"."""
     words = []
     for name in names:
         if name in settings:

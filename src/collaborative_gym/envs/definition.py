@@ -256,7 +256,6 @@ class Trial:
                 yield f"{method}: {kind} {name!r} of {agent}", array
 
     def _by_side(self, method: str, given: Any) -> list[tuple[str, Any]]:
-        """Return the name of each side's array, and the array."""
         what, sides = f"{self._name}.{method}()", self.sides
         if len(sides) == 1 or method == "over":
             return [(what, given)]

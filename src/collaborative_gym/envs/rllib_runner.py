@@ -219,7 +219,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         return columns, np.flatnonzero(infos["ended"]).tolist()
 
     def _act(self, explore: bool) -> Columned:
-        """Ask each module once, for all its agents and worlds."""
         columns: Columned = {a: {Columns.OBS: o} for a, o in self._observations.items()}
         for name, rows in self._rows.items():
             module = self.module[name]
@@ -261,7 +260,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
             episode._start_time, episode._last_step_time = since, time.perf_counter()
 
     def _count(self, episodes: list[MultiAgentEpisode], num_ended: int) -> None:
-        """Tell RLlib's metrics how much was played."""
         counts = Counter[tuple[str, ...]]({(names.NUM_EPISODES,): num_ended})
         for episode in episodes:
             counts[(names.NUM_ENV_STEPS_SAMPLED,)] += len(episode)

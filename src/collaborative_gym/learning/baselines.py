@@ -155,7 +155,6 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
 
 
 def _row(result: Result, starts: str, report: Report, is_best: bool) -> list[str]:
-    """Return the line of a card's table about a run and some starts."""
     return [
         f"{result.settings.seed}" + " (shipped)" * is_best,
         f"{result.steps / 1e6:.2f} M",
@@ -232,7 +231,6 @@ def training_commands(settings: Settings, resources: Resources) -> list[str]:
 
 
 def _command(env_id: str, own: Mapping[str, Any], starts: Mapping[str, Any]) -> str:
-    """Return the command that trains a run again, by the metadata of its policy."""
     numbers = dict(own["hyperparameters"])
     advised = numbers.get("imitation", 0.0) > 0.0
     others = changed(Hyperparameters(**numbers), recipe(env_id, advised=advised))

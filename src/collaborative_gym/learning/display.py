@@ -138,7 +138,6 @@ class Display(_Screen):
         return Panel(whole, box.ROUNDED, title=title, title_align="left", width=width)
 
     def _pace(self) -> list[str]:
-        """Return steps, steps per second and the time left, or taken in the end."""
         known, total = self._known, self._total_steps
         steps, rate = known["steps"], known["steps_per_second"]
         words = [
@@ -251,7 +250,6 @@ class ManyDisplay(_Screen):
 
 
 def _table(heads: Iterable[str], lines: Mapping[str, Iterable[str]]) -> Table:
-    """Return a table, text in its first column and numbers in the others."""
     table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="bold")
     for i, name in enumerate(heads):
         justify = "right" if i else "left"

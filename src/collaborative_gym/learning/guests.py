@@ -137,7 +137,6 @@ class Guests:
             each[silent] = np.nan
 
     def _answers(self, name: str, agents: Sequence[str]) -> bool:
-        """Return whether a guest's policy knows what these others should do."""
         policy = self._invitation.policies[name]
         if isinstance(policy, NetworkPolicy):
             return set(agents) <= set(policy.agents)

@@ -219,7 +219,6 @@ class _Crew:
         return [run.result() for run in runs]
 
     def _train(self, plan: Plan) -> Outcome | None:
-        """Train a run in a process, out of reach of the terminal's Ctrl-C."""
         is_there = (plan.folder / LAST).exists()
         given = dict(plan.given) | {"resources": self._resources}
         given["resume" if is_there else "output"] = plan.folder

@@ -66,7 +66,6 @@ class Penalties:
         return charged
 
     def _met(self, agent: str, success: Any) -> np.ndarray:
-        """Return where an agent's side met its goal, or performs."""
         task, sides = self._env.task, self._env.sides
         own = next(side for side, agents in sides.items() if agent in agents)
         met = success if len(sides) == 1 else success[own]

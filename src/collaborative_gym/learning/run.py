@@ -327,7 +327,6 @@ class Run:
         return {"core_seconds": before + time.process_time() - self._cores_since}
 
     def _validate(self) -> Mapping[str, float]:
-        """Return the means of a validation beside those with whom the run learns."""
         given: Any = {
             "episodes": self._hyperparameters.validation_episodes,
             "seed": validation_seed(self._settings.seed),

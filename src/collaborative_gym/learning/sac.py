@@ -62,7 +62,6 @@ class SACLearner(SkrlLearner):
         return numbers
 
     def _update(self) -> dict[str, float]:
-        """Do some gradient steps and return the means of their losses."""
         agent, scaler = self._agent, self._scaler
         held, scaler.is_held = scaler.is_held, True  # Each row counts once.
         agent.write_interval = 1  # Else skrl reports no losses.

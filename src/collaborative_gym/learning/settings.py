@@ -410,7 +410,6 @@ def check_company(
 
 
 def _check_same(settings: Settings, started: Settings) -> None:
-    """Raise unless a run that was started otherwise may continue with these."""
     found = settings.identity.differences(started.identity)
     if not found:  # Another task has other blocks.
         own = settings.layout

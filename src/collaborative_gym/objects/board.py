@@ -92,7 +92,6 @@ def board(
 def _add_handle(
     body: mujoco.MjsBody, name: str, outwards: np.ndarray, radius: float
 ) -> None:
-    """Add a bar on two brackets beside the edge of the plate."""
     up = np.array([0.0, 0.0, 1.0])
     along = _HANDLE_LENGTH / 2 * np.cross(outwards, up)
     middle, edge = radius * outwards, (radius - _ROOM) * outwards

@@ -150,7 +150,6 @@ def _begin_pot(
 def _add_handle(
     body: mujoco.MjsBody, name: str, direction: np.ndarray, radius: float
 ) -> None:
-    """Add a bar that two struts carry, and the site where it is gripped."""
     capsule, up = mujoco.mjtGeom.mjGEOM_CAPSULE, np.array([0.0, 0.0, 1.0])
     middle = radius * direction + _HANDLE_Z * up
     body.add_site(name=name, pos=middle)
@@ -164,7 +163,6 @@ def _add_handle(
 
 
 def _add_vessel(body: mujoco.MjsBody, wall: float) -> None:
-    """Add what is seen between the handles: steel wall, rim and a red lid."""
     cylinder, half = mujoco.mjtGeom.mjGEOM_CYLINDER, _SIDE / 2
     ellipsoid, dome = mujoco.mjtGeom.mjGEOM_ELLIPSOID, wall - 0.002
     for shape, size, z, rgba in (

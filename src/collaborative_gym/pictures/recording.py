@@ -32,6 +32,7 @@ from collaborative_gym.timing import CONTROL_DT, SUBSTEPS
 
 _SAME_SPREAD = 0.01  # m, difference of the robots' nearness that a picture hides
 _HOLD = 1.5  # s, for which a film shows the end of an episode
+_FADE = 0.4  # s, in which that gives way to the next start
 _LONGEST = 36_000.0  # s, greatest length of a film
 _SLOWEST, _FASTEST = 0.1, 2.0  # bounds of a film's speed, in simulated s per second
 
@@ -45,6 +46,7 @@ _SLOWER, _AROUND = 2.5, (-5, 2)
 """How many times as many it has in slow motion at least, if it may, and from which step
 to before which one, counted from a decisive one."""
 
+_GREY, _GREEN = "#b0b8c0", "#5ee07f"  # of what captions add, and of what is reached
 _ZOOMS = 8  # pictures over which a close-up goes nearer in slow motion
 _VISIBLE = 3e-4  # rad or m, least motion that shows: a tenth of a pixel and less
 
@@ -126,7 +128,7 @@ def record(
     write, shots, usual = FORMATS[suffix]
     speed = check_number("speed", speed, at_least=_SLOWEST, at_most=_FASTEST)
     # So many pictures a second as in real time, or a few more.
-    shots = next(n for n in _SHOTS if n >= min(shots / speed, SUBSTEPS))
+    shots = _at_least(shots / speed)
     width, height = _sides(usual if size is None else size)
     if width % 2 or height % 2:
         raise ValueError(f"width and height must be even, got {width} x {height}")
@@ -148,10 +150,10 @@ def record(
             world = VectorEnv(own, 1, seed=seed, num_threads=1, auto_reset=False)
             stack.callback(world.close)
             act = as_policy(each, world, any_env=any_env)
-            players = name_players(each, world.sides)
+            players = name_players(each, world.sides, own.colours)
             model = world.world.drawn_model
             eyes = [stack.enter_context(closing(Camera(model, *v))) for v in views]
-            screen = _Screen(world, act, players, shots, eyes, speed)
+            screen = _Screen(world, act, players, shots, eyes, is_long, speed)
             cast.append(screen)
         frames = _film(cast, seconds, seed, only_episodes, slow_motion, on_progress)
         write(output, frames, cast[0].rate)
@@ -243,7 +245,6 @@ def _sides(size: Any) -> tuple[int, int]:
 
 
 def _spread(env: VectorEnv) -> float:
-    """Return how far the tool centre points are from their middle on average, in m."""
     points = np.stack([env.sim.pose(f"{agent}/tcp")[0][0] for agent in env.agents])
     return float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
 
@@ -275,13 +276,13 @@ class _Screen:
         players: Mapping[str, str],
         shots: int,
         cameras: Sequence[Camera],
+        is_long: bool,
         speed: float,
     ):
         self.speed, self.rate = speed, shots * speed / CONTROL_DT
         self._env, self._policy, self._players = env, policy, players
-        self._cameras = cameras
-        self._shots = shots
-        self._slow = next(n for n in _SHOTS if n >= min(_SLOWER * shots, SUBSTEPS))
+        self._cameras, self._is_long = cameras, is_long
+        self._shots, self._slow = shots, _at_least(_SLOWER * shots)
         self._frame, self._drawn = np.zeros(0), np.array(np.inf)
         self._states: list[tuple[np.ndarray, np.ndarray]] = []
         self._score: dict[str, float] = {}
@@ -308,21 +309,22 @@ class _Screen:
             yield _Step(infos, self._states)
         yield from repeat(_Step(infos, self._states[-1:] * SUBSTEPS))
 
-    def draw(self, step: _Step, is_slow: bool) -> Iterator[np.ndarray]:
-        """Yield pictures of a step, more of them in slow motion."""
+    def draw(self, step: _Step, start: int, is_slow: bool) -> Iterator[np.ndarray]:
+        """Yield pictures of a step after a film's start, more in slow motion."""
         shots = self._slow if is_slow else self._shots
         every, pace = -(-len(step.states) // shots), self.speed * self._shots / shots
         said = f", speed {pace:g}x" if pace != 1 else ""
         seconds, task = step.infos["step"][0] * CONTROL_DT, self._env.task
         who, _, mark = standing(self._players, step.infos).partition("\n")
-        cheer = self._cheer(seconds, step.infos["metrics"].get("score", {}))
-        if self._stage and task.units.get(self._stage) == "":
-            cheer = f"{100 * self._progress(step):.0f} % done"
-        about = f"{task.name}, {seconds:.1f} s{said}, {who}"
-        label = f"{task.summary}\n{about}\n{mark or cheer}"
+        mark = mark or self._cheer(seconds, step.infos["metrics"].get("score", {}))
+        is_way = not mark and task.units.get(self._stage or "") == ""
+        if is_way:
+            mark = f"{100 * self._progress(step):.0f} % done"
+        again = f"start {start + 1}, " * (start > 0)
+        about = f"{task.name}, {again}{seconds:.1f} s{said}, {who}"
         for state in step.states[every - 1 :: every]:
             self._zoom += (is_slow - self._zoom) / _ZOOMS
-            yield _labelled(self._draw(*state), label)
+            yield _labelled(self._draw(*state), task.summary, about, mark, is_way)
 
     def _cheer(self, seconds: float, score: Mapping[str, np.ndarray]) -> str:
         """Return who has scored just now, or nothing."""
@@ -361,10 +363,9 @@ class _Screen:
         places = np.concatenate([qpos, mocap_pos.ravel(), [self._zoom]])
         if np.abs(places - self._drawn).max() > _VISIBLE:
             views = [eye.picture(qpos, mocap_pos, self._zoom) for eye in self._cameras]
-            is_long = len({view.shape for view in views}) == 1
             for near in views[1:]:
-                near[np.s_[:2] if is_long else np.s_[:, :2]] = 255
-            self._frame = np.concatenate(views, axis=0 if is_long else 1)
+                near[np.s_[:2] if self._is_long else np.s_[:, :2]] = 255
+            self._frame = np.concatenate(views, axis=0 if self._is_long else 1)
             self._drawn = places
         return self._frame
 
@@ -381,7 +382,7 @@ def _film(
 
     The film shows all `episodes`, or the first ones for at least so many seconds.
     """
-    shown, first = 0.0, cast[0]
+    shown, first, last = 0.0, cast[0], np.zeros(0)
     for i, episode in enumerate(count() if episodes is None else episodes):
         if episodes is None and shown >= seconds:
             break
@@ -393,10 +394,14 @@ def _film(
             if left < 0:
                 break
         slow = first.decisive([own for own, *_ in rows]) if slow_motion else ()
+        before, begun = last, shown
         for j, row in enumerate(rows):
             drawn = zip(cast, row, strict=True)
-            for frames in zip(*(s.draw(x, j in slow) for s, x in drawn), strict=True):
-                yield np.concatenate(frames, axis=1)
+            for views in zip(*(s.draw(x, i, j in slow) for s, x in drawn), strict=True):
+                last, left = np.concatenate(views, axis=1), 1 - (shown - begun) / _FADE
+                is_new = i > 0 and left > 0
+                mixed = left * before + (1 - left) * last if is_new else last
+                yield np.rint(mixed).astype(np.uint8)
                 shown += 1 / first.rate
             if on_progress is not None:
                 # The last start is shown to its end, whenever that comes.
@@ -406,28 +411,32 @@ def _film(
         on_progress(1.0)
 
 
+def _at_least(shots: float) -> int:
+    return next(n for n in _SHOTS if n >= min(shots, SUBSTEPS))
+
+
 def _caption(wide: int) -> tuple[int, int]:
     """Return sizes in pixels: of the letters above such a picture, and of two lines."""
     letters = max(9, wide // 44)  # Pages make wide films small.
     return letters, 2 * round(1.4 * letters)
 
 
-def _labelled(frame: np.ndarray, text: str) -> np.ndarray:
-    """Return a frame below two lines, and a third one to the right of the first."""
+def _labelled(
+    frame: np.ndarray, above: str, below: str, mark: str, is_way: bool
+) -> np.ndarray:
+    """Return a frame below two lines, and a mark to the right of the first."""
     image, font = import_extra("PIL.Image"), import_extra("PIL.ImageFont").load_default
     height, wide = frame.shape[:2]
     size, strip = _caption(wide)
     picture = image.new("RGB", (wide, strip + height), "#202428")
     picture.paste(image.fromarray(frame), (0, strip))
     pen = import_extra("PIL.ImageDraw").Draw(picture)
-    above, below, mark = text.split("\n")
-    said = "#b0b8c0" if mark.endswith("done") else "#5ee07f"
     edge, high, low = size // 2, 0.75 * size, 2.0 * size
     left = wide - 2 * edge - min(wide // 2, pen.textlength(mark, font(size=size)))
     for line, x, y, anchor, letters, room, colour in (
-        (mark, wide - edge, high, "rm", size, wide // 2, said),
+        (mark, wide - edge, high, "rm", size, wide // 2, _GREY if is_way else _GREEN),
         (above, edge, high, "lm", size, left - size, "#ffffff"),
-        (below, edge, low, "lm", 0.85 * size, wide - size, "#b0b8c0"),
+        (below, edge, low, "lm", 0.85 * size, wide - size, _GREY),
     ):
         share = min(1.0, room / max(1, pen.textlength(line, font(size=letters))))
         letters = max(4.0, share * letters)  # Smaller ones cannot be drawn.

@@ -23,11 +23,16 @@ _NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
 
 _LEFT = 0.15  # m, of all hands from a body; a close-up may then show another one
 
+_AT_REST, _FADING = 1e-3, 0.85  # m, of motion in pictures, whose weights fade
+_RESTS = 0.3  # m, by which a body that rests counts as farther from hands
+
 _TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (25, 45, 65)
 """How far aside from the overview, and how high, a close-up may look from, in deg."""
 
 _WIDE, _CLEAR = 0.08, 0.12  # m, of what a close-up shows, and of what cannot hide it
 _CALM, _PAN = 0.15, 0.05  # gain for which it moves, and share of the way in a picture
+
+_SHADED = 0.5  # share of the width in which shadows are drawn that a close-up needs
 
 _LAMPS, _ASIDE = 4, 0.035
 """How many pictures one is the mean of, and how far aside the lamp shines in them."""
@@ -64,6 +69,7 @@ class Camera:
         self._bodies = [look_up("body", body, names) for body in bodies]
         self._shown, sites = 0, range(model.nsite)
         self._look, self._best = np.zeros(2), -1
+        self._places, self._moved = np.zeros(0), np.zeros(len(bodies))
         self._tcps = [i for i in sites if model.site(i).name.endswith("/tcp")]
         visual = model.vis.global_
         self.size = (
@@ -78,7 +84,9 @@ class Camera:
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:] = (1, 1, 1, 0, 0, 0)
         self._options.sitegroup[:] = 0
-        self._renderer = _in_thread(_start, model, *self.size)
+        clip = model.vis.map.shadowclip * (_SHADED if bodies else 1.0)
+        self._shaded = clip * model.stat.extent
+        self._renderer = _in_thread(_start, model, *self.size, clip)
         # If it is given up without `close`, the thread that finds it may not free it.
         self._free = weakref.finalize(self, _free, self._renderer, os.getpid())
 
@@ -102,7 +110,10 @@ class Camera:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
         distance = zoom * _NEARER + (1 - zoom) * _NEAR
-        camera = self._near(distance) if self._bodies else CAMERA
+        middle, camera = self._model.stat.center, CAMERA
+        if self._bodies:
+            camera = self._near(distance)
+            middle = camera.lookat
         self._renderer.update_scene(self._data, camera, self._options)
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
@@ -112,20 +123,23 @@ class Camera:
             for side in "near", "bottom", "top", "center", "width":
                 name = f"frustum_{side}"
                 setattr(eye, name, cut * getattr(eye, name))
-        return self._softened()
+        return self._softened(middle)
 
-    def _softened(self) -> np.ndarray:
+    def _softened(self, middle: np.ndarray) -> np.ndarray:
         """Return a mean of pictures, whose shadows fade and whose edges are smooth."""
         scene, total = self._renderer.scene, np.zeros((*self.size[::-1], 3))
+        # Shadows lie about its axis; a floor beyond them is speckled towards the lamp.
+        far = 2 * self._model.stat.extent + self._shaded * np.array([0.5, 0.5, 0.0])
         lamps = [(lamp, lamp.dir.copy()) for lamp in scene.lights if lamp.castshadow]
         # Lamp and pixels go aside to points far from one another.
         i = np.arange(_LAMPS)
-        far = _ASIDE * np.sqrt((i + 0.5) / _LAMPS)
-        aside = far * [np.cos(2.4 * i), np.sin(2.4 * i), 0.0 * i]
+        away = _ASIDE * np.sqrt((i + 0.5) / _LAMPS)
+        aside = away * [np.cos(2.4 * i), np.sin(2.4 * i), 0.0 * i]
         shifts = np.diff(np.outer([0.755, 0.57], i) % 1, prepend=0.5)
         for away, (right, up) in zip(aside.T, shifts.T, strict=True):
             for lamp, ahead in lamps:
                 lamp.dir = (ahead + away) / np.linalg.norm(ahead + away)
+                lamp.pos = middle - far * lamp.dir
             for eye in scene.camera:
                 pixel = (eye.frustum_top - eye.frustum_bottom) / self.size[1]
                 eye.frustum_center += right * pixel
@@ -139,9 +153,11 @@ class Camera:
         if self._tcps:
             away = places[:, None] - self._data.site_xpos[self._tcps]
             gaps = np.linalg.norm(away, axis=-1).min(axis=1)
-            # What hands hold is shown until they have left it.
-            if gaps[self._shown] > max(_LEFT, 1.25 * gaps.min()) or self._best < 0:
-                self._shown, self._best = int(gaps.argmin()), -1
+            # What hands hold is shown until they have left it and it rests.
+            is_left = gaps[self._shown] > max(_LEFT, 1.25 * gaps.min())
+            rests = self._rest(places)
+            if (is_left and rests[self._shown]) or self._best < 0:
+                self._shown, self._best = int((gaps + _RESTS * rests).argmin()), -1
         near, (far, middle) = mujoco.MjvCamera(), overview(self._model, self._data)
         near.lookat, near.distance = places[self._shown], distance
         ahead = np.degrees(np.arctan2(*(middle - far)[1::-1]))
@@ -154,6 +170,13 @@ class Camera:
         self._look = self._look + pan * (looks[self._best] - self._look)
         near.azimuth, near.elevation = (ahead, 0.0) + self._look * (1, -1)
         return near
+
+    def _rest(self, places: np.ndarray) -> np.ndarray:
+        """Return which of the bodies have hardly moved in the last pictures."""
+        before, self._places = self._places if self._places.size else places, places
+        moved = np.linalg.norm(places - before, axis=1)
+        self._moved = np.maximum(_FADING * self._moved, moved)
+        return self._moved < _AT_REST
 
     def _hidden(self, body: np.ndarray, azimuth: float, up: float) -> float:
         """Return which share of a body's place is hidden from there, in degrees."""
@@ -182,7 +205,10 @@ def overview(
     return camera.xpos, camera.xpos + distance * forward
 
 
-def _start(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
+def _start(
+    model: mujoco.MjModel, width: int, height: int, clip: float
+) -> mujoco.Renderer:
+    before, model.vis.map.shadowclip = model.vis.map.shadowclip, clip
     try:
         with warnings.catch_warnings(action="ignore"):  # The error says it all.
             return mujoco.Renderer(model, height, width)
@@ -192,6 +218,8 @@ def _start(model: mujoco.MjModel, width: int, height: int) -> mujoco.Renderer:
             " with 'apt-get install libegl1 libgl1-mesa-dri' and set MUJOCO_GL=egl"
             f" (MuJoCo says: {error})"
         ) from error
+    finally:
+        model.vis.map.shadowclip = before
 
 
 def _in_thread(job: Callable[..., T], *arguments: Any) -> T:

@@ -1,6 +1,7 @@
 """The players of a world, and the standing of their match, in a few words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +11,23 @@ Sides = Mapping[str, tuple[str, ...]]
 """The agents of each side, by its name."""
 
 
-def name_players(policy: AnyPolicy, sides: Sides) -> dict[str, str]:
+def name_players(
+    policy: AnyPolicy, sides: Sides, colours: Sequence[str] = ()
+) -> dict[str, str]:
     """Return the name of each side's policy, or the last part of its path.
 
-    With several sides it comes after the agents, such as "robot_1 expert".
+    With several sides it comes after the agents, and the side's colour if it is given,
+    such as "robot_1 (red) expert".
     """
     players = {}
-    for side, agents in sides.items():
+    for (side, agents), colour in zip_longest(sides.items(), colours):
         given = [policy[a] if isinstance(policy, Mapping) else policy for a in agents]
         names = [Path(name_policy(each)).name for each in given]
         if len(set(names)) > 1:
             players[side] = ", ".join(map("{} {}".format, agents, names))
         else:
-            players[side] = f"{'+'.join(agents)} " * (len(sides) > 1) + names[0]
+            own = "+".join(agents) + (f" ({colour}) " if colour else " ")
+            players[side] = own * (len(sides) > 1) + names[0]
     return players
 
 

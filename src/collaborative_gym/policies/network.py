@@ -280,7 +280,6 @@ class NetworkPolicy:
             partial.write_bytes(save(tensors, {_KEY: entry}))
 
     def _content(self) -> tuple[str, dict[str, np.ndarray]]:
-        """Return its description and its arrays, as they go into a file."""
         tensors = {}
         for name, weights in self.weights.items():
             tensors |= {f"{name}/mean": weights.mean, f"{name}/std": weights.std}

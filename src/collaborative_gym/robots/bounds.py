@@ -92,7 +92,6 @@ def _check(
 def _refuse(
     robot: RobotData, model: mujoco.MjModel, name: str, is_wrong: np.ndarray, must: str
 ) -> None:
-    """Raise ValueError if one of these numbers is wrong; it names who has it."""
     if not is_wrong.any():
         return
     index = tuple(int(i) for i in np.argwhere(is_wrong)[0])

@@ -119,7 +119,6 @@ def _unusual(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _short(model: mujoco.MjModel) -> dict[str, np.ndarray]:
-    """Return the model's numbers in short steps, by MuJoCo's names."""
     fields = {"opt.timestep": np.array(SIM_DT / SHORT_STEPS)}
     for name in ("geom_solref", "jnt_solref"):
         usual = getattr(model, name)

@@ -77,7 +77,7 @@ def _set_visuals(visual: mujoco.MjVisual) -> None:
     visual.quality.numslices, visual.quality.numstacks = 20, 10
     visual.quality.numquads = 2
     # A floor that reaches beyond the shadow map is speckled there.
-    visual.map.shadowclip, visual.map.znear = 3.0, 0.02
+    visual.map.shadowclip, visual.map.znear = 2.0, 0.02
 
 
 def add_overview(spec: mujoco.MjSpec) -> None:

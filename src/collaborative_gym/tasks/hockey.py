@@ -104,7 +104,7 @@ _SLOWEST, _QUICKEST, _ACROSS = 0.3, 0.7, 0.3  # m/s
 _PLACES = 3  # on the centre line, from which a serve takes the first that is free
 _CLEAR = PUCK + MALLET + 0.02  # m from a mallet, where a place is free
 _DOWN = np.array([0.0, 0.0, -1.0])
-_COLOURS = ((0.85, 0.18, 0.16, 1.0), (0.15, 0.35, 0.85, 1.0))
+_COLOURS = {"red": (0.85, 0.18, 0.16, 1.0), "blue": (0.15, 0.35, 0.85, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
     config_class = HockeyConfig
     performance_from_start = True
     expert = player.expert
+    colours = tuple(_COLOURS)
     units: ClassVar[Mapping[str, str]] = {"clock": "s"}
     block_units: ClassVar[Mapping[str, str]] = {
         "joints": "rad",
@@ -193,7 +194,7 @@ class Hockey(Task[HockeyConfig, HockeyFacts]):
         for agent, placement in self.placements.items():
             robot = self.robots[agent]
             scene.add_robot(agent, robot, placement=placement, holds=GRIP, stand=False)
-            colour = _COLOURS[self.turns[agent] < 0]
+            colour = _COLOURS[self.colours[self.turns[agent] < 0]]
             scene.paint_hand(agent, colour)
             scene.add_tool(agent, "mallet", child=mallet(colour))
             scene.add_pose_sensor(f"{agent} mallet", f"{agent}/mallet/mallet")

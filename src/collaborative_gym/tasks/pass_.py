@@ -445,7 +445,6 @@ class Pass(Task[PassConfig, PassFacts]):
         return terms
 
     def _left(self, i: int, facts: PassFacts) -> Array:
-        """Return how many cubes an arm has still to pass on, (num_envs,)."""
         xp = array_namespace(facts.targets)
         left = ~facts.put if i == len(self.meetings) else facts.handed < i + 2
         return xp.sum(xp.astype(left, facts.targets.dtype), axis=1)

@@ -272,7 +272,6 @@ class Sort(Task[SortConfig, SortFacts]):
         )
 
     def _grips(self, sim: Sim) -> dict[str, Array]:
-        """Return by agent which cubes its grip holds, (num_envs, cubes)."""
         never, grips = sim.xp.zeros(sim.num_envs, dtype=sim.xp.bool), {}
         for i, agent in enumerate(self.agents):
             held = [never] * len(self.cubes)

@@ -127,6 +127,7 @@ class Task(Generic[ConfigT, FactsT]):
       styles: other ways of the expert, a sentence for each by its name.
       performance_from_start: whether performance counts over the whole episode,
         instead of from the step at which the goal was first reached.
+      colours: names of the colours of sides that play against each other.
       randomizations: how starts may be drawn, by the names of presets.
       units: units of the facts that are single numbers, by name; viewers show them.
       coordination: facts of the task that say how the arms work together, (num_envs,)
@@ -147,6 +148,7 @@ class Task(Generic[ConfigT, FactsT]):
     success_after: int = 0
     success_for: int = 1
     performance_from_start: bool = False
+    colours: Sequence[str] = ()
     styles: ClassVar[Mapping[str, str]] = {}
     randomizations: ClassVar[Mapping[str, Randomization]] = RANDOMIZATIONS
     units: ClassVar[Mapping[str, str]] = {}

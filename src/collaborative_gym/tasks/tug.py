@@ -89,7 +89,7 @@ _HELP = 2.057
 a Panda wins 497 of 1,000 episodes against that of a Sawyer; of 256 it wins 160 with
 2.049 and 103 with 2.06."""
 
-_COLOURS = ((0.85, 0.45, 0.10, 0.9), (0.15, 0.45, 0.85, 0.9))  # of the lines, by agent
+_COLOURS = {"orange": (0.85, 0.45, 0.10, 0.9), "blue": (0.15, 0.45, 0.85, 0.9)}
 
 
 @dataclass(frozen=True)
@@ -128,6 +128,7 @@ class Tug(Task[TugConfig, TugFacts]):
     config_class = TugConfig
     performance_from_start = True
     expert = player.expert
+    colours = tuple(_COLOURS)
     units: ClassVar[Mapping[str, str]] = {"missing": "m"}
     block_units: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(("joints", "other joints"), "rad"),
@@ -157,7 +158,8 @@ class Tug(Task[TugConfig, TugFacts]):
         for agent, placement in self.placements.items():
             scene.add_robot(agent, self.robots[agent], placement=placement, holds=KNOB)
         scene.add("bar", bar(), position=_CENTRE)
-        for agent, knob, colour in zip(self.agents, KNOBS, _COLOURS, strict=True):
+        lines = zip(self.agents, KNOBS, _COLOURS.values(), strict=True)
+        for agent, knob, colour in lines:
             tcp = f"{agent}/{self.robots[agent].tcp}"
             scene.add_weld(tcp, f"bar/{knob}", turns=True)
             place = _CENTRE + np.array([0.0, self.ways[agent] * self.lines[agent], 0.0])
@@ -176,7 +178,6 @@ class Tug(Task[TugConfig, TugFacts]):
             )
 
     def _handicap(self) -> tuple[dict[str, float], float]:
-        """Return the distances of the lines, and the help, by the arms' strengths."""
         robots = list(self.robots.values())
         mean = self.config.line
         if mean is None:

@@ -247,7 +247,6 @@ def _casts(
 
 
 def _misfits(cast: _Seating, seats: Mapping[str, tuple[str, ...]]) -> str:
-    """Return why players of a cast cannot command the robots of their seats, if so."""
     agents: dict[str, list[str]] = {}
     for seat, player in cast.items():
         agents.setdefault(player.name, []).extend(seats[seat])

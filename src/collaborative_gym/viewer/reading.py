@@ -171,7 +171,6 @@ def meanings(task: type[Task], facts: type) -> Mapping[str, str]:
 def _sum_up(
     env: VectorEnv, infos: Mapping[str, Any], players: Mapping[str, str]
 ) -> str:
-    """Return how an episode ended, by the infos of its last step."""
     metrics = infos["metrics"]
     times = _by_side(players, metrics["time_to_success"])
     returns = _by_side(players, metrics["return"])

@@ -96,7 +96,7 @@ class Session:
         self._refresh: Callable[[], object] = lambda: None
         self._due = self._shown = self._ended = 0.0
         self._previous: list[Frame] = []
-        self._players = name_players(self.policies, env.sides)
+        self._players = name_players(self.policies, env.sides, env.task.colours)
         self._observations, infos = env.reset()
         self._roll_on(infos, ())
 
@@ -226,7 +226,7 @@ class Session:
             self.env, self._spring, self.perturb = env, Spring(env), None
             self.film, self._previous = [], []
         self._policy, self.policies, self.is_paused = policy, policies, False
-        self._players = name_players(policies, env.sides)
+        self._players = name_players(policies, env.sides, env.task.colours)
         self._begin(begun, ())
 
     def _roll_on(self, infos: Mapping[str, Any], before: tuple[Reading, ...]) -> None:

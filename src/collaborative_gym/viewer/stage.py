@@ -208,7 +208,6 @@ class Stage:
             mujoco.mj_kinematics(self._model, data)
 
     def _add_bodies(self, scene: viser.SceneApi) -> dict[int, list[Any]]:
-        """Draw all bodies, and return the nodes of those that move."""
         model = self._model
         moving: dict[int, list[Any]] = {}
         positions, wxyzs = self._poses()

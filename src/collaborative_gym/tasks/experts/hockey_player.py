@@ -90,7 +90,6 @@ def foresee(field: Field, place: Array, velocity: Array) -> np.ndarray:
 
 
 def _guard(field: Field, foreseen: Array, lane: float, half: float) -> np.ndarray:
-    """Return where to stand between puck and goal."""
     place = foreseen[0]
     # Where the puck first comes to the mallet's line, if it does.
     arrives = foreseen[:, :, 0] < _BLOCK + 0.02
