@@ -133,7 +133,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
         random_actions: bool = False,
         force_reset: bool = False,
     ) -> list[MultiAgentEpisode]:
-        """Play for so many steps or episodes, over all worlds; see `sample`."""
         if random_actions:
             raise ValueError("BatchedEnvRunner acts by the modules, never at random")
         if force_reset or num_episodes is not None or self._needs_initial_reset:
@@ -206,7 +205,6 @@ class BatchedEnvRunner(MultiAgentEnvRunner):
                 self._rows.setdefault(str(module), []).append((agent, rows))
 
     def _step(self, explore: bool) -> tuple[Columned, list[int]]:
-        """Do one step; return what was seen, done and earned, and where it was last."""
         columns = self._act(explore)
         env = self.env.vector_env
         actions = {agent: found[Columns.ACTIONS] for agent, found in columns.items()}

@@ -121,7 +121,6 @@ def _check_rows(part: str, name: str, rows: np.ndarray, wanted: np.dtype) -> Non
 
 
 def _check_counts(progress: Mapping[str, Array], max_steps: int) -> None:
-    """Raise unless an episode can have come to these counts."""
     step, length = np.asarray(progress["step"]), np.asarray(progress["length"])
     last = 2**63 - 1
     has_ended = np.asarray(progress["terminated"]) | np.asarray(progress["truncated"])

@@ -215,7 +215,6 @@ class League(Pool):
         return np.array([taken / played for played, taken in games])
 
     def _count(self, names: Sequence[str], row: Mapping[str, Any]) -> None:
-        """Count an episode as a game of each two who sat on different sides."""
         decay = self._numbers.league_decay
         seats = dict(zip(self._casting.seats, names, strict=True))
         for side, home in seats.items():

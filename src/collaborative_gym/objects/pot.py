@@ -134,7 +134,6 @@ def _begin_pot(
     shape: mujoco.mjtGeom,
     sizes: tuple[list[float], list[float]],
 ) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
-    """Return a pot without handles: what collides, and the contents that weigh."""
     spec, body = begin("pot")
     # Real fingers would not let the pot swing freely on its handles.
     body.add_freejoint().damping = (_SWING_DAMPING * mass, 0.0, 0.0)

@@ -209,7 +209,6 @@ def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) ->
 
 
 def _farthest(robot: RobotData, model: mujoco.MjModel) -> float:
-    """Return about how far the tcp comes from the axis of the first joint, in m."""
     data, joints = mujoco.MjData(model), [model.joint(name) for name in robot.joints]
     rng, far = np.random.default_rng(0), []
     for _ in range(_DRAWS):

@@ -207,7 +207,6 @@ class Steps:
             worlds.eq_active[rows] *= ~broken[again]
 
     def _refine(self, refinement: Refinement, left: np.ndarray, at: np.ndarray) -> None:
-        """Take a step of each world as short ones."""
         rows, count = self._ids(left), refinement.steps
         records = {
             name: np.zeros((len(left), count, *array.shape[2:]), array.dtype)

@@ -250,7 +250,6 @@ def is_threaded(offset: Array, axis: Array) -> Array:
 def _opposite(
     first: tuple[float, float], second: tuple[float, float]
 ) -> tuple[Placement, Placement]:
-    """Return bases at these y and z, turned towards each other."""
     return Placement((0.0, *first), _YAW), Placement((0.0, *second), -_YAW)
 
 

@@ -172,7 +172,6 @@ class Panel:
         }
 
     def _read(self, world: int) -> None:
-        """Read another world, and look at it where not all are seen."""
         self._session.look(world)
         if self.view != CAMERA:
             self._on_view(self.view)
@@ -241,7 +240,6 @@ class Panel:
     def _take(
         self, event: Any, change: Callable[..., Choice], agents: Iterable[int]
     ) -> None:
-        """Play what a tab chose, by the policies wished for where they can play it."""
         if event.client is None:
             return
         now, wished, name = self._choice, self._wished, event.target.value
@@ -259,7 +257,6 @@ def _on_user(box: Any, do: Callable[[Any], object]) -> None:
 
 
 def _heading(session: Session, instead: str) -> str:
-    """Return the goal, how it stands, and who won last, as HTML."""
     task, reading = session.env.task, session.reading
     done, name = "", task.progress_name
     if name and task.units.get(name) == "":
