@@ -231,7 +231,6 @@ class Panel:
         *agents: int,
         hint: str | None = None,
     ) -> Any:
-        """Offer names, of which a user can choose one to play."""
         names = list(dict.fromkeys([*options, value]))
         box = self._gui.add_dropdown(label, names, initial_value=value, hint=hint)
         box.on_update(lambda event: self._take(event, change, agents))
