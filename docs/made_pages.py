@@ -340,8 +340,7 @@ def _observations(env: cg.VectorEnv) -> str:
     frame = "frame of the robot's own base" if is_own else "world's frame"
     if any(b.unit == POSE for own in by_agent.values() for b in own.values()):
         tables.append(
-            "A pose, `m; quaternion`, is a position and a quaternion x, y, z, w, both"
-            f" in the {frame}."
+            f"`m; quaternion`: a position and a quaternion x, y, z, w, in the {frame}."
         )
     return "\n\n".join(tables)
 
@@ -353,19 +352,20 @@ def _actions(env: cg.VectorEnv) -> str:
     listed = " or ".join(map(str, sorted(sizes)))
     grip = ""
     if all("grip" in own for own in parts):
-        grip = ", and the last one, `grip`, grips above 0"
-    moves = "one for each joint, in the order of the arm's joints"
+        grip = ", then `grip`, which grips above 0"
+    moves = "one for each joint"
     if (mode := env.task.config.action) != "joints":
         moves = f"as the [action mode](../concepts.md#action-modes) `{mode}` has them"
-    terms = "\n".join(
-        f"- `{agent}`: " + ", ".join(f"`{term}`" for term in terms)
-        for agent, terms in env.reward_terms.items()
+    by_terms: dict[str, list[str]] = {}
+    for agent, terms in env.reward_terms.items():
+        by_terms.setdefault(", ".join(f"`{t}`" for t in terms), []).append(agent)
+    sums = (
+        f"The reward{(len(by_terms) > 1) * (' of ' + ', '.join(who))} is the sum"
+        f" of {terms}."
+        for terms, who in by_terms.items()
     )
-    return (
-        f"An action is {listed} numbers in [-1, 1]: `moves`, {moves}{grip}.\n\nThe"
-        f" reward is the sum of these terms, which the top of this page explains:"
-        f"\n\n{terms}"
-    )
+    action = f"An action is {listed} numbers in [-1, 1]: `moves`, {moves}{grip}."
+    return "\n\n".join([action, *sums])
 
 
 def _settings(config: type[cg.TaskConfig]) -> str:

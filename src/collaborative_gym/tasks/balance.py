@@ -3,7 +3,7 @@
 The board (1 kg, with two arms 0.8 x 1.5 m) is fixed in robot_1's hand and welded to the
 tcps of the others, so all arms move with every tilt. One arm alone can tilt it, against
 the servos of the others. The task therefore measures how well arms cooperate, not
-whether they must. The ball rolls without slipping, and rests on slopes below 0.075. In
+whether they must. The ball rolls without slipping, and rests on slopes below 7.5 %. In
 the two-Sawyer environment, a vertical force acts on a random point of the board. It
 changes at every step and is up to 10 N up or down.
 

@@ -32,8 +32,8 @@ Coordination, until success: `stage` is the greatest share of arms that gripped.
 is the mean share of arms that waited, with an empty hand and no joint faster than 2 %
 of its limit. `handle_spread` is the greatest difference of the handles' heights, in m.
 
-The pot's mass depends on the arms, so that the pot is too heavy for the team without
-any one of them. `lift_mass` and `team_mass` compute the mass, and
+The pot's mass depends on the arms, so that the pot is too heavy once any one of them
+is missing. `lift_mass` and `team_mass` compute the mass, and
 `benchmarks/lift_capacity.py` measures it in simulation for two arms. The distance alone
 is not enough for success: one of two arms can swing the pot past the target while the
 other only holds its handle. But then the pot is tilted or fast. The larger a team, the

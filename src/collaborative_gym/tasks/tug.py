@@ -41,8 +41,8 @@ Torque limits do not predict it that well, and no single factor is right for all
 If chances must be even, use equal arms, or a Panda and a Sawyer.
 
 When the expert plays against itself, one side wins in all of 1,000 episodes of two
-Pandas and in 948 of two Sawyers, after 2 s (median). It wins 49.6 % of them from the
-first seat. Between a Panda and a Sawyer, the Panda's expert wins 49.9 % from the first
+Pandas and in 948 of two Sawyers, after 2 s (median). The first seat wins 49.6 % of
+them. Between a Panda and a Sawyer, the Panda's expert wins 49.9 % from the first
 seat and 47.3 % from the second.
 """
 
