@@ -69,7 +69,7 @@ def record(
     """Write a video of a seed's episodes and return its path.
 
     The episodes are those that `evaluate` plays. 1.5 seconds after a success, or after
-    the end of the episode, the film shows the next start. After an error or Ctrl-C
+    the end of the episode, the film fades into the next start. After an error or Ctrl-C
     there is no half-written file.
 
     Args:
