@@ -23,6 +23,14 @@ def test_it_keeps_every_promise(simple_pick):
     check_task(ID)
 
 
+def test_arms_that_it_forgets_to_start_are_found(simple_pick, monkeypatch):
+    kind = type(cg.task(ID))
+    monkeypatch.setattr(kind, "start_arms", lambda *given, **named: None)
+    said = r"robot_1 starts with every joint at 0; call self.start_arms\(\) in reset"
+    with pytest.raises(AssertionError, match=said):
+        check_task(ID, episodes=2)
+
+
 @pytest.mark.parametrize("robots", [("panda", "jaco"), ("sawyer", "panda")])
 def test_its_expert_succeeds_with_other_arms(simple_pick, robots):
     report = cg.evaluate(cg.task(ID, robots), "expert", episodes=10, num_threads=1)

@@ -436,6 +436,29 @@ def test_a_phase_of_the_expert_that_is_kept_on_the_task(faults):
     assert any("keeps ['step'] on itself; put that into sim.memory" in x for x in found)
 
 
+def test_a_number_that_the_reward_keeps_on_the_task_is_named_first(faults):
+    def reward(self, own, facts, commands):
+        before = getattr(self, "before", 0.0)
+        self.before = float(facts.height.mean())
+        terms = own(self, facts, commands)
+        return {who: {**t, "more": facts.height - before} for who, t in terms.items()}
+
+    found = faults(reward=reward)
+    assert "keeps ['before'] on itself; put that into sim.memory" in found[1]
+    assert all(each.startswith("- perhaps by the same fault, ") for each in found[2:])
+
+
+def test_grips_that_are_promised_and_not_added(carry):
+    class Empty(type(carry())):
+        def build(self, scene):
+            super().build(scene)
+            scene.grips.clear()
+
+    said = "adds no grips, but Empty.gripping is True; set `gripping = False`"
+    with pytest.raises(ValueError, match=said):
+        check_task(Empty(tuple(carry().robots.values()), carry().config), episodes=2)
+
+
 def test_a_reward_whose_terms_change(faults):
     def reward(self, own, facts, commands):
         terms = own(self, facts, commands)

@@ -28,6 +28,7 @@ _REMEDIES = {
     "opening file": "put the mesh beside the model file, or where its meshdir says",
     "truth value of an array": "rows are worlds; use np.where or a mask",
     "be broadcast": "rows are worlds; index one number for each as [:, None]",
+    "'EpisodeRandom'": "draw by rng.uniform(low, high, k) or rng.within(bound, k)",
     "read-only": "put a new array into sim.memory instead",
 }
 """Remedies of frequent faults, by a part of MuJoCo's or NumPy's words."""

@@ -171,10 +171,10 @@ def check_starts(tested: TaskUnderTest) -> None:
     for agent, arm in env.scene.arms.items():
         low, high = arm.joint_range
         angle = env.sim.qpos[:, arm.qpos]
-        assert (angle >= low).all() and (angle <= high).all(), (
-            f"{agent} starts beyond its joints' ranges; clip the start angles in"
-            " reset(): np.clip(angles, *arm.joint_range)"
-        )
+        said = "starts beyond its joints' ranges; in reset(), clip to arm.joint_range"
+        assert (angle >= low).all() and (angle <= high).all(), f"{agent} {said}"
+        said = "starts with every joint at 0; call self.start_arms() in reset()"
+        assert np.asarray(angle).any(), f"{agent} {said}"
         said = "moves at the start of an episode; write no qvel of an arm in reset()"
         assert not np.asarray(env.sim.qvel[:, arm.dof]).any(), f"{agent} {said}"
     rows = np.concatenate(list(env.reset(seed=0)[0].values()), axis=1)
@@ -256,6 +256,13 @@ def check_saving(tested: TaskUnderTest) -> None:
 def check_measuring(tested: TaskUnderTest) -> None:
     """Methods return the same again, and change nothing; names of units are there."""
     env = tested.worlds(7)
+    before, task = dict(vars(env.task)), type(env.task)
+    play(env, 2)
+    if task.expert is not Task.expert:
+        env.expert()
+    kept = [n for n, own in vars(env.task).items() if before.get(n) is not own]
+    kept = [n for n in kept if type(getattr(task, n, 0)) is not cached_property]
+    assert not kept, f"the task keeps {kept} on itself; put that into sim.memory"
     for _ in range(4):
         _check_methods(env)
         play(env, 2)
@@ -301,13 +308,8 @@ def check_expert(tested: TaskUnderTest) -> None:
     if type(tested.task).expert is Task.expert:
         said = "has no expert(), so nothing has shown that its goal can be reached"
         return warnings.warn(f"{type(tested.task).__name__} {said}", stacklevel=3)
-    task = tested.worlds(1).task
-    before = dict(vars(task))
     for i, side in enumerate(tested.task.sides):
         _check_side(tested, i, side)
-    kept = [n for n, own in vars(task).items() if before.get(n) is not own]
-    kept = [n for n in kept if type(getattr(type(task), n, 0)) is not cached_property]
-    assert not kept, f"the task keeps {kept} on itself; put that into sim.memory"
 
 
 def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
@@ -347,9 +349,9 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     assert not failed, (
         f"the expert does not reach the goal in the episodes {failed} of seed 0 (its"
         f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}"
-        f"{asks * (not nearest[failed[0]])}); watch it by"
-        f" `record`, --only-episodes {failed[0]} --output failed.mp4 and this command's"
-        " options, and fix the expert, or what reset() draws"
+        f"{asks * (not nearest[failed[0]])}); watch it by `collaborative-gym record"
+        f" {tested.task.name} --only-episodes {failed[0]} --output failed.mp4`, with"
+        " your --module, and fix the expert, or what reset() draws"
     )
 
 
@@ -446,7 +448,7 @@ _JUDGING = "observe", "success", "performing", "score", "over", "shortfall"
 
 _FALLEN = 0.3  # what a thing that is not held may fall in two seconds, in m
 
-_MAY_FOLLOW = check_batches, check_isolation, check_saving, check_expert
+_MAY_FOLLOW = check_making, check_batches, check_isolation, check_saving, check_expert
 """Checks that also fail where rows are mixed or things are kept on the task."""
 
 

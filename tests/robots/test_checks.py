@@ -227,11 +227,16 @@ def test_parts_of_a_gripper_may_touch(edited):
 
 
 def test_motors_too_weak_for_the_payload_are_refused(own):
+    torques = tuple(limit / 3 for limit in own.torque_limits)
+    with pytest.raises(ValueError, match=r"its greatest torque limit 35 N m; correct"):
+        replace(own, torque_limits=torques, payload=60.0, **COMPUTED)
+
+
+def test_motors_too_weak_for_the_arms_own_weight_are_refused(own):
     # Those of the motors themselves, without their gears, as some files give them.
     torques = tuple(limit / 100 for limit in own.torque_limits)
-    with pytest.raises(
-        ValueError, match=r"its greatest torque limit 1\.05 N m; correct"
-    ):
+    told = r"'joint_2' bears 7\.3 N m of the arm's own weight at home, but has a torque"
+    with pytest.raises(ValueError, match=told):
         replace(own, torque_limits=torques, **COMPUTED)
 
 

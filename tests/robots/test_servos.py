@@ -33,10 +33,10 @@ def test_what_is_left_out_is_filled_in(own, compiled):
 
 def test_what_is_given_is_kept(edited, in_a_world):
     rotor = ('range="-3.4 3.4"', 'range="-3.4 3.4" armature="0.7"')
-    arm = edited(rotor, torque_limits=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    arm = edited(rotor, torque_limits=(31.0, 32.0, 33.0, 34.0, 35.0, 36.0))
     assert arm.armature[3] == pytest.approx(0.7)
     assert arm.damping[3] > 70.0
-    assert arm.torque_limits == (1, 2, 3, 4, 5, 6)
+    assert arm.torque_limits == (31, 32, 33, 34, 35, 36)
     given = edited(stiffness=(900.0,) * 6, damping=(90.0,) * 6, armature=(0.4,) * 6)
     assert given.stiffness == (900.0,) * 6
     _, model = in_a_world(given)

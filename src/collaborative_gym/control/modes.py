@@ -3,8 +3,7 @@
 A mode owns an arm's drives. It adds them to the world before that is compiled, starts
 them, turns actions into their controls, turns an expert's motions into actions, and
 says which action holds still. No other module knows how an action is laid out; it asks
-for the `parts`: `moves` of the arm and, where a task has gripping, `grip`, which grips
-above 0.
+for the `parts`: `moves` of the arm and, where a task grips, `grip`, closed above 0.
 """
 
 from collections.abc import Mapping

@@ -123,11 +123,12 @@ class Trial:
                 raise ValueError(f"{what} {said} in remember(); keep type and shape")
 
     def check_grips(self, scene: Scene) -> None:
-        """Raise if no action can close the grips of a scene."""
-        if scene.grips and not self._task.gripping:
+        """Raise unless a scene has grips where actions close them, and only there."""
+        if bool(scene.grips) != self._task.gripping:
+            does = "adds" if scene.grips else "adds no"
             raise ValueError(
-                f"{self._name}.build() adds grips, but {self._name}.gripping is False,"
-                " so no action can grip; set `gripping = True`"
+                f"{self._name}.build() {does} grips, but {self._name}.gripping is"
+                f" {self._task.gripping}; set `gripping = {bool(scene.grips)}`"
             )
 
     def check_targets(self, scene: Scene) -> None:

@@ -31,8 +31,7 @@ def make(
       randomization: how starts are drawn: a preset ("default", "paper", "wide", "hard",
         "lost") or a value; None for "default".
       strain: whether to measure the strain, too; see `VectorEnv`.
-      **settings: `num_robots` (the number of arms of one kind), or fields of the task's
-        config.
+      **settings: `num_robots` (how many arms of one kind), or fields of the config.
 
     Raises:
       KeyError: if there is no such environment, robot, preset or setting.

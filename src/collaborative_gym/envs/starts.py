@@ -64,7 +64,7 @@ def draw_starts(
     raise ValueError(
         f"{type(task).__name__}: {told} at the start of episode {episode} of seed"
         f" {seed}, in each of {_DRAWS} draws; place them apart in mounts(), build() or"
-        " reset(), or correct the home or the shapes of an arm"
+        " reset() (start_arms?), or correct the home or the shapes of an arm"
     )
 
 

@@ -101,8 +101,7 @@ def _estimates(*numbers: np.ndarray) -> list[Estimate]:
 def chance_of(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> Estimate:
     """Return the probability that one value beats another; a tie counts a half.
 
-    The interval is DeLong's (1988). It is the mean of several pairs of values, each of
-    (n,).
+    The interval is DeLong's (1988): the mean of several pairs of values, each of (n,).
     """
     chances, parts, counts = [], [], []
     for one, other in pairs:

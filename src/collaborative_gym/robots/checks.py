@@ -44,6 +44,7 @@ def compile_alone(robot: RobotData, spec: mujoco.MjSpec) -> mujoco.MjModel:
     _check_size(robot, model, data)
     check_places(robot, model)
     _check_tcp(robot, model, data)
+    _check_weight(robot, model, data)
     if len(robot.gripper.joints) > 1:
         _check_fingers(robot, model)
     return model
@@ -240,6 +241,16 @@ def check_payload(robot: RobotData, pull: float) -> None:
             f" greatest torque limit {max(robot.torque_limits):g} N m; correct the"
             " one that is wrong"
         )
+
+
+def _check_weight(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    for name, most in zip(robot.joints, robot.torque_limits, strict=True):
+        own = abs(float(data.qfrc_bias[model.joint(name).dofadr[0]]))
+        if own > most:
+            raise ValueError(
+                f"joint {name!r} bears {own:.1f} N m of the arm's own weight at home,"
+                f" but has a torque limit of {most:g}; correct torque_limits or masses"
+            )
 
 
 def _check_tcp(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -3,8 +3,7 @@
 A `Scene` is filled by a task's `build`, gets its drives from an action mode, and is
 compiled once. Everything of an arm is under its agent's prefix (`robot_1/joint1`,
 `robot_1/tcp`), everything of an object under the object's (`pot/handle_1`). Nothing is
-recompiled afterwards: grips are switched and targets moved through the state of each
-world.
+recompiled afterwards: grips are switched and targets moved in the worlds' states.
 """
 
 from collections.abc import Sequence

@@ -42,8 +42,7 @@ Reward of each agent:
 Success: for 0.5 s, peg and pin are within 4 mm of their full depth, and the block is
 within `success_radius` (0.05 m) of the target. A part's depth is measured from the
 mouth of its hole, and counts only while its axis is within 3 mm and 0.1 rad of the
-hole's. Parts lie far from the target, so an arm that holds still keeps its part away
-from it.
+hole's. Parts lie far from the target; an arm that holds still keeps its part there.
 
 Coordination: `stage` is the greatest mean share that peg and pin were in; `idle` is the
 mean share of arms that waited, as in [Lift](lift.md).

@@ -21,13 +21,11 @@ holds it. Inverse kinematics finds the start angles from the nominal ones plus n
 Reward of each agent:
 
 - `distance`: minus the distance between the centres of ball and board, in m.
-- `fell`: -1 once the ball has left the board, else 0. A ball that returns still counts
-  as fallen.
+- `fell`: -1 once the ball has left the board, else 0, even if it returns.
 
 Success: for 2 s, this distance is below 0.09 m and the ball is on the board. A ball
 that rolls across the middle by chance leaves sooner. The centres are 0.06 m apart when
-the ball lies in the middle, so the ball must be within 0.067 m of the middle along the
-board.
+the ball lies in the middle, so the ball must be within 0.067 m of it along the board.
 
 The thesis starts the board 0.7 or 0.6 m above the floor. At 0.7 m, a Sawyer mounted as
 in the thesis has its handle at the end of its reach. There it cannot make two in five

@@ -64,8 +64,7 @@ the disc in the picture, so a mallet lifted by less than 0.1 m still touches it.
 No term asks a player to be gentle. The shipped baseline, from a league, drives mallets
 into cushions and the table: the hardest contact of an episode is 12 kN on average and
 21 kN at worst, and a physics step applies up to 14 times a motor's limit (`python
-benchmarks/strain.py HockeyPandas-v0`). The scripted player stays below 0.5 kN and twice
-the limit.
+benchmarks/strain.py HockeyPandas-v0`). The scripted player: below 0.5 kN and 2 times.
 """
 
 from collections.abc import Mapping

@@ -16,8 +16,7 @@ the position, and 1 while it must still handle the cube, else zeros. `next cube`
 one that it handles now: the vector from its tool centre point, 1 if it is the mate's,
 and 1 if it is within reach. For each other arm, the block `mates` has: 1 for its
 presence, how many seats away it is (as a share of 7), whether it grips, and the vector
-from the robot's own tool centre point to that arm's. Teams of all sizes have the same
-observation.
+from the robot's own tool centre point to that arm's. It is alike for all team sizes.
 
 Reward of each agent: "its cube" is the one in its hand, or else the next one that it
 reaches or will reach; distances count up to 1 m.

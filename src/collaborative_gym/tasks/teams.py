@@ -152,8 +152,7 @@ class Frames:
     """Turns world frames into those of the robots' bases.
 
     Args:
-      placements: where the bases stand, by agent. A base's frame has its origin and
-        yaw.
+      placements: where the bases stand, by agent. A base's frame has both.
     """
 
     def __init__(self, placements: Mapping[str, Placement]):

@@ -2,8 +2,7 @@
 
 Agents: `robot_1` at -y with the line at -y, and its opponent `robot_2` at +y with the
 other line. Each observes the world from where it stands, so equal arms observe the same
-in either seat. Each feels the torques of its own joints, but not those of the other
-arm.
+in either seat. Each feels the torques of its own joints, not the other arm's.
 
 A knob at each end of the bar turns freely in the hand, so an arm chooses its posture
 while it pulls. The posture decides how hard it can pull: a joint pulls with its torque

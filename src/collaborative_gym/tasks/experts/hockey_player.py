@@ -5,8 +5,7 @@ goal is at -x. It foresees the puck's way for a second, cushions included. It bl
 puck that comes to its goal, or comes fast. If it can reach the puck, it goes behind it,
 on the far side from where it aims, and hits it. It aims at the goal past the other
 side's mallets, straight or by a cushion, whichever way is freer. Else it stands between
-the puck and its goal. Of two mallets, the one of the half to which the puck comes plays
-it.
+the puck and its goal. Of two mallets, the one to whose half the puck comes plays it.
 """
 
 from dataclasses import dataclass
