@@ -187,6 +187,7 @@ def test_a_film_says_for_a_second_who_has_scored(tmp_path, monkeypatch):
     assert 0 < len(goals) < len(told) / 2
     before = told[told.index(goals[0]) - 1]
     assert "expert 0 : 0" in before and "expert 1 : 0" in goals[0]
+    assert before.endswith("\n0 : 0") and told[-1].endswith("wins")
 
 
 def test_close_up_of_no_body_is_refused(carry, tmp_path):

@@ -316,9 +316,11 @@ class _Screen:
         said = f", speed {pace:g}x" if pace != 1 else ""
         seconds, task = step.infos["step"][0] * CONTROL_DT, self._env.task
         who, _, mark = standing(self._players, step.infos).partition("\n")
-        mark = mark or self._cheer(seconds, step.infos["metrics"].get("score", {}))
-        is_way = not mark and task.units.get(self._stage or "") == ""
-        if is_way:
+        score = step.infos["metrics"].get("score", {})
+        mark = mark or self._cheer(seconds, score)
+        if is_way := not mark:
+            mark = " : ".join(f"{points[0]:g}" for points in score.values())
+        if is_way and task.units.get(self._stage or "") == "":
             mark = f"{100 * self._progress(step):.0f} % done"
         again = f"start {start + 1}, " * (start > 0)
         about = f"{task.name}, {again}{seconds:.1f} s{said}, {who}"

@@ -127,8 +127,7 @@ class PassConfig(TaskConfig):
         for 0.12, or 0.06 in a relay.
       picking_threshold: greatest distance at which robot_1 can grip a cube, in m.
       handover_threshold: greatest distance at which the others can, in m.
-      relay: whether the rules of a relay hold; None for False with two arms and True
-        with more.
+      relay: whether the rules of a relay hold; None for True with three and more.
     """
 
     max_episode_steps: int = _BY_RULE
