@@ -20,6 +20,7 @@ SIZES = {
     "PassPandas4-v0": (1280, 400),
     "ReachPandas4-v0": (800, 500),
     "SortPandas4-v0": (960, 600),
+    "TugPandas-v0": (800, 500),
 }
 """Sizes of films, of long rows with less height, and of two with small goals."""
 SPEEDS = {"Hockey": 2.0, "Sort": 2.0, "BalancePath": 1.5, "Tug": 0.25}
@@ -40,16 +41,22 @@ CLOSE_UPS = {
     "Pass": "cube/cube",
     "PassPandas4-v0": ("cube/cube", "cube_2/cube"),
     "SortPandas4-v0": tuple(f"cube_{i + 1}/cube" for i in range(7)),
-    "Assemble": "pin/pin",
+    "Assemble": "block/block",
 }
 """What the films of a task or an environment show from nearby."""
 TEAMS = ("PassPandas4-v0",)
 """Teams without a baseline, whose experts are filmed."""
 AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 """Who plays where robots play against each other."""
-EPISODES = {"HockeyPandas-v0": [8], "TugPandas-v0": [27, 24]}
-"""Close games, filmed whole, in which the lead changes. Of the first 16 of Hockey, the
-baseline won 13, and lost 2; of the first 64 of Tug, these two are among the longest."""
+EPISODES = {
+    "BalanceTaskJacoSawyer-v0": [40, 45],
+    "BalanceTaskSawyers-v0": [45, 40],
+    "HockeyPandas-v0": [8],
+    "TugPandas-v0": [27, 24],
+}
+"""Starts of Balance from which the ball rolls far, and games in which the lead changes:
+of the first 16 of Hockey, the baseline won 13, and lost 2; it won all of 256 of Tug, of
+which these two are among the longest."""
 
 
 def film(env_id: str) -> None:
@@ -67,9 +74,9 @@ def film(env_id: str) -> None:
     }
     if env_id in EPISODES:
         more["only_episodes"] = EPISODES[env_id]
-    elif len(task.sides) == 1:
+    if len(task.sides) == 1:
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(kind, ()))
-        policy, more = player, more | {"seconds": LEAST, "close_up": near}
+        policy, more = player, {"seconds": LEAST, "close_up": near} | more
     record(task, path, policy=policy, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 

@@ -101,8 +101,8 @@ def palette(pictures: list[Image.Image]) -> Image.Image:
     sample = Image.fromarray(np.concatenate([np.asarray(each) for each in pictures]))
     colours: list[int] = []
     for count, method in (
-        (160, Image.Quantize.MEDIANCUT),
-        (96, Image.Quantize.MAXCOVERAGE),
+        (128, Image.Quantize.MEDIANCUT),
+        (128, Image.Quantize.MAXCOVERAGE),
     ):
         colours += (sample.quantize(count, method).getpalette() or [])[: 3 * count]
     made = Image.new("P", (1, 1))

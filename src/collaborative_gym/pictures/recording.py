@@ -47,7 +47,7 @@ _SLOWER, _AROUND = 2.5, (-5, 2)
 to before which one, counted from a decisive one."""
 
 _GREY, _GREEN = "#b0b8c0", "#5ee07f"  # of what captions add, and of what is reached
-_ZOOMS = 8  # pictures over which a close-up goes nearer in slow motion
+_ZOOMS = 20  # pictures over which a close-up goes nearer in slow motion
 _VISIBLE = 3e-4  # rad or m, least motion that shows: a tenth of a pixel and less
 
 
@@ -419,7 +419,7 @@ def _at_least(shots: float) -> int:
 
 def _caption(wide: int) -> tuple[int, int]:
     """Return sizes in pixels: of the letters above such a picture, and of two lines."""
-    letters = max(9, wide // 44)  # Pages make wide films small.
+    letters = max(9, wide // 38)  # Pages make wide films small.
     return letters, 2 * round(1.4 * letters)
 
 

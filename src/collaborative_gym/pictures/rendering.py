@@ -23,10 +23,10 @@ _NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
 
 _LEFT = 0.15  # m, of all hands from a body; a close-up may then show another one
 
-_AT_REST, _FADING = 1e-3, 0.85  # m, of motion in pictures, whose weights fade
+_AT_REST, _FADING = 1e-3, 0.75  # m, of motion in pictures, whose weights fade
 _RESTS = 0.3  # m, by which a body that rests counts as farther from hands
 
-_TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (25, 45, 65)
+_TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (35, 50, 65)
 """How far aside from the overview, and how high, a close-up may look from, in deg."""
 
 _WIDE, _CLEAR = 0.08, 0.12  # m, of what a close-up shows, and of what cannot hide it
@@ -34,7 +34,7 @@ _CALM, _PAN = 0.15, 0.05  # gain for which it moves, and share of the way in a p
 
 _SHADED = 0.5  # share of the width in which shadows are drawn that a close-up needs
 
-_LAMPS, _ASIDE = 4, 0.035
+_LAMPS, _ASIDE = 4, 0.027
 """How many pictures one is the mean of, and how far aside the lamp shines in them."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")

@@ -129,7 +129,7 @@ class AssembleFacts:
 
 
 class Assemble(Task[AssembleConfig, AssembleFacts]):
-    """Put a peg into a block, and lock it with a pin.
+    """Put a blue peg into a purple block, and lock it with an orange pin.
 
     Attributes:
       tables: nominal poses of the parts on their tables, by agent, (3,) and yaw in rad.

@@ -254,7 +254,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             scene.add("table", round_table(grip_radius(count) + 0.02))
             vessel = ring_pot(count, self.pot_mass, balance=(x, y))
             scene.add("pot", vessel, position=START)
-        teams.add_team_camera(scene, self.placements)
+        teams.add_team_camera(scene, self.placements, below=0.2 * (count == 2))
         scene.add_pose_sensor("pot", "pot/pot")
         scene.add_velocity_sensor("pot", "pot/pot")
         for agent, handle in self._handles.items():
@@ -268,7 +268,7 @@ class Lift(Task[LiftConfig, LiftFacts]):
             own = robot.stand == "pedestal" or self.config.placements is not None
             scene.add_robot(agent, robot, placement=placement, stand=own)
             if len(self.agents) > 2:
-                scene.paint_hand(agent, teams.COLOURS[(i + 1) % len(teams.COLOURS)])
+                scene.paint_hand(agent, teams.COLOURS[(1, 3, 4, 7, 6, 0, 5, 2)[i]])
             if own:
                 continue
             if len(self.agents) > 2:

@@ -124,7 +124,7 @@ class Poke(Task[TaskConfig, PokeFacts]):
         scene.add_tool(DONUT, "donut", child=donut_spec)
         scene.add_pose_sensor("stick", f"{STICK}/stick/stick")
         scene.add_pose_sensor("donut", f"{DONUT}/donut/donut")
-        teams.add_team_camera(scene, self.placements, below=0.9)
+        teams.add_team_camera(scene, self.placements, below=0.6)
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
         super().setup(scene, sim, action_mode=action_mode)
