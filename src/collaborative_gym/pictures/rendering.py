@@ -34,7 +34,7 @@ _CALM, _PAN = 0.15, 0.05  # gain for which it moves, and share of the way in a p
 
 _SHADED = 0.5  # share of the width in which shadows are drawn that a close-up needs
 
-_LAMPS, _ASIDE = 4, 0.027
+_LAMPS, _ASIDE = 4, 0.03
 """How many pictures one is the mean of, and how far aside the lamp shines in them."""
 
 _drawing = ThreadPoolExecutor(1, "drawing")
