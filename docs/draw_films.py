@@ -74,9 +74,11 @@ def film(env_id: str) -> None:
     }
     if env_id in EPISODES:
         more["only_episodes"] = EPISODES[env_id]
+    else:
+        more["seconds"] = LEAST
     if len(task.sides) == 1:
         near = CLOSE_UPS.get(env_id, CLOSE_UPS.get(kind, ()))
-        policy, more = player, {"seconds": LEAST, "close_up": near} | more
+        policy, more = player, more | {"close_up": near}
     record(task, path, policy=policy, **more)
     path.with_suffix(".jpg").unlink(missing_ok=True)
 
