@@ -351,7 +351,7 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
         f" least shortfall in {failed[0]} is {nearest[failed[0]]:.3g}"
         f"{asks * (not nearest[failed[0]])}); watch it by `collaborative-gym record"
         f" {tested.task.name} --only-episodes {failed[0]} --output failed.mp4`, with"
-        " your --module, and fix the expert, or what reset() draws"
+        " your --module and options, and fix the expert, or what reset() draws"
     )
 
 

@@ -50,7 +50,8 @@ def test_check_lists_the_broken_promises_of_a_task(carry_id, capsys):
         main([*check, "--settings", "height=5.0"])
     told = " ".join(capsys.readouterr().out.split())
     assert "the expert does not reach the goal in the episodes [0, 1]" in told
-    assert "`record`, --only-episodes 0 --output failed.mp4 and this command's" in told
+    record = f"record {carry_id} --only-episodes 0 --output failed.mp4"
+    assert f"`collaborative-gym {record}`, with your --module and options" in told
 
 
 def test_check_shows_how_far_it_is(carry_id, capsys, monkeypatch):

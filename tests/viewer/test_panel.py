@@ -94,8 +94,8 @@ def test_what_is_chosen_plays_without_a_restart(poke, wait_until):
     wait_until(lambda: page._stage.env.task.name == "HockeyPandas-v0", timeout=120)
     wait_until(lambda: "Score more goals" in page._panel._heading.content)
     assert said not in page._panel._heading.content
-    block = "<span style=display:inline-block>{}</span>".format
-    sides = map(block, ("robot_1 baseline <b>0</b>", "robot_2 expert <b>0</b>"))
+    block = "<span style=display:inline-block>robot_{} {}</span>".format
+    sides = map(block, (1, 2), ("(red) baseline <b>0</b>", "(blue) expert <b>0</b>"))
     assert " : ".join(sides) in page._panel._heading.content
     wait_until(lambda: "HockeyPandas-v0" in page._panel._script.content)
     titles = {"reward of robot_1", "reward of robot_2", "measured in s"}
