@@ -26,7 +26,7 @@ _LEFT = 0.15  # m, of all hands from a body; a close-up may then show another on
 _AT_REST, _FADING = 1e-3, 0.75  # m, of motion in pictures, whose weights fade
 _RESTS = 0.3  # m, by which a body that rests counts as farther from hands
 
-_TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (35, 50, 65)
+_TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (25, 45, 65)
 """How far aside from the overview, and how high, a close-up may look from, in deg."""
 
 _WIDE, _CLEAR = 0.08, 0.12  # m, of what a close-up shows, and of what cannot hide it
