@@ -396,14 +396,13 @@ def _film(
             if left < 0:
                 break
         slow = first.decisive([own for own, *_ in rows]) if slow_motion else ()
-        before, begun = last, shown
+        before, begun = last, shown if i > 0 else -np.inf
         for j, row in enumerate(rows):
             drawn = zip(cast, row, strict=True)
             for views in zip(*(s.draw(x, i, j in slow) for s, x in drawn), strict=True):
                 last, left = np.concatenate(views, axis=1), 1 - (shown - begun) / _FADE
-                is_new = i > 0 and left > 0
-                mixed = left * before + (1 - left) * last if is_new else last
-                yield np.rint(mixed).astype(np.uint8)
+                now = np.rint(left * before + (1 - left) * last) if left > 0 else last
+                yield now.astype(np.uint8, copy=False)
                 shown += 1 / first.rate
             if on_progress is not None:
                 # The last start is shown to its end, whenever that comes.

@@ -21,7 +21,7 @@ holds it. Inverse kinematics finds the start angles from the nominal ones plus n
 Reward of each agent:
 
 - `distance`: minus the distance between the centres of ball and board, in m.
-- `fell`: -1 once the ball has left the board, else 0, even if it returns.
+- `fell`: -1 once the ball has left the board, even if it returns, else 0.
 
 Success: for 2 s, this distance is below 0.09 m and the ball is on the board. A ball
 that rolls across the middle by chance leaves sooner. The centres are 0.06 m apart when

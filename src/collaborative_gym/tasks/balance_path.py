@@ -16,7 +16,7 @@ Pictures show the path as a line, as large as paths are on average.
 Reward of each agent:
 
 - `distance`: minus the distance between the centres of ball and target, in m.
-- `fell`: -1 once the ball has left the board, else 0, even if it returns.
+- `fell`: -1 once the ball has left the board, even if it returns, else 0.
 
 Success: this distance has stayed below 0.06 m for a whole lap of 12 s, without a break,
 and the ball is on the board. From then on, performance is the share of steps for which
