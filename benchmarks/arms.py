@@ -430,7 +430,7 @@ def row(name, entry, folder, tasks, episodes):
     shares = []
     for task in tasks:
         share, fault = try_robot(robot, task, episodes)
-        shares.append("-" if "cannot be made" in fault else f"{share:.0%}")
+        shares.append("-" if "cannot be made" in fault else f"{100 * share:.0f} %")
         faults += [fault] * bool(fault)
     checks = "passes" if not faults else f"{len(faults)} of {len(tasks)} tasks fail"
     faults += unusual(robot) if faults else []

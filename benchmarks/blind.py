@@ -1,4 +1,4 @@
-"""How much of each environment a team does that looks at nothing.
+"""How much of each environment a team does that observes nothing.
 
     python benchmarks/blind.py [ENV_ID ...] [--candidates N] [--rounds N]
 
@@ -41,7 +41,7 @@ def main() -> None:
         bound = max(upper_bound(count, budget.episodes) for count in counts)
         one, other = (f"{count} of {budget.episodes}" for count in counts)
         search = "converged" if motion.converged else "spent"
-        table.append((env_id, one, search, other, f"{bound:.1%}"))
+        table.append((env_id, one, search, other, f"{100 * bound:.1f} %"))
         print(*table[-1], sep="; ", flush=True)
     print(markdown_table(COLUMNS, table))
 

@@ -52,11 +52,11 @@ def show(rows: list[dict[str, object]], console: Console) -> None:
             str(row["episodes"]),
             f"{row['mean_reward']:.1f}",
             f"{row['worst_reward']:.1f}",
-            f"{row['completion']:.0%}",
-            f"{row['performance']:.1%}",
+            f"{100 * row['completion']:.0f} %",
+            f"{100 * row['performance']:.1f} %",
             f"{row['time_to_success']:.2f}",
-            f"{row['completion with robot_1 idle']:.0%}",
-            f"{row['completion with robot_2 idle']:.0%}",
+            f"{100 * row['completion with robot_1 idle']:.0f} %",
+            f"{100 * row['completion with robot_2 idle']:.0f} %",
         )
     console.print(table)
 

@@ -154,8 +154,8 @@ def show(rows: list[dict[str, object]], console: Console) -> None:
         table.add_row(
             str(row["environment"]),
             str(row["policy"]),
-            f"{row['completion']:.1%}",
-            f"{row['torn']:.0%}",
+            f"{100 * row['completion']:.1f} %",
+            f"{100 * row['torn']:.0f} %",
             f"{row['tears']:.1f}",
             _listed(row["force"], 0),
             _listed(row["apart"], 3),

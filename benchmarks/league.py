@@ -51,7 +51,7 @@ def decided(result: cg.Tournament, seat: str) -> str:
     points = result.values["points"][result.turns.index(seat), i, j]
     wins, losses = int((points == 1.0).sum()), int((points == 0.0).sum())
     share, draws = wins / max(wins + losses, 1), len(points) - wins - losses
-    return f"from {seat} {wins} of {wins + losses} ({share:.0%}; {draws} draws)"
+    return f"from {seat} {wins} of {wins + losses} ({100 * share:.0f} %; {draws} draws)"
 
 
 def card(run: Path, steps: dict[str, int], result: cg.Tournament) -> str:

@@ -76,7 +76,11 @@ def main() -> None:
     jobs = [(name, policy) for name in options.names for policy in options.policies]
     for name, policy in track(jobs):
         row = measure(name, policy, options)
-        cells = f"{row['whole']:.1%}", f"{row['lost']}", f"{row['completed']:.1%}"
+        cells = (
+            f"{100 * row['whole']:.1f} %",
+            f"{row['lost']}",
+            f"{100 * row['completed']:.1f} %",
+        )
         table.add_row(name, policy, *cells)
     Console(width=110).print(table)
 

@@ -40,7 +40,7 @@ def main() -> None:
                 careless, _ = play(env)
             shared = is_shared(env)
         shares = completed, careless, shared.mean(), (~shared).all(axis=1).mean()
-        cells = [f"{share:.0%}" for share in shares]
+        cells = [f"{100 * share:.0f} %" for share in shares]
         table.append((env_id, *cells, f"{nearest:.2f}"))
         print(*table[-1], sep="; ", flush=True)
     print(markdown_table(COLUMNS, table))

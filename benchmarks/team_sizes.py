@@ -52,7 +52,7 @@ def main() -> None:
                 ).mean
                 for agent in task.agents
             ]
-            cells.append(f"{np.mean(mixed):.0%} ({min(mixed):.0%})")
+            cells.append(f"{100 * np.mean(mixed):.0f} % ({100 * min(mixed):.0f} %)")
         name = f"{size}, its own" if size == len(identity.robots) else f"{size}"
         table.append((name, *cells))
         print(*table[-1], sep="; ", flush=True)

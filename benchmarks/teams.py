@@ -93,7 +93,7 @@ def row(
         ratio = f"{min(9.99, weighing.together / max(*weighing.fewer, 1e-9)):.2f}"
     with closing(env):
         completed, seconds = play(env)
-        cells = [f"{completed:.0%}", f"{seconds:.1f}"]
+        cells = [f"{100 * completed:.0f} %", f"{seconds:.1f}"]
         for fault in faults:
             if fault in ("gripping", "frozen") and not env.task.gripping:
                 cells.append("-")
@@ -101,7 +101,7 @@ def row(
             worst = max(
                 fails(env, worlds, fault, agent) for agent in env.agents[: options.arms]
             )
-            cells.append(f"{worst:.0%}")
+            cells.append(f"{100 * worst:.0f} %")
     return name, short, f"{made:.1f} s", mass, ratio, *cells
 
 

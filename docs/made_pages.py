@@ -109,7 +109,7 @@ _AGAINST = ("Hockey", "Tug")
 
 _LABELS = (
     "Agents",
-    "Randomised",
+    "Randomized",
     "Reward of each agent",
     "Success",
     "Success of a side",
@@ -393,12 +393,14 @@ def _short(value: object) -> str:
 
 
 def _attributes(owner: object, kind: str = "attributes") -> dict[str, str]:
-    """Return what a docstring says of attributes, or of `parameters`, by name."""
+    """Return what a docstring says of attributes, `parameters` or `raises`, by name."""
     sections = griffe.Docstring(inspect.getdoc(owner) or "").parse(
         "google", warnings=False
     )
     return {
-        each.name: _linked(each.description.replace("\n", " "))
+        getattr(each, "name", each.annotation): _linked(
+            each.description.replace("\n", " ")
+        )
         for section in sections
         if section.kind.value == kind
         for each in section.value
@@ -531,6 +533,8 @@ def _name(name: str) -> str:
         is_plain = isinstance(default, bool | int | float | str) and not takes
         shown = float(f"{default:.4g}") if isinstance(default, float) else default
         lines.append(f"    - `{own}`{f' ({shown})' if is_plain else ''}: {meaning}")
+    for error, why in _attributes(thing, "raises").items():
+        lines.append(f"    - raises `{error}`: {why}")
     for own in vars(thing) if is_class or inspect.ismodule(thing) else ():
         member = inspect.getattr_static(thing, own)
         if getattr(member, "__module__", path) != path and not is_class:
@@ -559,19 +563,22 @@ class _Other:
 
 
 def _takes(function: Callable[..., object]) -> str:
-    """Return what a function takes, without its types."""
+    """Return what a function takes, without its types, and the type of its result."""
     empty, bare = inspect.Parameter.empty, []
     try:
-        parameters = inspect.signature(function).parameters
+        signature = inspect.signature(function)
     except ValueError:  # It is a type's name, such as that of a dictionary.
         return ""
-    for name, each in parameters.items():
+    for name, each in signature.parameters.items():
         is_plain = isinstance(each.default, (bool, int, float, str, type(None)))
         is_needed = each.default is empty
         default = each.default if is_plain or is_needed else _Other()
         if name not in ("self", "cls"):
             bare.append(each.replace(annotation=empty, default=default))
-    return str(inspect.Signature(bare))
+    result = inspect.formatannotation(signature.return_annotation).strip("'~")
+    result = re.sub(r"\b(\w+\.)+(?=\w)", "", result)
+    says_much = result not in ("_empty", "None", "Any")
+    return str(inspect.Signature(bare)) + f" -> {result}" * says_much
 
 
 def _drawing(

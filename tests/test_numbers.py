@@ -160,7 +160,7 @@ def test_the_egos_table_sums_up_their_pairings(task):
 
 def test_pages_say_how_fast_teams_are():
     table = read("docs/tables/teams_speed.md")
-    rows = re.findall(r"\| (\d+)% \| ([\d.]+) \|", table)
+    rows = re.findall(r"\| (\d+) % \| ([\d.]+) \|", table)
     assert len(rows) > 20
     kept, growth = min(int(row[0]) for row in rows), max(float(r[1]) for r in rows)
     assert f"(tables/teams_speed.md): {kept} %)" in read("docs/performance.md")

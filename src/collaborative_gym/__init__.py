@@ -1,4 +1,4 @@
-"""Robot arms that must work together, as learning environments on MuJoCo."""
+"""Robot arms that cooperate or compete, as learning environments on MuJoCo."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -40,7 +40,7 @@ def check_task(
     Args:
       task: an environment id, a task's name, a task, or a task's class.
       robots: its arms, in the order of the agents; None for the environment's own, and
-        for Pandas where a class is given. Only beside a name or a class.
+        for Pandas where a class is given. Only with a name or a class.
       episodes: number of the expert's episodes.
       on_progress: called with the share of the checks that are done.
 

@@ -42,18 +42,18 @@ def test_a_row_tells_the_best_and_the_surest():
     certificate = Certificate("Some-v0", {"identity": identity}, trials)
     assert certificate.best == {idle: trials[0], frozen: trials[3], TEAM: trials[4]}
     table = certificate.to_markdown()
-    assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | - | 0.6% | 0.40 |" in table
+    assert "| robot_1 idle | 0 of 500 | - | 0 of 32 | - | - | 0.6 % | 0.40 |" in table
     assert "| robot_2 frozen at 50 % | 10 of 400 | - | 8 of 32† | - | - | 4" in table
     still = "while one arm is still from"
     first = (
         f"\n\nPass with panda, jaco: {still} the start on, the others complete 0 of 500"
     )
-    assert f"{first} starts (up to 0.6%); {still} 50 % of the way on" in table
-    frozen = "10 of 400 starts (robot_2 frozen at 50 %, up to 4.2%)"
+    assert f"{first} starts (up to 0.6 %); {still} 50 % of the way on" in table
+    frozen = "10 of 400 starts (robot_2 frozen at 50 %, up to 4.2 %)"
     assert f"{frozen}, and 8 of 32 by a motion searched for each; a team that" in table
-    assert "; a team that looks at nothing completes 5 of 500 (up to 2.1%)" in table
+    assert "; a team that observes nothing completes 5 of 500 (up to 2.1 %)" in table
     assert (
-        "| none: the team is blind | - | - | - | 5 of 500 | - | 2.1% | 0.30 |" in table
+        "| none: the team is blind | - | - | - | 5 of 500 | - | 2.1 % | 0.30 |" in table
     )
 
 

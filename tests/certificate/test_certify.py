@@ -54,7 +54,7 @@ def test_a_task_that_needs_both_arms_is_not_done_by_one(press, small):
             for way in (("idle", 0.0), ("frozen", 0.5))
         )
         assert frozen < idle
-    said = "from the start on, the others complete 0 of 12 starts (up to 22.1%); while"
+    said = "from the start on, the others complete 0 of 12 starts (up to 22.1 %); while"
     assert said in certificate.statement
 
 
@@ -69,7 +69,7 @@ def test_a_team_that_looks_at_nothing_does_what_can_be_done_blindly(press, small
     # Buttons are within 4 cm of where they are in another episode.
     assert replay.completion > 0.0 and motion.completion > 0.0
     assert replay.episodes == motion.episodes == small.episodes
-    assert "; a team that looks at nothing completes " in certificate.statement
+    assert "; a team that observes nothing completes " in certificate.statement
     # The search begins with the record that is played again.
     assert motion.completed >= replay.completed
     assert replay.converged is None and motion.converged is not None

@@ -21,7 +21,7 @@ PLAYERS = {
 """Players against a still arm, and their names in the table."""
 
 TEAM = "team", "blind", 0.0
-"""In place of a still arm: the whole team plays, and looks at nothing."""
+"""In place of a still arm: the whole team plays, and observes nothing."""
 
 _FORMAT = 1  # number of the file format; others are refused
 
@@ -149,13 +149,13 @@ class Certificate:
             since = f"{100 * fraction:.0f} % of the way" if fraction else "the start"
             by = f"{most.still}, " * (most.completed > 0)
             said = f"while one arm is still from {since} on, the others complete"
-            said += f" {most.count} starts ({by}up to {most.bound:.1%})"
+            said += f" {most.count} starts ({by}up to {100 * most.bound:.1f} %)"
             if of_all.completion > most.completion:
                 said += f", and {of_all.count} by a motion searched for each"
             found.append(said)
         if blind := self.best.get(TEAM):
-            said = f"a team that looks at nothing completes {blind.count}"
-            found.append(f"{said} (up to {blind.bound:.1%})")
+            said = f"a team that observes nothing completes {blind.count}"
+            found.append(f"{said} (up to {100 * blind.bound:.1f} %)")
         return f"{self.title}: {'; '.join(found)}"
 
     def to_json(self) -> str:
@@ -220,7 +220,7 @@ def lines(certificate: Certificate) -> list[tuple[str, ...]]:
         counts = {t.player: t.count + "†" * (t.converged is False) for t in trials}
         best, nearest = certificate.best[row], min(trial.nearest for trial in trials)
         cells = (counts.get(player, "-") for player in PLAYERS)
-        ends = f"{best.bound:.1%}", f"{nearest:.2f}"
+        ends = f"{100 * best.bound:.1f} %", f"{nearest:.2f}"
         found.append((certificate.title, best.still, *cells, *ends))
     return found
 

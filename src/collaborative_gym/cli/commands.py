@@ -387,7 +387,7 @@ class Benchmark(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class View(_Policy, Watched):
-    """Watch a policy in real time, and pull at things to disturb it.
+    """Watch a policy in real time, and pull things to disturb it.
 
     It opens a window, or serves a page for the browser if it cannot open one. On the
     page you can change environment, robots, policies and starts without a restart.

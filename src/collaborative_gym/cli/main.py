@@ -104,7 +104,7 @@ _PLAINLY = {
 }
 """Patterns of the parser's errors, and our words in their place."""
 
-_DESCRIPTION = """Robot arms that must work together: watch, train, measure.
+_DESCRIPTION = """Robot arms that cooperate or compete: watch, train, measure.
 
 COMMAND --help lists the options of a command, with examples."""
 

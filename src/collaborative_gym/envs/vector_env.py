@@ -78,7 +78,7 @@ class VectorEnv:
       single_observation_spaces: of one world, by agent.
       single_action_spaces: of one world, by agent.
       observation_blocks: a `Block` for each part of an observation, by agent and name.
-      action_parts: the same of an action: `moves`, and `grip` if the task has gripping.
+      action_parts: the same for an action: `moves`, and `grip` if the task grips.
       reward_terms: names of a reward's parts, by agent.
       model: MuJoCo's model of the world.
       scene: handles into it.

@@ -74,7 +74,7 @@ def write_baseline(
         "",
         markdown_table(_COLUMNS, rows),
         "",
-        "The strain of the shipped one on `default`:",
+        "Strain of the shipped policy on `default`:",
         "",
         strain_table(reports[results.index(best)]["default"]),
     ]
@@ -139,7 +139,7 @@ def _description(best: Result, count: int, resources: Resources) -> list[str]:
         f"- environment: `{identity.name}`, randomization"
         f" `{_preset(identity.name, identity.config['randomization'])}`",
         f"- network: {layers}, {numbers.activation}; actions are means, without noise",
-        f"- hyperparameters that are not the defaults: {', '.join(own) or 'none'}",
+        f"- non-default hyperparameters: {', '.join(own) or 'none'}",
         f"- shipped: seed {settings.seed} at {best.best['steps'] / 1e6:.2f} M steps."
         f" {numbers.validation_episodes} validation episodes chose this checkpoint"
         f"{among}; the table has other episodes",

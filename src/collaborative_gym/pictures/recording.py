@@ -76,9 +76,9 @@ def record(
       env: an environment id, a task's name, or a task.
       output: the file: `.mp4` (H.264, 20 frames/s at speed 1) or `.gif` (10 frames/s).
       policy: as `evaluate` takes it. Several are shown side by side, in the same
-        episodes; the first one decides when the next start comes. Above each picture
-        stand the goal, the environment's id, the time, who plays, how far a team has
-        come, and whether the goal is met or what the score is.
+        episodes; the first one decides when the next start comes. A caption gives the
+        goal, the environment's id, the time, who plays, the team's progress, and
+        whether the goal is met or what the score is.
       any_env: whether a trained policy may play another environment than its own.
       seconds: least length of the film of the first episodes, up to 36,000; None for
         10. An episode that has begun by then is shown to its end.

@@ -272,7 +272,7 @@ class Scene:
     def compile(self) -> mujoco.MjModel:
         """Compile the world and resolve every handle.
 
-        What is only to be seen is left out, because it would take a fifth of the
+        Purely visual shapes are left out, because it would take a fifth of the
         physics' time: MuJoCo keeps the inertia of its bodies.
 
         Raises:

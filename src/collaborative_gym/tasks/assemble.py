@@ -12,7 +12,7 @@ part that is pushed harder than two pads can bear slips. The grasp `magnet` is r
 because it would let parts turn. Parts collide with other parts and with arms, except
 for fingers that can hold them.
 
-Randomised: the joints of the arms; the parts' positions on the tables (x and y) and
+Randomized: the joints of the arms; the parts' positions on the tables (x and y) and
 their turns about the vertical; the target's position.
 
 All parts have the same pose once they are assembled. The block's goal is the target.

@@ -14,7 +14,7 @@ joints, ball and board in the frame of its own base, with the board turned as if
 handle were the first. For each mate, the block `mates` has whether there is one and the
 vector from the robot's own handle to the mate's, in m.
 
-Randomised: where on the board the ball starts; where the board starts (position along
+Randomized: where on the board the ball starts; where the board starts (position along
 every axis, turn about the vertical, always level) and the posture in which each arm
 holds it. Inverse kinematics finds the start angles from the nominal ones plus noise.
 

@@ -9,7 +9,7 @@ lever of 1.6 m and an arm's wrist is weak. Teams of three to eight hold a round 
 as in Balance. Three Pandas need every arm; four can carry a limp one, and six an idle
 one (`benchmarks/teams.py --tasks BalancePath --faults idle limp`).
 
-Randomised: what Balance randomises; the path's position (along every axis) and size
+Randomized: what Balance randomizes; the path's position (along every axis) and size
 (0.9 to 1); where on the path the target starts, and in which direction it runs.
 Pictures show the path as a line, as large as paths are on average.
 

@@ -25,7 +25,7 @@ def check_class(task: Any) -> None:
     """Raise unless a class can be a task's; the error says where it is wrong.
 
     Raises:
-      TypeError: if it is no task, or has a slip in a name, a setting, a method that
+      TypeError: if it is no task, or has a misspelt name, a setting, a method that
         cannot be called as `Task` says, or an attribute of another kind.
       ValueError: if a number is out of bounds.
     """

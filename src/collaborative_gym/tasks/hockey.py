@@ -10,7 +10,7 @@ puck is served to the other side. Serves start where no mallet is in the way.
 Agents: one or two arms per side; `side_1` is at negative x. With two arms per side, the
 table is twice as wide, and each arm reaches its half of it.
 
-Randomised: the side that gets the first serve; the position of every serve on the
+Randomized: the side that gets the first serve; the position of every serve on the
 centre line, and its speed (0.3 to 0.7 m/s towards the side, up to 0.3 m/s across);
 where each mallet starts along x and y, and the posture in which its arm holds it.
 Inverse kinematics finds the start angles from the nominal ones plus noise.

@@ -12,7 +12,7 @@ For each mate, the block `mates` has: whether there is one, whether it grips, th
 distance from its tool centre point to its handle, and how far its handle is above the
 robot's own. The observation has the same form in every seat and team size.
 
-Randomised: the arms' start, the pot's position and turn on the table, the target.
+Randomized: the arms' start, the pot's position and turn on the table, the target.
 
 Reward of each agent:
 

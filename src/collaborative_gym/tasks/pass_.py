@@ -21,7 +21,7 @@ observation has the same form in every seat and relay.
 Agents: `robot_1` picks the cube up and hands it over; the last arm takes it and carries
   it to the target; the arms between them take it and hand it on.
 
-Randomised: the joints of the arms, the cubes' positions on the table (x and y) and
+Randomized: the joints of the arms, the cubes' positions on the table (x and y) and
 turns about the vertical, the targets' positions (in a relay, x and y).
 
 Reward of each agent: the next arm is "near" while its tool centre point is within

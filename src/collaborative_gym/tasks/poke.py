@@ -5,7 +5,7 @@ robot_1 holds the stick (0.2 m long). robot_2 holds the ring, called donut (oute
 released. The arms start turned aside, with each object out of the other arm's reach.
 They must meet half-way: robot_2 presents the ring, and robot_1 aligns the stick.
 
-Randomised: where each object starts (position along every axis, turn about the
+Randomized: where each object starts (position along every axis, turn about the
 vertical) and every joint angle.
 
 Reward of each agent:

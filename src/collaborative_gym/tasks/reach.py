@@ -7,7 +7,7 @@ alternating sides, and neighbours turn to each other at the same time. Their pat
 cross, so one must wait or go round. An arm with no goal left must stay out of the way.
 Nothing is gripped. The episode ends if arms touch after a control step.
 
-Randomised: every goal (along every axis) and every joint angle.
+Randomized: every goal (along every axis) and every joint angle.
 
 Reward of each agent:
 

@@ -7,7 +7,7 @@ lie on the belt. The first comes in the lane on the arm's own side. All arms exc
 arm, which stands on that side, must move this cube to the middle of the belt, which
 both arms reach. The belt does not wait: a cube that has passed its arm is lost.
 
-Randomised: the joints of the arms; the cubes' positions along and across the belt, and
+Randomized: the joints of the arms; the cubes' positions along and across the belt, and
 their turns about the vertical; which of the two cubes in a lane comes first.
 
 Each arm observes three cubes in the frame of its own base: its `own cube`; the `mate's

@@ -31,7 +31,7 @@ Kept = Literal["mean", "greatest"]
 """The value of a fact over an episode's steps that metrics keep."""
 
 LEVEL = np.array([1.0, 1.0, 0.0])
-"""Axes along which what stands on a table may be moved."""
+"""Axes along which an object on a table may move."""
 
 _STILL = 0.02  # share of its speed limit below which a joint stands still; our choice
 

@@ -11,7 +11,7 @@ of its torques in every step, so it must keep pulling. An arm that is not comman
 move keeps its torques, up to the limits of its motors. The hands never lose the bar. If
 grips could tear, the weaker gripper would always tear first, and a jerk would win.
 
-Randomised: where the bar starts (along every axis, and its turn about the vertical)
+Randomized: where the bar starts (along every axis, and its turn about the vertical)
 and the posture in which each arm holds it.
 
 Reward of each agent:

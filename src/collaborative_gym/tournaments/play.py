@@ -43,7 +43,7 @@ _LONGEST_NAME = 200
 
 _KEPT = ("return", "completion", "performance", "time_to_success", "score")
 _KEPT += ("length", "diverged")
-"""Columns of a kept pairing, the first five by side where there are several."""
+"""Columns of a stored pairing, the first five by side where there are several."""
 
 
 @dataclass(frozen=True)

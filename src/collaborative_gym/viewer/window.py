@@ -24,7 +24,7 @@ _HELP = (
     ("Enter", "next episode"),
     ("Up, Down", "faster, slower"),
     ("double click", "choose an object"),
-    ("Ctrl and right drag", "pull at it"),
+    ("Ctrl and right drag", "pull it"),
 )
 
 
