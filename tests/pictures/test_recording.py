@@ -12,13 +12,19 @@ from PIL import Image, ImageSequence
 import collaborative_gym as cg
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.files import check_writable, replacing, write_text
-from collaborative_gym.pictures import recording, video
+from collaborative_gym.pictures import recording, rendering, video
 from collaborative_gym.pictures.rendering import Camera
 from collaborative_gym.testing import play
 
 imageio = pytest.importorskip("imageio.v2")
 
 SIZE = (64, 48)
+
+
+@pytest.fixture(autouse=True)
+def one_lamp(monkeypatch):
+    """Draw each picture once; `test_rendering` has the shadows of several."""
+    monkeypatch.setattr(rendering, "_LAMPS", 1)
 
 
 def seconds(caption):
@@ -308,7 +314,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from collaborative_gym.pictures import recording, video
+from collaborative_gym.pictures import recording, rendering, video
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
 path, draw = Path(sys.argv[1]), np.random.default_rng(0)
@@ -357,6 +363,9 @@ def test_a_caption_stands_above_and_is_as_large_as_its_width_allows():
         above, below = lines(240, *texts)
         assert ends(above)[1] < 239 and ends(below)[1] < 239
         assert not above[:, [0, 1]].any()
+    goal = "Pull the bar over your own line."
+    alone, beside = (lines(400, goal, "", mark)[0] for mark in ("", "it wins " * 5))
+    assert ends(alone)[1] == ends(beside[:, : ends(alone)[1] + 9])[1]
     lines(64, about * 9, about * 9, "success")  # It is cut off.
 
 
@@ -413,14 +422,20 @@ def test_the_next_start_comes_soon_after_the_first_policys_success(
 
 def test_a_start_fades_into_the_next_one(carry, tmp_path, monkeypatch):
     def drawn(frame, goal, about, *_):
-        return np.full_like(frame, 200 if ", start 2, " in about else 40)
+        level = 200 if ", start 2, " in about else 40
+        return np.full((*SIZE[::-1], 3), level, np.uint8)
 
     monkeypatch.setattr(recording, "_labelled", drawn)
     task = carry(max_episode_steps=3)
     path = recording.record(task, tmp_path / "a.mp4", only_episodes=[0, 1], size=SIZE)
     with imageio.get_reader(path) as video:
-        seen = [frame.mean() for frame in video.iter_data()]
+        frames = list(video.iter_data())
+    strip = recording._caption(SIZE[0])[1]
+    seen = [frame[strip + 4 :].mean() for frame in frames]
+    captions = [frame[: strip - 4].mean() for frame in frames]
     first = len(seen) // 2  # In 0.4 s from there.
+    assert np.allclose(captions[:first], 40, atol=8)
+    assert np.allclose(captions[first:], 200, atol=8)
     fading = [40, 60, 80, 100, 120, 140, 160, 180, 200]
     assert np.allclose(seen[first : first + 9], fading, atol=8)
     assert np.allclose(seen[:first], 40, atol=8)

@@ -166,7 +166,7 @@ def test_what_stands_before_a_close_up_is_cut_away():
     model = world(
         """
           <body name="ball"><geom size="0.1" rgba="1 0 0 1" group="2"/></body>
-          <geom type="box" size="0.01 1 1" pos="0.6 0 0" rgba="0 0 1 1" group="2"/>
+          <geom type="box" size="0.01 1 1" pos="1 0 0" rgba="0 0 1 1" group="2"/>
         """
     )
     for bodies, channel in ((["ball"], 0), ((), 2)):

@@ -38,8 +38,7 @@ def mean_of(strata: Sequence[np.ndarray], *, is_share: bool) -> list[Estimate]:
     Args:
       strata: each of (values, columns); differences between them are known, and are not
         part of an interval.
-      is_share: whether values are from 0 to 1. Where all are alike, the interval is
-        then Wilson's.
+      is_share: whether values are from 0 to 1; if all are alike, it is then Wilson's.
     """
     return _trimmed(strata, 0, is_share)
 

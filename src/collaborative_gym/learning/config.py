@@ -19,8 +19,7 @@ Mode = Literal["collaborative", "independent", "shared", "centralized"]
   (IPPO).
 - shared: one policy and one critic for all robots, with the robot's index as an input;
   for robots with equal spaces.
-- centralized: one policy sees all observations and commands all robots, with their
-  mean reward.
+- centralized: one policy observes all, commands all arms, and has their mean reward.
 
 Where a task has several sides, "all" in collaborative and centralized means one side,
 and each side has its own critic, and with centralized its own policy. In the mode

@@ -1,9 +1,8 @@
 """Poses of the tcps of all arms of all worlds, and their Jacobians.
 
 Arrays have the worlds on their last axis, the arms on the one before it, and what they
-consist of in front. All is spelt out element by element: so many worlds cost little
-more than one, the bits of a world do not depend on the others, and NumPy and torch run
-the same code.
+consist of in front. All is spelt out by element: so many worlds cost little more than
+one, no world's bits depend on the others, and NumPy and torch run the same code.
 """
 
 from collections.abc import Sequence

@@ -318,12 +318,14 @@ class _Screen:
         who, _, mark = standing(self._players, step.infos).partition("\n")
         score = step.infos["metrics"].get("score", {})
         mark = mark or self._cheer(seconds, score)
-        if is_way := not mark:
+        is_way = mark in ("", "draw")
+        if not mark:
             mark = " : ".join(f"{points[0]:g}" for points in score.values())
-        if is_way and task.units.get(self._stage or "") == "":
+        if not mark and task.units.get(self._stage or "") == "":
             mark = f"{100 * self._progress(step):.0f} % done"
         again = f"start {start + 1}, " * (start > 0)
-        about = f"{task.name}, {again}{seconds:.1f} s{said}, {who}"
+        grasp = f" (grasp: {task.config.grasp})" * task.gripping
+        about = f"{task.name}{grasp}, {again}{seconds:.1f} s{said}, {who}"
         for state in step.states[every - 1 :: every]:
             self._zoom += (is_slow - self._zoom) / _ZOOMS
             yield _labelled(self._draw(*state), task.summary, about, mark, is_way)
@@ -401,8 +403,11 @@ def _film(
             drawn = zip(cast, row, strict=True)
             for views in zip(*(s.draw(x, i, j in slow) for s, x in drawn), strict=True):
                 last, left = np.concatenate(views, axis=1), 1 - (shown - begun) / _FADE
-                now = np.rint(left * before + (1 - left) * last) if left > 0 else last
-                yield now.astype(np.uint8, copy=False)
+                now = last
+                if left > 0:  # Captions do not fade: two at once cannot be read.
+                    now, part = last.copy(), np.s_[_caption(views[0].shape[1])[1] :]
+                    now[part] = np.rint(left * before[part] + (1 - left) * last[part])
+                yield now
                 shown += 1 / first.rate
             if on_progress is not None:
                 # The last start is shown to its end, whenever that comes.
@@ -433,10 +438,11 @@ def _labelled(
     picture.paste(image.fromarray(frame), (0, strip))
     pen = import_extra("PIL.ImageDraw").Draw(picture)
     edge, high, low = size // 2, 0.75 * size, 2.0 * size
-    left = wide - 2 * edge - min(wide // 2, pen.textlength(mark, font(size=size)))
+    long, marked = (pen.textlength(each, font(size=size)) for each in (above, mark))
+    given = min(marked, max(wide // 4, wide - 3 * size - long))
     for line, x, y, anchor, letters, room, colour in (
-        (mark, wide - edge, high, "rm", size, wide // 2, _GREY if is_way else _GREEN),
-        (above, edge, high, "lm", size, left - size, "#ffffff"),
+        (mark, wide - edge, high, "rm", size, given, _GREY if is_way else _GREEN),
+        (above, edge, high, "lm", size, wide - 3 * size - given, "#ffffff"),
         (below, edge, low, "lm", 0.85 * size, wide - size, _GREY),
     ):
         share = min(1.0, room / max(1, pen.textlength(line, font(size=letters))))

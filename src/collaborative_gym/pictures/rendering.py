@@ -18,8 +18,9 @@ from collaborative_gym.scene.surroundings import CAMERA
 
 T = TypeVar("T")
 
-_NEAR, _NEARER, _CUT = 0.85, 0.5, 0.47
-"""Distances to a body in a close-up, in m, and the share of them that is cut away."""
+_NEAR, _CUT = 1.7, 0.8  # m, to a body in a close-up, and what of it is cut away
+
+_LENS, _NEARER = 0.5, 0.6  # shares of its angle that it keeps, and of those when near
 
 _LEFT = 0.15  # m, of all hands from a body; a close-up may then show another one
 
@@ -109,20 +110,20 @@ class Camera:
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        distance = zoom * _NEARER + (1 - zoom) * _NEAR
-        middle, camera = self._model.stat.center, CAMERA
+        middle, camera, lens = self._model.stat.center, CAMERA, 1.0
         if self._bodies:
-            camera = self._near(distance)
+            camera, lens = self._near(), _LENS * (zoom * _NEARER + 1 - zoom)
             middle = camera.lookat
         self._renderer.update_scene(self._data, camera, self._options)
         for eye in self._renderer.scene.camera:
             eye.frustum_bottom *= self._share
             eye.frustum_top *= self._share
             # Of a close-up, what stands between is cut away, such as another arm.
-            cut = _CUT * distance / eye.frustum_near if self._bodies else 1.0
-            for side in "near", "bottom", "top", "center", "width":
+            cut = _CUT / eye.frustum_near if self._bodies else 1.0
+            eye.frustum_near *= cut
+            for side in "bottom", "top", "center", "width":
                 name = f"frustum_{side}"
-                setattr(eye, name, cut * getattr(eye, name))
+                setattr(eye, name, cut * lens * getattr(eye, name))
         return self._softened(middle)
 
     def _softened(self, middle: np.ndarray) -> np.ndarray:
@@ -148,7 +149,7 @@ class Camera:
             total += self._renderer.render()
         return np.rint(total / _LAMPS).astype(np.uint8)
 
-    def _near(self, distance: float) -> mujoco.MjvCamera:
+    def _near(self) -> mujoco.MjvCamera:
         places = self._data.xpos[self._bodies]
         if self._tcps:
             away = places[:, None] - self._data.site_xpos[self._tcps]
@@ -159,7 +160,7 @@ class Camera:
             if (is_left and rests[self._shown]) or self._best < 0:
                 self._shown, self._best = int((gaps + _RESTS * rests).argmin()), -1
         near, (far, middle) = mujoco.MjvCamera(), overview(self._model, self._data)
-        near.lookat, near.distance = places[self._shown], distance
+        near.lookat, near.distance = places[self._shown], _NEAR
         ahead = np.degrees(np.arctan2(*(middle - far)[1::-1]))
         looks = np.array([(turn, up) for up in _HEIGHTS for turn in _TURNS])
         costs = 0.1 * np.abs(np.radians(looks[:, 0])) + np.radians(looks[:, 1]) / 6

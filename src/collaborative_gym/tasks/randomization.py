@@ -14,8 +14,7 @@ class Randomization:
     """How far an episode may differ from the nominal one.
 
     Each draw is uniform between minus and plus the bound, unless said otherwise. The
-    first five define the start; the others disturb the episode. No policy observes the
-    disturbances.
+    first five define the start; the others disturb the episode, unseen by policies.
 
     Attributes:
       joint_noise: turn of every arm joint, in rad.

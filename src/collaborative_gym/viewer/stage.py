@@ -337,9 +337,7 @@ def _light(
     scene.add_light_ambient("/ambient", intensity=ambient)
     lights = [
         scene.add_light_directional(
-            f"/light {i}",
-            intensity=own[i],
-            position=tuple(-5.0 * model.light_dir[i]),
+            f"/light {i}", intensity=own[i], position=tuple(-5.0 * model.light_dir[i])
         )
         for i in range(model.nlight)
     ]
