@@ -363,8 +363,8 @@ def test_a_caption_stands_above_and_is_as_large_as_its_width_allows():
         above, below = lines(240, *texts)
         assert ends(above)[1] < 239 and ends(below)[1] < 239
         assert not above[:, [0, 1]].any()
-    goal = "Pull the bar over your own line."
-    alone, beside = (lines(400, goal, "", mark)[0] for mark in ("", "it wins " * 5))
+    goal = "Pull the bar over your own line, not the other."
+    alone, beside = (lines(400, goal, "", mark)[0] for mark in ("", "it wins " * 6))
     assert ends(alone)[1] == ends(beside[:, : ends(alone)[1] + 9])[1]
     lines(64, about * 9, about * 9, "success")  # It is cut off.
 
@@ -375,6 +375,22 @@ def test_success_is_green():
         labelled = recording._labelled(frame, "", "", "success", is_way)
         red, green, _ = labelled.reshape(-1, 3).T
         assert (green > 1.5 * red + 50).any() != is_way
+
+
+def test_a_draw_is_no_success(tmp_path, monkeypatch):
+    told = []
+
+    def note(frame, *texts):
+        told.append(texts)
+        return frame
+
+    monkeypatch.setattr(recording, "_labelled", note)
+    task = cg.task("HockeyPandas-v0", max_episode_steps=2)
+    still = dict.fromkeys(task.agents, "idle")
+    recording.record(
+        task, tmp_path / "a.gif", policy=still, only_episodes=[0], size=SIZE
+    )
+    assert told[-1][2:] == ("draw", True)
 
 
 def test_films_beside_each_other_say_who_plays(carry, tmp_path, monkeypatch):
