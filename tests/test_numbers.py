@@ -72,7 +72,7 @@ def test_pages_count_the_tasks_those_for_teams_and_the_arms():
     )
     for page in readme, index:
         assert f"or compete: {count} tasks, {arms} commercial arms" in page
-        assert f"All {count} tasks" in page
+        assert f"of {count} tasks, played" in page
     assert f"and {teams} take [teams of two to eight](docs/teams.md)" in readme
     assert f"eight arms do {teams} of the {count} tasks here" in compared
 
