@@ -103,6 +103,13 @@ def test_wrong_options_are_refused(carry_id, error, arguments, message):
         gymnasium.make_vec(carry_id, **arguments)
 
 
+def test_what_others_take_is_refused_with_their_name(carry_id):
+    with pytest.raises(KeyError, match=r"no option 'seed'.*; reset\(\) takes it"):
+        cg.make(carry_id, seed=0)
+    with pytest.raises(KeyError, match=r"option 'num_envs'.*; cg\.make_vec takes it"):
+        cg.make(carry_id, num_envs=4)
+
+
 def test_one_name_stands_for_all_robots(carry_id):
     for given in ({"robots": "jaco"}, {"robots": ["jaco"], "num_robots": 2}):
         robots = cg.task(carry_id, **given).robots

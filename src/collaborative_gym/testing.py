@@ -138,8 +138,7 @@ class TaskUnderTest:
 def play(env: VectorEnv, steps: int) -> dict[tuple[int, int], bytes]:
     """Return the bytes of each episode's observations, rewards, success and score.
 
-    They are by seed and episode. The actions are random, and depend on the episode and
-    its step alone.
+    They are by seed and episode. Actions are random, by episode and step alone.
     """
     seen: dict[tuple[int, int], bytes] = {}
     for _ in range(steps):

@@ -230,7 +230,8 @@ def test_the_baseline_is_the_shipped_policy(saved, carry_id, make_env, monkeypat
 
 def test_what_is_missing_is_named(make_env, tmp_path):
     with pytest.raises(
-        FileNotFoundError, match=r"has no policy\.safetensors; .*validation_interval"
+        FileNotFoundError,
+        match=r"has no policy\.safetensors; .*validation_interval.*--resume",
     ):
         load_policy(tmp_path)
     with pytest.raises(
@@ -288,6 +289,13 @@ def test_idle_robots_hold_still_with_an_open_grip(make_env):
     actions = play(make_env(2), {"robot_1": "expert", "robot_2": "idle"})
     assert (actions[..., 8:15] == 0).all() and (actions[..., 15] == -1).all()
     assert (actions[..., :7] != 0).any()
+
+
+def test_a_policy_of_one_world_asks_for_observations_alone():
+    env = cg.make("PokeTaskSawyers-v0")
+    policy = cg.load_policy("baseline", env)
+    with pytest.raises(TypeError, match=r"alone: observations, infos = env\.reset\(\)"):
+        policy(env.reset(seed=0))
 
 
 def test_a_limp_or_absent_arm_is_one_of_the_worlds(make_env, carry):

@@ -64,8 +64,7 @@ class SkrlEnv(MultiAgentEnvWrapper):
         Returns:
           Observations, rewards, terminated and truncated by agent, the last three
           (num_envs, 1), and infos. Of these, `episode` is what skrl's trainers log, the
-          means of `completion`, `performance` and `return` over the episodes that
-          ended, if any did.
+          means of `completion`, `performance` and `return` over ended episodes.
         """
         by_agent = {agent: given.cpu().numpy() for agent, given in actions.items()}
         observations, rewards, terminated, truncated, infos = self._env.step(by_agent)

@@ -29,8 +29,7 @@ def markdown_table(
 def escaped(text: str) -> str:
     """Return a text that Markdown shows as it is, in one line and one cell of a table.
 
-    Names may come from strangers, so tags and links are shown and do nothing. Emphasis
-    is left as it is.
+    Names may come from strangers, so tags and links do nothing. Emphasis is left.
     """
     line = " ".join(text.splitlines())
     return line.replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")

@@ -74,8 +74,7 @@ class Learner:
     def networks(self, layout: Layout) -> dict[str, tuple[int, int]]:
         """Return inputs and outputs of each network of its policy, by name.
 
-        They stand side by side: the inputs in its rows of observations, the outputs in
-        its rows of actions.
+        Inputs stand side by side in its rows of observations, outputs in its actions.
         """
         if self.stacked:
             ends = self.observation_size(layout), self.action_size(layout)

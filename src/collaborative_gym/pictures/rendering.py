@@ -227,8 +227,7 @@ def _in_thread(job: Callable[..., T], *arguments: Any) -> T:
     """Return the result of a job that is done in the thread that draws.
 
     Raises:
-      RuntimeError: in a process that was forked off since pictures were drawn: graphics
-        would hang there.
+      RuntimeError: in a process forked off since pictures were drawn; it would hang.
     """
     _drawn_in.add(os.getpid())
     if len(_drawn_in) > 1:

@@ -265,7 +265,7 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
             raise FileNotFoundError(
                 f"{path} has no {POLICY_FILE}; give the folder of one training run,"
                 " which has it after its first validation: there is one every"
-                " `validation_interval` steps, and one at the end"
+                " `validation_interval` steps, and one at the end; --resume goes on"
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
@@ -348,6 +348,9 @@ def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Return a policy over observations and actions without the axis of worlds."""
 
     def act_once(observations: Any) -> Any:
+        if isinstance(observations, tuple):
+            why = "a policy takes observations alone: observations, infos = env.reset()"
+            raise TypeError(why)
         if not isinstance(observations, Mapping):
             return act(observations[None])[0]
         batch = {agent: row[None] for agent, row in observations.items()}

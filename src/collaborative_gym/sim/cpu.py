@@ -22,8 +22,7 @@ _NOTHING = mujoco.mjtStage.mjSTAGE_NONE.value
 class CpuSim:
     """Worlds as rows of a `mujoco.batch.Batch`; see `Sim` for the contract.
 
-    The result is the same to the bit for any number of worlds and threads, of which 0
-    is one per CPU.
+    Bits are the same for any number of worlds and threads; with 0, one per CPU.
     """
 
     def __init__(

@@ -138,8 +138,7 @@ class Sim(Protocol):
     def vary(self, env_ids: EnvIds, factors: Mapping[str, Array]) -> None:
         """Multiply numbers of these worlds' models by factors.
 
-        The factors apply to the model's own numbers. They stay, whatever is reset or
-        put into the worlds.
+        The factors apply to the model's own numbers. No reset ends them.
 
         Args:
           env_ids: the worlds.

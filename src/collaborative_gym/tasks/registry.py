@@ -35,6 +35,9 @@ class EnvSpec:
 _ENVS: dict[str, EnvSpec] = {}
 _TASKS: dict[str, type[Task]] = {}
 
+_ELSEWHERE = {"seed": "reset() takes it", "num_envs": "cg.make_vec takes it"}
+"""Who takes what is often given to `make`."""
+
 
 def register_task(name: str, task: type[Task]) -> None:
     """Let `make` build a task by name with any robots.
@@ -267,7 +270,8 @@ def _configure(task: type[Task], settings: dict[str, Any]):
         if option not in valid:
             names = [*valid, "robots"]
             wrong = errors.unknown("option", option, names)
-            raise errors.UnknownOption(f"{task.__name__} has {wrong}")
+            other = f"; {_ELSEWHERE[option]}" if option in _ELSEWHERE else ""
+            raise errors.UnknownOption(f"{task.__name__} has {wrong}{other}")
     return task.config_class(**settings)
 
 
