@@ -61,7 +61,8 @@ def test_the_better_run_is_shipped_with_its_card(train_both, carry_id, alone, tm
     assert shipped.read_bytes() == own.read_bytes()
     card = (tmp_path / f"{carry_id}.md").read_text()
     assert f"--seed {best} " in card and "--hidden-sizes 16 16" in card
-    assert "- non-default hyperparameters: total_steps 64, num_envs 4, roll" in card
+    own = "total_steps 64, num_envs 4, rollout_steps 8"
+    assert f"- non-default hyperparameters: {own}" in card
     rows = [line for line in card.splitlines() if re.match(r"\| [01] ", line)]
     assert len(rows) == 6
     shown = [row for row in rows if "(shipped)" in row]

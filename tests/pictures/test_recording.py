@@ -314,7 +314,7 @@ LIMITED = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from collaborative_gym.pictures import recording, rendering, video
+from collaborative_gym.pictures import recording, video
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
 path, draw = Path(sys.argv[1]), np.random.default_rng(0)

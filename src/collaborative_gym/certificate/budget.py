@@ -21,7 +21,7 @@ class Budget:
       candidates: motions tried in a round of the search.
       rounds: how often the search draws candidates anew, unless it converges sooner.
       training_starts: starts on which the search finds the one motion for all.
-      searched_starts: number of held-out starts, each with a motion of its own.
+      searched_starts: held-out starts, for each of which a motion is searched; or 0.
       replays: recorded episodes, of the expert and of the baseline if one is shipped,
         the best of which a blind team replays; 0 for no blind team.
       ppo_steps: environment steps of each training; 0 for none.

@@ -35,8 +35,8 @@ class EnvSpec:
 _ENVS: dict[str, EnvSpec] = {}
 _TASKS: dict[str, type[Task]] = {}
 
-_ELSEWHERE = {"seed": "reset() takes it", "num_envs": "cg.make_vec takes it"}
-"""Who takes what is often given to `make`."""
+_ELSEWHERE = {"seed": "; reset() takes it", "num_envs": "; cg.make_vec takes it"}
+"""What messages add on options that are often given to `make`."""
 
 
 def register_task(name: str, task: type[Task]) -> None:
@@ -270,8 +270,8 @@ def _configure(task: type[Task], settings: dict[str, Any]):
         if option not in valid:
             names = [*valid, "robots"]
             wrong = errors.unknown("option", option, names)
-            other = f"; {_ELSEWHERE[option]}" if option in _ELSEWHERE else ""
-            raise errors.UnknownOption(f"{task.__name__} has {wrong}{other}")
+            wrong += _ELSEWHERE.get(option, "")
+            raise errors.UnknownOption(f"{task.__name__} has {wrong}")
     return task.config_class(**settings)
 
 
