@@ -51,7 +51,7 @@ AGAINST = {"robot_1": "baseline", "robot_2": "expert"}
 EPISODES = {
     "BalanceTaskJacoSawyer-v0": [40, 45],
     "BalanceTaskSawyers-v0": [45, 40],
-    "HockeyPandas-v0": [8],
+    "HockeyPandas-v0": [20],
     "TugPandas-v0": [27, 24],
 }
 """Starts of Balance from which the ball rolls far, and games in which the lead changes:

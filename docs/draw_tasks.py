@@ -42,7 +42,7 @@ def beside(policy: str) -> dict[str, str]:
 
 
 PICTURES = {
-    "poke": (World("PokeTaskSawyers-v0", 13), World("PokeTaskPandaSawyer-v0", 16)),
+    "poke": (World("PokeTaskSawyers-v0", 20), World("PokeTaskPandaSawyer-v0", 20)),
     "lift": (World("LiftTaskSawyers-v0", 32), World("LiftMixed4-v0", 25)),
     "balance": (World("BalanceTaskSawyers-v0", 8), World("Balance", 8, ("panda",) * 3)),
     "pass": (World("PassTaskSawyers-v0", 20), World("PassMixed3-v0", 26)),

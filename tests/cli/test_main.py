@@ -415,6 +415,11 @@ def test_the_demo_draws_before_it_measures_and_tells_how_to_watch(
         ("evaluate Carry --settings max_episode_steps=x", "max_episode_steps must be"),
         ("view Carry --port 99999", "port must be at most 65535, got 99999"),
         ("evaluate Carry --polcy idle", "not take --polcy (did you mean --policy?); e"),
+        (
+            "evaluate Carry --policies idle --epsodes 3",
+            "evaluate does not take --policies (did you mean --policy?) and --epsodes"
+            " (did you mean --episodes?); evaluate --help",
+        ),
         ("train Carry --leage-reset 1", "(did you mean --league-reset?); train --help"),
         ("record --robots panda jaco Cary --output a.mp4", "did you mean 'Carry'?"),
         ("evaluate --policy Carry", "name the environments to evaluate"),

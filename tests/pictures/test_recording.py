@@ -196,6 +196,17 @@ def test_a_film_says_for_a_second_who_has_scored(tmp_path, monkeypatch):
     assert before.endswith("\n0 : 0") and told[-1].endswith("wins")
 
 
+def test_a_film_says_for_how_long_the_goal_was_met(tmp_path, monkeypatch):
+    told, task = [], cg.task("BalanceTaskSawyers-v0")
+    monkeypatch.setattr(recording, "_labelled", noting(told))
+    frame = np.zeros((*SIZE[::-1], 3), np.uint8)
+    monkeypatch.setattr(recording._Screen, "_draw", lambda *state: frame)
+    recording.record(task, tmp_path / "a.gif", seconds=0.1, size=SIZE)
+    marks = dict.fromkeys(text.split("\n")[2] for text in told)
+    held = [f"held {i / 10} of 2.0 s" for i in range(1, 20)]
+    assert [*marks] == ["", *held, "success"]
+
+
 def test_close_up_of_no_body_is_refused(carry, tmp_path):
     with pytest.raises(KeyError, match=r"no body 'pott'.* bodies: "):
         recording.record(carry(), tmp_path / "a.gif", size=SIZE, close_up="pott")

@@ -489,3 +489,7 @@ class Demo:
         films = len(demo.players()) + 1
         for number, path in enumerate(demo.draw(self.output)):
             show(f"film {number} of {films}: {path}" if number else f"wrote {path}")
+            if number == 0:
+                show(
+                    f"now it draws {films} films; each is named once it can be watched"
+                )

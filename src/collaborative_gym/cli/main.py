@@ -9,7 +9,8 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from difflib import get_close_matches
 from importlib.metadata import version
 from io import StringIO
 from itertools import pairwise
@@ -92,8 +93,8 @@ _INSTEAD = {
 
 _PLAINLY = {
     r"^Error parsing ": "",
-    r": .*int\(\) with base 10: ('.*')$": r": \1 is not a whole number; write it in"
-    " digits",
+    r": .*int\(\) with base 10: ('.*')$": r": \1 is not a whole number; write it as"
+    " 300000 or 3e5",
     r": .*string to float: ('.*')$": r": \1 is not a number; write it as 0.001 or 1e-3",
     r": Could not .*$": " takes numbers, with spaces between them",
     r"^Missing from \S+ (\w+): ((?:--\S+ )?[^\s,]+),? (?:\|.*? \.\.\. )?(.*?)"
@@ -215,28 +216,33 @@ def _parse(kind: Any, verb: str, words: list[str]) -> Any:
         # A script of completions is to stay as it is.
         sys.stdout.write(finished(brief, verb, kind, whole) if helps else brief)
         raise SystemExit(status)
-    raise _complaint(box.getvalue(), prog.split()[-1])
+    raise _complaint(box.getvalue(), prog.split()[-1], kind)
 
 
-def _complaint(box: str, verb: str) -> Exception:
+def _complaint(box: str, verb: str, kind: Any) -> Exception:
     """Return the error of a box that the parser would print about a command."""
     # Between its first two rules are the words; then come like names, or the help.
     parts = re.split(r"^(?:╭.*| ?[│ ]*[-─]{9,}[│ ]*)$", box, flags=re.M)
-    text, more = (" ".join(p.replace("│", " ").split()) for p in parts[1:3])
+    text = " ".join(parts[1].replace("│", " ").split())
     if misplaced := re.match(r"Unrecognized or misplaced options: (\S+)", text):
         return UnknownName(f"{misplaced[1]} comes after a command; see {verb} --help")
-    if unused := re.match(r"Unrecognized options: ([^\s,=]+)", text):
-        near = re.match(r".* meant: (--[\w-]+)", more)
-        hint = f" (did you mean {near[1]}?)" if near else ""
+    if unused := re.match(r"Unrecognized options: (([^\s,=]+).*)", text):
+        with redirect_stdout(StringIO()) as page, suppress(SystemExit):
+            tyro.cli(kind, args=["--help"])
+        options = re.findall(r"--[a-z][\w-]+", page.getvalue())
+        words = re.findall(r"--[^\s,=]+", unused[1]) or [unused[2]]
+        near = (get_close_matches(word, options, 1) for word in words)
+        hints = (f" (did you mean {at[0]}?)" if at else "" for at in near)
+        what = " and ".join(map("".join, zip(words, hints, strict=True)))
         return UnknownName(
-            f"{verb} does not take {unused[1]}{hint}; {verb} --help lists what it takes"
+            f"{verb} does not take {what}; {verb} --help lists what it takes"
         )
     if wrong := re.search(
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):
-        given, kind, names = wrong.groups()
+        given, what, names = wrong.groups()
         able = {*re.findall(r"'(.+?)'", names)} - {"None"}
-        return UnknownName(unknown(kind, given, able))
+        return UnknownName(unknown(what, given, able))
     for pattern, plain in _PLAINLY.items():
         text = re.sub(pattern, plain, text)
     return ValueError(text)

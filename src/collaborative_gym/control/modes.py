@@ -298,15 +298,15 @@ class ActionMode:
             raise ValueError(
                 f"the action of {agent} cannot be read as numbers: {error}"
             ) from None
+        if not xp.isdtype(given.dtype, ("integral", "real floating")):
+            raise ValueError(
+                f"the action of {agent} is of type {given.dtype}; give numbers"
+            )
         if given.shape != shape:
             last = ", and one for the grip" if self.gripping else " (no grip)"
             raise ValueError(
                 f"the action of {agent} has shape {tuple(given.shape)}, not {shape}:"
                 f" {self.num_moves(agent)} numbers that move the arm{last}"
-            )
-        if not xp.isdtype(given.dtype, ("integral", "real floating")):
-            raise ValueError(
-                f"the action of {agent} is of type {given.dtype}; give numbers"
             )
         action = xp.astype(given, xp.float64)
         finite = xp.isfinite(action)

@@ -8,7 +8,7 @@ from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
 from collaborative_gym.envs.faces import RENDERING, OneWorld, first_row, step_info
-from collaborative_gym.errors import look_up
+from collaborative_gym.errors import look_up, shown
 from collaborative_gym.math import Array
 from collaborative_gym.tasks.task import Task
 
@@ -140,7 +140,7 @@ class PettingZooEnv(OneWorld, ParallelEnv):
             if agent in actions and np.shape(actions[agent]) != space.shape:
                 raise ValueError(
                     f"the action of {agent} has shape {np.shape(actions[agent])}, not"
-                    f" {space.shape}"
+                    f" {space.shape}; got {shown(actions[agent])}"
                 )
         return {agent: np.asarray(action)[None] for agent, action in actions.items()}
 

@@ -428,5 +428,5 @@ def _check_same(settings: Settings, started: Settings) -> None:
     if found:
         raise ValueError(
             f"this run cannot continue with other settings: {'; '.join(found)}; leave"
-            " out what differs, or start another run with another output"
+            " out what differs (total_steps may be raised), or give another output"
         )

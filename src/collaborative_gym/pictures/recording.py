@@ -254,6 +254,7 @@ class _Step(NamedTuple):
 
     infos: dict[str, Any]
     states: list[tuple[np.ndarray, np.ndarray]]  # qpos and mocap_pos, evenly spread
+    met_for: int = 0  # control steps for which the goal has been met
 
 
 def _is_success(step: _Step) -> bool:
@@ -301,12 +302,16 @@ class _Screen:
         observations, infos = self._env.reset(seed, [episode])
         self._score.clear()
         self._keep()
+        met_for, task = 0, self._env.task
         yield _Step(infos, self._states[-1:])
         while not infos["ended"][0]:
             self._states = []
             actions = self._policy(observations)
             observations, *_, infos = self._env.step(actions)
-            yield _Step(infos, self._states)
+            is_met = infos["step"][0] > task.success_after
+            is_met = is_met and np.any(task.success(self._env.facts))
+            met_for = met_for + 1 if is_met else 0
+            yield _Step(infos, self._states, met_for)
         yield from repeat(_Step(infos, self._states[-1:] * SUBSTEPS))
 
     def draw(self, step: _Step, start: int, is_slow: bool) -> Iterator[np.ndarray]:
@@ -323,6 +328,9 @@ class _Screen:
             mark = " : ".join(f"{points[0]:g}" for points in score.values())
         if not mark and task.units.get(self._stage or "") == "":
             mark = f"{100 * self._progress(step):.0f} % done"
+        if not mark and task.success_for > 1 and step.met_for:
+            held, asked = (n * CONTROL_DT for n in (step.met_for, task.success_for))
+            mark = f"held {held:.1f} of {asked:.1f} s"
         again = f"start {start + 1}, " * (start > 0)
         grasp = f" (grasp: {task.config.grasp})" * task.gripping
         about = f"{task.name}{grasp}, {again}{seconds:.1f} s{said}, {who}"

@@ -190,8 +190,9 @@ class Sort(Task[SortConfig, SortFacts]):
         wide = np.ptp(self.seats) + 1.5
         scene.spec.stat.extent = wide  # Shadows are sharper than those of a whole belt.
         away = np.array([0.32 * wide + 0.6, -0.38 * wide - 0.6, 0.34 * wide + 0.5])
-        across, near = np.array([0.77, 0.64, 0.0]), 0.14 * (len(self.agents) > 3)
-        eye = (1 - near) * away + 1.5 * near * across + (0.0, 0.0, 0.6)
+        across, near = np.array([0.77, 0.64, 0.0]), 0.14 * (count > 3)
+        near -= 0.15 * (count == 3)  # The third arm stands on the camera's side.
+        eye = (1 - near) * away + 1.5 * abs(near) * across + (0.0, 0.0, 0.6)
         scene.add_camera(eye, (*across, *np.cross(away, across)))
 
     def setup(self, scene: Scene, sim: Sim, *, action_mode: ActionMode) -> None:
