@@ -488,8 +488,5 @@ class Demo:
             return
         films = len(demo.players()) + 1
         for number, path in enumerate(demo.draw(self.output)):
-            show(f"film {number} of {films}: {path}" if number else f"wrote {path}")
-            if number == 0:
-                show(
-                    f"now it draws {films} films; each is named once it can be watched"
-                )
+            sheet = f"wrote {path}; {films} films follow, each named once it is there"
+            show(f"film {number} of {films}: {path}" if number else sheet)

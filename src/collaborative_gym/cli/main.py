@@ -231,12 +231,11 @@ def _complaint(box: str, verb: str, kind: Any) -> Exception:
             tyro.cli(kind, args=["--help"])
         options = re.findall(r"--[a-z][\w-]+", page.getvalue())
         words = re.findall(r"--[^\s,=]+", unused[1]) or [unused[2]]
-        near = (get_close_matches(word, options, 1) for word in words)
-        hints = (f" (did you mean {at[0]}?)" if at else "" for at in near)
-        what = " and ".join(map("".join, zip(words, hints, strict=True)))
-        return UnknownName(
-            f"{verb} does not take {what}; {verb} --help lists what it takes"
-        )
+        for i, word in enumerate(words):
+            near = get_close_matches(word, options, 1)
+            words[i] += f" (did you mean {near[0]}?)" if near else ""
+        what, how = " and ".join(words), f"{verb} --help lists what it takes"
+        return UnknownName(f"{verb} does not take {what}; {how}")
     if wrong := re.search(
         r"choice '(.*)' for argument '--(.*?)s?'.* of \((.*)\)", text
     ):

@@ -45,8 +45,7 @@ class Torques(modes.ActionMode):
     real arms does. With an action of zeros, an arm floats until its motors' friction
     stops it. Only an action's torques bear a tool or a load. Real drives take a new
     torque every 1 to 10 ms; a policy that acts every 0.1 s can only hold each torque.
-    Near the speed limit, the motor's torque falls linearly to zero, as on a DC motor's
-    torque-speed curve.
+    Near the speed limit, torque falls linearly to zero, as on a DC motor's curve.
     """
 
     def __init__(self, scene: Scene, sim: Sim, gripping: bool):

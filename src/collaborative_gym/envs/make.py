@@ -23,8 +23,7 @@ def make(
 
     Args:
       env: an id from `list_envs`, a task's name from `list_tasks`, or a task from
-        `cg.task`. With a task, give only `render_mode` and `strain` besides; the task
-        has the rest.
+        `cg.task`. With a task, give only `render_mode` and `strain` besides.
       robots: the arms in the order of the agents, by name or value, or one for all;
         None for the environment's own.
       render_mode: "rgb_array" lets `render` return pictures.

@@ -91,9 +91,8 @@ class Hyperparameters:
         Haarnoja et al. in each component is 0.09.)
       initial_std: standard deviation of the action noise at first.
       initial_grip_std: standard deviation of its grip component.
-      final_noise: PPO: share of the action noise at the end. The noise shrinks after
-        each rollout in which half of the episodes are completed. With 1, it does not
-        shrink.
+      final_noise: PPO: share of the action noise at the end. It shrinks after each
+        rollout in which half of the episodes are completed. With 1, it does not.
       quiet_share: PPO: share of the total steps, at the end of the run, over which the
         noise shrinks; 0 for none.
       grip_limit: greatest mean of a grip's command, 0 for no limit. Noise of half this
@@ -139,9 +138,8 @@ class Hyperparameters:
         whatever its action; 0.005 means about once in an episode. The robot thus learns
         to grip again. This never happens in validations or to guests.
       missed_grips: probability that a robot that holds nothing fails to grip in a
-        control step, whatever its action. The robot thus learns to bring its hand well
-        within reach and to keep it there. This never happens in validations or to
-        guests.
+        control step, whatever its action. It thus learns to bring its hand well within
+        reach and to keep it there. This never happens in validations or to guests.
       population: number of policies for each robot, if partners are a population.
       league_main_share: share of a league's worlds in which its main policy learns; the
         exploiters share the others (our choice).
@@ -162,12 +160,10 @@ class Hyperparameters:
       league_reset: probability that the league exploiter restarts after a copy (0.25).
       league_fresh: probability that a restarting member takes the run's initial
         networks instead of main's (our choice).
-      league_decay: factor by which a game counts less after each later game of the same
-        two (0.99).
+      league_decay: weight of a game, for each later game of the same two (0.99).
       network: flat for networks that read an observation as one vector; set for
         networks that treat each mate of a robot alike and pool their outputs, so that a
-        policy plays in teams of any size. With set, the mode shared gives robots no
-        index.
+        policy plays in teams of any size. Then the mode shared gives robots no index.
       team_sizes: sizes of further teams, which share the worlds evenly with the task's
         own; for network=set and the mode shared, with arms of one kind.
       hidden_sizes: widths of the hidden layers of policies and critics.

@@ -64,8 +64,7 @@ class Options(TypedDict, total=False):
         sizes. Its noise begins anew with `initial_std`, and only the critics learn
         during the first rollouts.
       backend: "skrl", or "ray" to collect in several processes; None for "skrl".
-      algorithm: "ppo", or "sac" for tasks of one side and without partners; None for
-        "ppo".
+      algorithm: "ppo" (also by None), or "sac" for one side without partners.
       resources: device and threads of each run.
       checkpoint_interval: environment steps between two checkpoints (100,000).
     """

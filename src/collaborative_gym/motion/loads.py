@@ -1,8 +1,7 @@
 """Loads that an arm can hold by its torque limits, and in which postures.
 
 A load at the tcp asks each joint for a torque that is the load's weight times the
-joint's lever. The arm's links are gravity compensated, so that the whole torque limit
-is there for the load.
+joint's lever. The links are gravity compensated: the whole limit is left for it.
 """
 
 from dataclasses import dataclass, replace

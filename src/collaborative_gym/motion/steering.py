@@ -41,8 +41,7 @@ def reach(
 ) -> Array:
     """Return joint changes that bring a tcp towards a pose, by resolved-rate control.
 
-    The posture counts less and less the nearer the goal is, where the arm comes to rest
-    (`settling`).
+    The posture counts less the nearer the goal is, where the arm rests (`settling`).
 
     Args:
       sim: the worlds.

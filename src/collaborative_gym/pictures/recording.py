@@ -308,9 +308,8 @@ class _Screen:
             self._states = []
             actions = self._policy(observations)
             observations, *_, infos = self._env.step(actions)
-            is_met = infos["step"][0] > task.success_after
-            is_met = is_met and np.any(task.success(self._env.facts))
-            met_for = met_for + 1 if is_met else 0
+            is_met = np.any(task.success(self._env.facts))
+            met_for = (met_for + 1) * (is_met & (infos["step"][0] > task.success_after))
             yield _Step(infos, self._states, met_for)
         yield from repeat(_Step(infos, self._states[-1:] * SUBSTEPS))
 

@@ -256,8 +256,7 @@ class Scene:
     def add_pose_sensor(self, name: str, site: str) -> None:
         """Let `Sim.pose(name)` read a site's position and orientation.
 
-        Tcps, targets and sites that can be gripped have such a sensor already, under
-        their own names.
+        Tcps, targets and sites that can be gripped have one already, under their names.
         """
         kinds = mujoco.mjtSensor
         self._add_sensor(f"{name}.position", kinds.mjSENS_FRAMEPOS, site)

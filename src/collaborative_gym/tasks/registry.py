@@ -146,8 +146,7 @@ def make_task(
       robots: the arms in the order of the agents, by name or value, or one for all. An
         environment id has its own; other arms are mounted by the task's rule.
       num_robots: how many arms of one kind; None for the usual number.
-      randomization: how starts are drawn, a preset's name or a value; None for
-        "default".
+      randomization: how starts are drawn, a preset's name or a value ("default").
       **settings: other fields of the task's config.
 
     Raises:

@@ -273,8 +273,7 @@ def _fit(
     """Return where a camera sees points from, and what it looks at, (3,) in m each.
 
     The points are (points, 3), and in the middle of its picture; `way` leads to it, and
-    `room` is what it sees per metre of depth to the right and up, and to the left and
-    down, (2, 2).
+    `room` is what it sees per metre of depth right and up, and left and down, (2, 2).
     """
     back = way / np.linalg.norm(way)
     right = np.cross([0.0, 0.0, 1.0], way)
