@@ -357,7 +357,7 @@ class Collector:
     ) -> tuple[Any, ...]:
         """Take a step, and charge the robots for it.
 
-        Actions of learners may come late, and their grips fail, but not those of guests.
+        Actions of learners may come late, and their grips fail; those of guests do not.
         """
         hyperparameters, count = self._job.hyperparameters, self.env.num_envs
         chosen = {agent: np.clip(each, -1.0, 1.0) for agent, each in chosen.items()}
