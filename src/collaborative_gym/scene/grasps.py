@@ -19,7 +19,7 @@
 Cup and pads keep an object in the pose in which they took it. Under a load beyond their
 bound, it slips: nothing holds it for the rest of the control step. Then they take it
 again where it is, if it is still within reach. An object turns in them by at most 3
-degrees before it starts to slip. Cup, pads and how much they yield are our choice.
+degrees before it starts to slip. Sizes and compliance of cup and pads are our choice.
 """
 
 from collaborative_gym.errors import look_up

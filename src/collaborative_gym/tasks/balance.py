@@ -28,7 +28,7 @@ that rolls across the middle by chance leaves sooner. The centres are 0.06 m apa
 the ball lies in the middle, so the ball must be within 0.067 m of it along the board.
 
 The thesis starts the board 0.7 or 0.6 m above the floor. At 0.7 m, a Sawyer mounted as
-in the thesis has its handle at the end of its reach. There it cannot make two in five
+in the thesis has its handle at the end of its reach. There it cannot make 40 %
 of the moves and tilts that the task needs. At 0.6 m the handle is out of reach. Here
 the board starts at 0.95 m.
 """

@@ -17,7 +17,7 @@ Inverse kinematics finds the start angles from the nominal ones plus noise.
 
 Each side observes the world in its own frame, in which it plays towards +x. The other
 side's frame is rotated by half a turn. The seats are therefore alike, and one policy
-plays in both. `clock` is how long the puck has been on one half, above 0 on theirs.
+plays in both. `clock` is how long the puck has been on a half, above 0 on the others'.
 
 Reward of each agent:
 
