@@ -9,9 +9,11 @@ demo: .venv/demo
 	$(BIN)/collaborative-gym demo
 
 # Format, lint, types and tests. Two processes with two threads each would wait for one
-# another on two cores.
+# another on two cores. Tests start hundreds of processes, each of which would compile the
+# package anew if Python were not to write what it has compiled.
 test: check
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses 2 \
+	  --dist worksteal
 
 # Format, lint, and the quick tests of the rooms that change most: 200 core-seconds.
 QUICK := $(addprefix tests/,robots scene sim control comparisons policies tasks \

@@ -211,14 +211,14 @@ def _check_size(robot: RobotData, model: mujoco.MjModel, data: mujoco.MjData) ->
 
 def _farthest(robot: RobotData, model: mujoco.MjModel) -> float:
     data, joints = mujoco.MjData(model), [model.joint(name) for name in robot.joints]
-    rng, far = np.random.default_rng(0), []
-    for _ in range(_DRAWS):
-        for joint in joints:
-            data.qpos[joint.qposadr] = rng.uniform(*joint.range)
+    tcp, angles = data.site(robot.tcp).xpos, data.qpos[joints[0].qposadr[0] :]
+    low, high = np.array([joint.range for joint in joints]).T
+    far = 0.0
+    for draw in np.random.default_rng(0).uniform(low, high, (_DRAWS, len(joints))):
+        angles[: len(joints)] = draw
         mujoco.mj_kinematics(model, data)
-        tcp = data.site(robot.tcp).xpos
-        far.append(np.linalg.norm(_off_axis(data, joints[0].id, tcp)))
-    return max(far)
+        far = max(far, float(np.linalg.norm(_off_axis(data, joints[0].id, tcp))))
+    return far
 
 
 def _off_axis(data: mujoco.MjData, joint: int, point: np.ndarray) -> np.ndarray:
