@@ -91,6 +91,10 @@ def test_another_environment_has_its_own_arms_and_able_players(menu):
     assert len(doubles.robots) == 4
     turned = menu.turned(lift("baseline", "idle"), "Pass")
     assert turned.policies == ("baseline", "expert")
+    # The first environment of Sort has no baseline.
+    sorting = menu.turned(lift("baseline", "baseline"), "Sort")
+    assert sorting.env == "SortPandas4-v0"
+    assert sorting.policies == ("baseline",) * 4
 
 
 def test_another_arm_has_able_players(env):

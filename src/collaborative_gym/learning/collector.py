@@ -183,8 +183,7 @@ class Player:
           rewards: (num_envs,) each.
           final_observations: those before the ended worlds were reset.
           terminated: (num_envs,) bool each, where nothing more was to come.
-          truncated: (num_envs,) bool each, where time was up and the last observation's
-            value counts on.
+          truncated: (num_envs,) bool each, where time was up and values count on.
         """
         over = self._per_row(terminated)
         late = self._per_row(truncated) & ~over

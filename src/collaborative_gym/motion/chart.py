@@ -79,8 +79,7 @@ class Chart:
         """Return the angles at places, (n, joints), in rad.
 
         Args:
-          share: (n, 2) of the way from the middle to the ends along both axes; beyond
-            1 it counts as 1.
+          share: (n, 2) of the way from the middle to both axes' ends, at most 1.
         """
         place = (np.clip(share, -1.0, 1.0) + 1.0) / 2 * (_PLACES - 1)
         low = np.minimum(place.astype(int), _PLACES - 2)

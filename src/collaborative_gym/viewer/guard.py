@@ -68,8 +68,7 @@ def start_server(
     link; it raises a KeyError or ValueError for one that cannot be shown.
 
     Raises:
-      RuntimeError: if the installed viser starts its server in an unknown way, so that
-        it would be unguarded.
+      RuntimeError: if the installed viser would start its server unguarded.
     """
     guard = _Guard(host, links, on_link)
     # viser has no option for this, and listens as soon as it is made.

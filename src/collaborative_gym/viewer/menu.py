@@ -128,9 +128,12 @@ class Menu:
         return self._able(replace(choice, env=env, robots=robots, randomization=starts))
 
     def turned(self, choice: Choice, task: str) -> Choice:
-        """Return the choice of another task's first environment, without idle arms."""
+        """Return the choice of a task's first environment that these policies know."""
         helping = (n if n in SHIPPED else "expert" for n in choice.policies)
-        return self.moved(replace(choice, policies=(*helping,)), self.tasks[task][0])
+        same = replace(choice, policies=(*helping,))
+        found = [self.moved(same, env) for env in self.tasks[task]]
+        able = (own for own in found if {*own.policies} <= {*same.policies})
+        return next(able, found[0])
 
     def drawn(self, choice: Choice, randomization: str) -> Choice:
         """Return the choice of other starts."""
