@@ -325,7 +325,7 @@ def test_a_memory_that_is_written_to(faults):
 @pytest.mark.parametrize(
     ("name", "wrong", "said"),
     [
-        ("units", "hieght", r"units has \['hieght'\], which measure"),
+        ("units", "hieght", r"units has \['hieght'\], but measure"),
         ("block_units", "jionts", "block_units has 'jionts', but no unit for 'joints'"),
     ],
 )

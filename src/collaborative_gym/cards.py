@@ -40,8 +40,7 @@ class ReportCard:
     Attributes:
       environment: the environment's id or the task's name.
       reports: of each policy alone, by its name.
-      robustness: by policy, its reports with each of the disturbances; empty if that
-        was not asked for.
+      robustness: by policy, its reports with each disturbance, or empty.
       cross_play: the policies and the expert with one another; None if that was not
         asked for, or there is nobody else to play with.
     """

@@ -12,6 +12,7 @@ import numpy as np
 
 from collaborative_gym.envs.definition import Trial, plain_name
 from collaborative_gym.envs.starts import DEEPEST, deepest, draw_starts
+from collaborative_gym.envs.state import EnvState
 from collaborative_gym.envs.vector_env import VectorEnv
 from collaborative_gym.errors import check_count, with_remedy
 from collaborative_gym.plugins import location_of
@@ -32,10 +33,9 @@ def check_task(
 ) -> None:
     """Check that a task keeps every promise that environments make.
 
-    Every use of a task checks its definition. This function also plays the task. It
-    checks for the same bits in any batch, worlds that do not touch one another, saved
-    episodes that continue, sound starts, a goal that nobody reaches by doing nothing,
-    and an expert that always reaches the goal.
+    Every use of a task checks its definition. This also plays it, for the same bits in
+    any batch, worlds that do not touch one another, saved episodes that continue, sound
+    starts, a goal not reached by doing nothing, and an expert that always reaches it.
 
     Args:
       task: an environment id, a task's name, a task, or a task's class.
@@ -206,9 +206,8 @@ def check_batches(tested: TaskUnderTest) -> None:
         env.reset(seed=0, episodes=range(env.num_envs)[::-1])  # in other rows
         for key, given in play(env, 4).items():
             assert _agree(given, expected.get(key, b"")), (
-                f"episode {key[1]} of seed {key[0]} depends on the other worlds; draw"
-                " only from rng in reset(), treat rows alike, and keep nothing on the"
-                " task but what remember() returns"
+                f"episode {key[1]} of seed {key[0]} depends on the other worlds; treat"
+                " rows alike, draw only from rng in reset(), keep nothing on the task"
             )
 
 
@@ -267,9 +266,7 @@ def check_measuring(tested: TaskUnderTest) -> None:
         play(env, 2)
     named = [*named_facts(env.facts)]
     unknown = [name for name in env.task.units if name not in named]
-    assert not unknown, (
-        f"units has {unknown}, which measure() does not return; it returns {named}"
-    )
+    assert not unknown, f"units has {unknown}, but measure() returns {named}"
     # Units of other names may be for teams of another size.
     blocks = [each for own in env.observation_blocks.values() for each in own.values()]
     bare = {plain_name(block.name, env.agents) for block in blocks if not block.unit}
@@ -333,13 +330,14 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
                 " beside other worlds; treat rows alike, and keep nothing on the task"
             )
         nearest = np.minimum(nearest, _check_shortfall(large))
-        reached |= _met(infos)[i] & (infos["episode"] == np.arange(count))
+        met = _met(infos)[i] & (infos["episode"] == np.arange(count))
+        if met.any() and not reached.any():
+            _check_apart(tested.worlds(2, copy=2), large.get_state([met.argmax()]))
+        reached |= met
         if is_divided and reached.any():
             return
-    assert not is_divided, (
-        f"the expert never reaches the goal of {', '.join(side)}, though the others"
-        " hold still; fix the expert"
-    )
+    never = f"the expert never reaches the goal of {', '.join(side)}, though the others"
+    assert not is_divided, f"{never} hold still; fix the expert"
     failed = np.flatnonzero(~reached).tolist()
     asks = " after which success_for or success_after asks for more"
     if infos["ended"].all() and infos["metrics"]["return"].mean() < tested.at_rest:
@@ -351,6 +349,17 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
         f"{asks * (not nearest[failed[0]])}); watch it by `collaborative-gym record"
         f" {tested.task.name} --only-episodes {failed[0]} --output failed.mp4`, with"
         " your --module and options, and fix the expert, or what reset() draws"
+    )
+
+
+def _check_apart(env: VectorEnv, reached: EnvState) -> None:
+    """Check that a world whose goal is met changes nothing in one that begins."""
+    env.set_state(reached, [0])
+    beside = np.atleast_2d(env.task.success(env.facts))[:, 1]
+    env.reset(seed=0)
+    assert (beside == np.atleast_2d(env.task.success(env.facts))[:, 1]).all(), (
+        "success() of a world changes when the goal of another is met; any() and all()"
+        " mix worlds, so combine the agents' facts by | and &"
     )
 
 

@@ -192,8 +192,7 @@ def test_a_close_up_looks_past_what_hides_its_body():
         for place in (0.0, *[0.25] * 40, *[-0.25] * 80)
     ]
     camera.close()
-    assert pixels[0] == pixels[40] == pixels[-1] == 0
-    assert 2 in pixels  # It goes there in a while, not at once.
+    assert not any(pixels)  # It cuts to another side at once.
 
 
 def test_shadows_fade():

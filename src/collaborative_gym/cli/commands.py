@@ -396,8 +396,7 @@ class View(_Policy, Watched):
       env: an environment's id, or a task's name.
       num_envs: worlds to show beside one another in the browser, up to 16.
       web: serve a page for the browser, even if a window can be opened.
-      host: address at which the page is served. Whoever can reach it can watch and
-        control the robots.
+      host: address of the page. Whoever can reach it can control the robots.
       port: port of the page; if it is in use, the next free one is taken.
     """
 

@@ -88,6 +88,8 @@ _INSTEAD = {
     ("evaluate", "--output"): "--json FILE for all numbers, or --csv FILE for episodes",
     ("benchmark", "--output"): "--json FILE",
     ("report", "--policy"): "--policies",
+    ("record", "--episodes"): "--only-episodes, or --seconds",
+    ("record", "--width"): "--size WIDTH HEIGHT",
 }
 """Options that other commands have, and what a command has in their place."""
 

@@ -52,8 +52,7 @@ class Command:
     """The options of commands that name environments.
 
     Attributes:
-      module: file (.py) or installed module that registers tasks or arms of your own;
-        may be repeated.
+      module: file (.py) or installed module with tasks or arms of your own; repeatable.
     """
 
     module: Modules = ()

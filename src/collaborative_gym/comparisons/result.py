@@ -364,7 +364,7 @@ def compare(
     if not validated:
         raise ValueError(
             f"there is no validation yet in {len(found)} of {len(found)} runs; let them"
-            " train for longer: there is one every `validation_interval` steps"
+            " train for longer: one comes every validation_interval (250,000) steps"
         )
     grouping = group_runs(validated)
     measures = _measures(grouping)

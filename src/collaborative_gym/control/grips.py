@@ -25,8 +25,7 @@ class Grips:
     above what the grasp bears, or at whose start the two are farther apart than twice
     the distance at which a grip can start. What is torn out of one hand also slips out
     of another that holds it at the same site, and each opens for three control steps,
-    while the thing falls. Otherwise arms would win by force what they tear away or
-    catch in the air.
+    while the thing falls. Otherwise arms would win things by tearing them away.
     """
 
     def __init__(self, scene: Scene, sim: Sim):

@@ -37,8 +37,7 @@ class Motion:
     Attributes:
       change: changes of the joint angles, (num_envs, joints), in rad. If the arm cannot
         make a change in one step, the whole change is scaled down, so that the motion
-        keeps its direction. In modes that move the tool, the tool moves as this change
-        would move it.
+        keeps its direction. In modes that move the tool, it moves as by this change.
       grips: in which worlds to grip, (num_envs,) booleans, or one for all.
       in_step: whether this arm slows down with the slowest of all arms that are in
         step. Arms that hold one thing must do so.

@@ -137,8 +137,7 @@ class TcpChanges(ServoMode):
 class TcpPositionChanges(TcpChanges):
     """A change of the tool's position and yaw, its turn about the vertical.
 
-    The tool keeps its tilt. Three numbers give the translation and one the turn; the
-    rest is as in `tcp`.
+    The tool keeps its tilt. Three numbers move and one turns it; else it is as `tcp`.
     """
 
     axes = (0, 1, 2, 5)

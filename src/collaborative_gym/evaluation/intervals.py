@@ -36,8 +36,7 @@ def mean_of(strata: Sequence[np.ndarray], *, is_share: bool) -> list[Estimate]:
     """Return the mean of each column, with Student's t interval.
 
     Args:
-      strata: each of (values, columns); differences between them are known, and are not
-        part of an interval.
+      strata: each of (values, columns); intervals leave out how they differ.
       is_share: whether values are from 0 to 1; if all are alike, it is then Wilson's.
     """
     return _trimmed(strata, 0, is_share)

@@ -75,8 +75,7 @@ def evaluate(
     Args:
       env: an environment id, a task's name, or a task.
       policy: a name or path for `load_policy`, such as "baseline", a function from
-        observations to actions, both by agent with one row per world, or one of these
-        for each agent.
+        observations to actions, by agent with a row per world, or one for each agent.
       episodes: number of episodes.
       seed: the episodes' seed.
       delay: number of control steps by which each action comes late; the robots hold

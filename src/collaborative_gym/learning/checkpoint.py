@@ -61,8 +61,7 @@ class Checkpoint:
 
         Raises:
           FileNotFoundError: if there is no such file.
-          ValueError: if a bit of it is damaged, or it is no checkpoint of this version;
-            says what to do.
+          ValueError: if a bit of it is damaged, or it is not of this version.
         """
         if not path.is_file():
             raise no_checkpoint(path)

@@ -66,8 +66,7 @@ class Rollout:
       rewards: (steps, rows) float32.
       terminated: where an episode ended and nothing more could follow, (steps, rows).
       truncated: where only its time was up, (steps, rows).
-      final_observations: at the ends where time was up, (ends, k) float32 in the order
-        of `truncated`.
+      final_observations: (ends, k) float32 where time was up, as in `truncated`.
       advice: the expert's actions, as `actions`, and NaN where there is no advice; of
         width 0 without an expert.
     """

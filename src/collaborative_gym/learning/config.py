@@ -74,8 +74,7 @@ class Hyperparameters:
       max_grad_norm: largest norm of a gradient; 0 for no limit.
       learning_rate: Adam's first learning rate; with SAC it stays.
       target_kl: PPO: the learning rate falls if an epoch moves the policy by more than
-        twice this Kullback-Leibler divergence, and rises below half of it; with 0 the
-        learning rate stays.
+        twice this Kullback-Leibler divergence, and rises below half of it; 0: never.
       min_learning_rate: PPO: least learning rate.
       max_learning_rate: PPO: greatest learning rate.
       replay_size: SAC: rows that the replay memory holds; they are part of each
@@ -277,8 +276,7 @@ class Resources:
         second one gains nothing, and on a busy machine it costs much. Another number
         may change the last bits of what is learned.
       num_collectors: processes that collect, with the backend ray; 0 for one per CPU.
-      ray_address: a running Ray cluster to join, as HOST:PORT, with the backend ray;
-        none to start one.
+      ray_address: a running Ray cluster to join, as HOST:PORT; none starts one.
     """
 
     device: str = "cpu"

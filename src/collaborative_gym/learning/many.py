@@ -100,8 +100,7 @@ def train_all(
     not finished. Wrong arguments raise before the work.
 
     Args:
-      envs: environment ids, tasks' names, or tasks; tasks of your own come from
-        `load_module`.
+      envs: environment ids, tasks' names, or tasks (your own after `load_module`).
       modes: who learns what, as in `train`; None for the usual one.
       seeds: of the runs in each mode.
       jobs: processes at a time, 0 for one per CPU. Where there are several, each has

@@ -161,7 +161,9 @@ class Run:
                 on_row(row, self._best)
             if pressed.is_set():
                 self._save(LAST)
-                raise KeyboardInterrupt(f"stopped after {steps:,} steps")
+                none = " before the first validation, so there is no policy yet"
+                why = f"stopped after {steps:,} steps{none * (not self._best)}"
+                raise KeyboardInterrupt(why)
         seconds = self._seconds
         return Result(self._folder, self._settings, self.steps, seconds, self._best)
 

@@ -90,7 +90,8 @@ def take_interval(options: Options) -> int:
         if name not in names:
             raise errors.UnknownOption(
                 f"got an unexpected keyword argument {name!r};"
-                f" {errors.unknown('option', name, names)}"
+                f" {errors.unknown('option', name, names)}; hyperparameters, such as"
+                " total_steps, come in hyperparameters=cg.Hyperparameters(...)"
             )
     interval = options.pop("checkpoint_interval", 100_000)
     return errors.check_count("checkpoint_interval", interval, at_least=1)

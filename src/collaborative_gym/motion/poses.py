@@ -50,8 +50,7 @@ def solve_pose(
     Args:
       model: the compiled world.
       arm: whose tcp.
-      goal: position (3,) in the world frame, in m, and quaternion (4,) or approach
-        direction (3,).
+      goal: world position (3,) in m, and quaternion (4,) or approach direction (3,).
       start: joint angles to begin with; the solution stays near them if it can.
       tries: how many starts to try; those after the first are drawn around `start`.
 

@@ -125,8 +125,7 @@ def carry(
     """Return joint changes that bring a tcp and its load to a goal, near a posture.
 
     They relax what arms that hold one thing exert on each other. Without a
-    load the posture counts less and less the nearer the goal is, where the arm comes to
-    rest (`settling`).
+    load the posture counts less the nearer the goal is, where it rests (`settling`).
 
     Args:
       sim: the worlds.

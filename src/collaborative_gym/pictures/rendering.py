@@ -31,7 +31,7 @@ _TURNS, _HEIGHTS = (0, 30, -30, 60, -60, 90, -90), (25, 45, 65)
 """How far aside from the overview, and how high, a close-up may look from, in deg."""
 
 _WIDE, _CLEAR = 0.08, 0.12  # m, of what a close-up shows, and of what cannot hide it
-_CALM, _PAN = 0.15, 0.05  # gain for which it moves, and share of the way in a picture
+_CALM = 0.3  # gain for which it cuts to another side: on its way it would cut arms open
 
 _SHADED = 0.5  # share of the width in which shadows are drawn that a close-up needs
 
@@ -69,7 +69,7 @@ class Camera:
         names = {model.body(i).name: i for i in range(1, model.nbody)}
         self._bodies = [look_up("body", body, names) for body in bodies]
         self._shown, sites = 0, range(model.nsite)
-        self._look, self._best = np.zeros(2), -1
+        self._best = -1
         self._places, self._moved = np.zeros(0), np.zeros(len(bodies))
         self._tcps = [i for i in sites if model.site(i).name.endswith("/tcp")]
         visual = model.vis.global_
@@ -165,11 +165,9 @@ class Camera:
         looks = np.array([(turn, up) for up in _HEIGHTS for turn in _TURNS])
         costs = 0.1 * np.abs(np.radians(looks[:, 0])) + np.radians(looks[:, 1]) / 6
         costs += [self._hidden(near.lookat, ahead + turn, up) for turn, up in looks]
-        pan = 1.0 if self._best < 0 else _PAN
         if self._best < 0 or costs[self._best] > costs.min() + _CALM:
             self._best = int(costs.argmin())
-        self._look = self._look + pan * (looks[self._best] - self._look)
-        near.azimuth, near.elevation = (ahead, 0.0) + self._look * (1, -1)
+        near.azimuth, near.elevation = (ahead, 0.0) + looks[self._best] * (1, -1)
         return near
 
     def _rest(self, places: np.ndarray) -> np.ndarray:

@@ -86,9 +86,11 @@ def load_policy(policy: AnyPolicy, env: Any = None, *, any_env: bool = False) ->
     if own is vector_env:
         return act
     # Where one agent commands all robots, there is one space and not one for each.
-    if isinstance(getattr(own, "observation_space", None), Box):
+    is_joint = isinstance(getattr(own, "observation_space", None), Box)
+    if is_joint:
         act = _joined(act, vector_env)
-    return act if hasattr(own, "num_envs") else _for_one_world(act)
+    agents = () if is_joint else vector_env.agents
+    return act if hasattr(own, "num_envs") else _for_one_world(act, agents)
 
 
 def as_policy(policy: AnyPolicy, env: VectorEnv, *, any_env: bool = False) -> Policy:
@@ -264,8 +266,8 @@ def _load_file(name: str | Path) -> NetworkPolicy | OnnxNetwork:
         if not (path / POLICY_FILE).exists():
             raise FileNotFoundError(
                 f"{path} has no {POLICY_FILE}; give the folder of one training run,"
-                " which has it after its first validation: there is one every"
-                " `validation_interval` steps, and one at the end; --resume goes on"
+                " which has it from its first validation on: the next comes after"
+                " validation_interval (250,000) steps or at the end; --resume goes on"
             )
         return NetworkPolicy.load(path / POLICY_FILE)
     if path.exists():
@@ -344,15 +346,20 @@ def _predicting(model: Any, env: VectorEnv) -> Policy:
     return act
 
 
-def _for_one_world(act: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _for_one_world(
+    act: Callable[[Any], Any], agents: Sequence[str]
+) -> Callable[[Any], Any]:
     """Return a policy over observations and actions without the axis of worlds."""
 
     def act_once(observations: Any) -> Any:
         if isinstance(observations, tuple):
             why = "a policy takes observations alone: observations, infos = env.reset()"
             raise TypeError(why)
-        if not isinstance(observations, Mapping):
+        if not agents:
             return act(observations[None])[0]
+        if not isinstance(observations, Mapping) or {*agents} - observations.keys():
+            why = f"observations must be a dictionary with those of {', '.join(agents)}"
+            raise TypeError(f"{why}, got {shown(observations)}")
         batch = {agent: row[None] for agent, row in observations.items()}
         return {agent: rows[0] for agent, rows in act(batch).items()}
 

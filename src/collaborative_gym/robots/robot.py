@@ -38,8 +38,7 @@ class Robot(RobotData):
 
     Attributes:
       name: the name, one word, under which tasks ask for the arm.
-      model_file: MJCF (.xml) or URDF (.urdf) file with the base at the origin, x
-        forward and z up.
+      model_file: MJCF (.xml) or URDF file, base at the origin, x forward and z up.
       joints: arm joint names in the model file, from the base to the tool.
       home: arm joint angles of the maker's ready pose, in rad.
       velocity_limits: greatest joint speeds, in rad/s.

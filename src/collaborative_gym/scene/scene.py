@@ -56,8 +56,7 @@ class Scene:
       placements: where their bases are.
       grips: the grips that were added.
       tools: names of what was fixed to an arm, by agent.
-      solid: whether fingers collide with all but what they can grip; they pass through
-        things otherwise.
+      solid: whether fingers collide with all but what they can grip, or with nothing.
       arms: after `compile`, each agent's arm in the compiled arrays.
       hands: after `compile`, what holds things in hands; missing without grips.
       postures: after `compile`, by agent, the joint angles in rad that an arm prefers

@@ -248,8 +248,7 @@ def resized(task: Task, count: int) -> Task:
     """Return the same task for another number of its arms.
 
     Raises:
-      ValueError: if its arms are of several kinds or have given places, or if it takes
-        another number.
+      ValueError: if it takes another number, or its arms differ or have places.
     """
     kinds = set(task.robots.values())
     if len(kinds) > 1 or task.config.placements is not None:

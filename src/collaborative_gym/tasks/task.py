@@ -369,8 +369,7 @@ class Task(Generic[ConfigT, FactsT]):
 
         Args:
           sim: the worlds.
-          steps: (num_envs,) control steps that each episode has done, less than
-            `max_episode_steps`.
+          steps: (num_envs,) control steps done, less than `max_episode_steps`.
         """
 
     def measure(self, sim: Sim) -> FactsT:
