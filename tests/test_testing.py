@@ -174,6 +174,15 @@ def test_random_numbers_when_a_task_is_made(faults):
     assert any("the task plays otherwise if it is made again" in each for each in found)
 
 
+def test_success_that_spreads_among_worlds_which_have_it_at_once(faults):
+    def success(self, own, facts):
+        met = own(self, facts)
+        return np.full_like(met, met.any())
+
+    found = faults(success=success)
+    assert any("changes when the goal of another is met" in each for each in found)
+
+
 def test_a_write_to_the_memory_near_the_goal(faults):
     def measure(self, own, sim):
         facts = own(self, sim)

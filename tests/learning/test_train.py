@@ -89,6 +89,11 @@ def test_a_run_leaves_what_it_promises(read_progress, trained, mode, carry):
     assert report.mean_reward.mean == result.best["validation/return"]
 
 
+def test_a_hyperparameter_among_the_options_is_told_where_it_belongs(carry_id):
+    with pytest.raises(TypeError, match=r"come in hyperparameters=cg\.Hyperparam"):
+        cg.train(carry_id, total_steps=10)
+
+
 def test_policies_run_without_torch(trained):
     folders = [trained(mode).folder for mode in MODES]
     arguments = [sys.executable, "-c", WITHOUT_TORCH, *map(str, folders)]

@@ -296,6 +296,12 @@ def test_a_policy_of_one_world_asks_for_observations_alone():
     policy = cg.load_policy("baseline", env)
     with pytest.raises(TypeError, match=r"alone: observations, infos = env\.reset\(\)"):
         policy(env.reset(seed=0))
+    observations, _ = env.reset(seed=0)
+    for given in observations["robot_1"], {"robot_1": observations["robot_1"]}:
+        with pytest.raises(
+            TypeError, match="dictionary with those of robot_1, robot_2"
+        ):
+            policy(given)
 
 
 def test_a_limp_or_absent_arm_is_one_of_the_worlds(make_env, carry):
