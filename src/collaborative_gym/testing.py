@@ -317,12 +317,11 @@ def _check_side(tested: TaskUnderTest, i: int, side: Sequence[str]) -> None:
     reached, is_divided = np.zeros(large.num_envs, bool), len(tested.task.sides) > 1
     nearest = np.full(large.num_envs, np.inf)
     for step in range(tested.task.config.max_episode_steps):
-        one, many = small.expert(), large.expert()
         is_same = (small.progress["episode"] == large.progress["episode"][rows]).all()
         if step % 5 == 0 or not reached.all():
             _check_methods(small)
-        alone, _ = _step_of(small, one, side)
-        beside, infos = _step_of(large, many, side)
+        alone, _ = _step_of(small, small.expert(), side)
+        beside, infos = _step_of(large, large.expert(), side)
         for what, own in alone.items() if is_same else ():
             alike = map(np.array_equal, own, (each[rows] for each in beside[what]))
             assert all(alike), (

@@ -298,9 +298,7 @@ def test_a_policy_of_one_world_asks_for_observations_alone():
         policy(env.reset(seed=0))
     observations, _ = env.reset(seed=0)
     for given in observations["robot_1"], {"robot_1": observations["robot_1"]}:
-        with pytest.raises(
-            TypeError, match="dictionary with those of robot_1, robot_2"
-        ):
+        with pytest.raises(TypeError, match="those of robot_1, robot_2, got"):
             policy(given)
 
 
