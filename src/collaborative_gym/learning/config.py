@@ -159,7 +159,7 @@ class Hyperparameters:
       league_reset: probability that the league exploiter restarts after a copy (0.25).
       league_fresh: probability that a restarting member takes the run's initial
         networks instead of main's (our choice).
-      league_decay: weight of a game, for each later game of the same two (0.99).
+      league_decay: factor on a game, for each later game of the same two (0.99).
       network: flat for networks that read an observation as one vector; set for
         networks that treat each mate of a robot alike and pool their outputs, so that a
         policy plays in teams of any size. Then the mode shared gives robots no index.
@@ -276,7 +276,7 @@ class Resources:
         second one gains nothing, and on a busy machine it costs much. Another number
         may change the last bits of what is learned.
       num_collectors: processes that collect, with the backend ray; 0 for one per CPU.
-      ray_address: a running Ray cluster to join, as HOST:PORT; none starts one.
+      ray_address: HOST:PORT of a cluster to join, with the backend ray; none: its own.
     """
 
     device: str = "cpu"
