@@ -302,14 +302,13 @@ class _Screen:
         observations, infos = self._env.reset(seed, [episode])
         self._score.clear()
         self._keep()
-        met_for, task = 0, self._env.task
         yield _Step(infos, self._states[-1:])
         while not infos["ended"][0]:
             self._states = []
             actions = self._policy(observations)
             observations, *_, infos = self._env.step(actions)
-            is_met = np.any(task.success(self._env.facts))
-            met_for = (met_for + 1) * (is_met & (infos["step"][0] > task.success_after))
+            counts = self._env.get_state().progress
+            met_for = int(counts.get("side_1: met_steps", np.zeros(1))[0])
             yield _Step(infos, self._states, met_for)
         yield from repeat(_Step(infos, self._states[-1:] * SUBSTEPS))
 
